@@ -1,0 +1,119 @@
+"""Rigid motions of the plane, SE(2).
+
+A pose is an array ``(x, y, theta)`` in metres and radians and stands for the transform
+``T_world_robot``: it takes a point from the robot's frame into the world's. The algebra and
+its Jacobians follow Smith, Self and Cheeseman, "Estimating uncertain spatial relationships
+in robotics" (1990), where ``compose`` is written as a circled plus.
+"""
+
+import math
+from typing import overload
+
+import numpy as np
+
+from limslam_env.geometry.arrays import FloatArray
+
+_TAU = 2.0 * math.pi
+
+
+@overload
+def wrap_angle(angle: float) -> float: ...
+@overload
+def wrap_angle(angle: FloatArray) -> FloatArray: ...
+def wrap_angle(angle: float | FloatArray) -> float | FloatArray:
+    """Bring an angle, or an array of them, into (-pi, pi] (radians)."""
+    return math.pi - (math.pi - angle) % _TAU
+
+
+def compose(first: FloatArray, second: FloatArray) -> FloatArray:
+    """``T_a_c`` from ``T_a_b`` and ``T_b_c``; the last axis holds (x, y, theta).
+
+    Leading axes broadcast. The heading of the result is wrapped.
+    """
+    first, second = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
+    x = first[..., 0] + cos * second[..., 0] - sin * second[..., 1]
+    y = first[..., 1] + sin * second[..., 0] + cos * second[..., 1]
+    return np.stack((x, y, wrap_angle(first[..., 2] + second[..., 2])), axis=-1)
+
+
+def inverse(pose: FloatArray) -> FloatArray:
+    """``T_b_a`` from ``T_a_b``; the last axis holds (x, y, theta)."""
+    pose = np.asarray(pose, dtype=float)
+    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x = -cos * pose[..., 0] - sin * pose[..., 1]
+    y = sin * pose[..., 0] - cos * pose[..., 1]
+    return np.stack((x, y, wrap_angle(-pose[..., 2])), axis=-1)
+
+
+def between(start: FloatArray, end: FloatArray) -> FloatArray:
+    """The pose of ``end`` as seen from ``start``: ``compose(inverse(start), end)``."""
+    return compose(inverse(start), end)
+
+
+def compose_jacobians(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of ``compose(first, second)`` by ``first`` and by ``second``, each (3, 3)."""
+    cos, sin = math.cos(first[2]), math.sin(first[2])
+    x, y = second[0], second[1]
+    by_first = np.array([[1.0, 0.0, -sin * x - cos * y], [0.0, 1.0, cos * x - sin * y], [0.0, 0.0, 1.0]])
+    by_second = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return by_first, by_second
+
+
+def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
+    """Take points (n, 2) from the frame of ``pose`` into the frame that ``pose`` is given in."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    rotation = np.array([[cos, sin], [-sin, cos]])
+    return points @ rotation + pose[:2]
+
+
+def arc(distance: float, turn: float) -> FloatArray:
+    """The pose reached from the origin along a circular arc.
+
+    Parameters
+    ----------
+    distance
+        Length of the arc in metres, negative when driving backwards.
+    turn
+        Change of heading in radians.
+
+    Notes
+    -----
+    The exact solution of the unicycle with constant speeds (Thrun, Burgard and Fox,
+    "Probabilistic Robotics", eq. 5.9), as a chord of length ``distance sinc(turn / 2)`` in
+    the direction ``turn / 2``, which has no singularity at ``turn = 0``.
+    """
+    half = 0.5 * turn
+    chord = distance * _sinc(half)
+    return np.array([chord * math.cos(half), chord * math.sin(half), turn])
+
+
+def arc_jacobian(distance: float, turn: float) -> FloatArray:
+    """Derivative (3, 2) of :func:`arc` by ``(distance, turn)``."""
+    half = 0.5 * turn
+    cos, sin, sinc = math.cos(half), math.sin(half), _sinc(half)
+    chord_by_turn = 0.5 * distance * _sinc_derivative(half)
+    chord = distance * sinc
+    return np.array(
+        [
+            [sinc * cos, chord_by_turn * cos - 0.5 * chord * sin],
+            [sinc * sin, chord_by_turn * sin + 0.5 * chord * cos],
+            [0.0, 1.0],
+        ]
+    )
+
+
+def wheels_to_arc(wheels: FloatArray, axle: float) -> tuple[float, float]:
+    """Distance (m) and turn (rad) of a differential drive from its left and right wheel travel (m)."""
+    left, right = float(wheels[0]), float(wheels[1])
+    return 0.5 * (left + right), (right - left) / axle
+
+
+def _sinc(angle: float) -> float:
+    return math.sin(angle) / angle if abs(angle) > 1e-6 else 1.0 - angle * angle / 6.0
+
+
+def _sinc_derivative(angle: float) -> float:
+    if abs(angle) > 1e-4:
+        return (math.cos(angle) - math.sin(angle) / angle) / angle
+    return -angle / 3.0

@@ -1,0 +1,202 @@
+"""What an agent may know: the robot, its data sheet, and the shape of an observation.
+
+This is the only door between ``limslam_env`` and ``limslam_agent`` besides ``geometry``.
+Nothing in here can tell the truth about a world.
+"""
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, NotRequired, Self, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+
+Side = Literal["left", "right", "none"]
+
+SMALLEST_SIDE_ANGLE = math.radians(20.0)
+LARGEST_SIDE_ANGLE = math.radians(160.0)
+
+
+class Observation(TypedDict):
+    """One step's readings, float32 as the environments give them.
+
+    ``ranges`` (n_beams,) in metres, a beam's maximum where it sees nothing; ``wheels`` (2,),
+    left and right wheel travel in metres since the last observation. Recorded logs that hold
+    poses instead of wheel travel give ``odometry`` (3,), the motion since the last
+    observation in the robot's frame at that time (m, m, rad), and leave ``wheels`` out.
+    """
+
+    ranges: NDArray[np.floating[Any]]
+    wheels: NotRequired[NDArray[np.floating[Any]]]
+    odometry: NotRequired[NDArray[np.floating[Any]]]
+
+
+def side_of(angle: float) -> Side:
+    """The buffer that a beam at ``angle`` (rad, 0 is ahead) fills: walls beside the robot, not ahead or behind."""
+    if SMALLEST_SIDE_ANGLE < abs(wrap_angle(angle)) < LARGEST_SIDE_ANGLE:
+        return "left" if wrap_angle(angle) > 0.0 else "right"
+    return "none"
+
+
+@dataclass(frozen=True)
+class SensorSpec:
+    """One beam: where it starts on the body, where it points, and what it can see.
+
+    Attributes
+    ----------
+    x, y
+        Origin of the beam in the robot's frame, m (x ahead, y left).
+    angle
+        Direction of the beam in the robot's frame, rad, counter-clockwise from ahead.
+    min_range, max_range
+        Shortest and longest reading, m. A reading at ``max_range`` means that nothing was
+        seen, one at ``min_range`` that something may be nearer.
+    side
+        The scan buffer that its points go to; ``"none"`` for beams that only avoid collisions.
+    period
+        Steps between two measurements; the last reading is repeated in between.
+    """
+
+    x: float
+    y: float
+    angle: float
+    min_range: float = 0.05
+    max_range: float = 1.5
+    side: Side = "none"
+    period: int = 1
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.x, self.y, self.angle, self.min_range, self.max_range))):
+            raise ValueError("a beam's place, angle and ranges must be finite")
+        if not 0.0 <= self.min_range < self.max_range:
+            raise ValueError(f"a beam needs 0 <= min_range < max_range, not {self.min_range} and {self.max_range}")
+        if self.period < 1:
+            raise ValueError(f"a beam's period must be at least one step, not {self.period}")
+
+
+def beams_on_rim(
+    degrees: tuple[float, ...], radius: float, *, min_range: float = 0.05, max_range: float = 1.5
+) -> tuple[SensorSpec, ...]:
+    """Beams that start on a circle of ``radius`` (m) and point straight out, at the given angles (deg)."""
+    angles = [math.radians(degree) for degree in degrees]
+    return tuple(
+        SensorSpec(radius * math.cos(a), radius * math.sin(a), a, min_range, max_range, side_of(a)) for a in angles
+    )
+
+
+PAPER_BEAMS_DEG = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
+
+
+def _paper_beams() -> tuple[SensorSpec, ...]:
+    beams = beams_on_rim(PAPER_BEAMS_DEG, 0.10)
+    # The paper keeps its front sensors out of the buffers; at 15 degrees they already are.
+    assert [beam.side for beam in beams] == ["left", "left", "none", "none", "right", "right"]
+    return beams
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """A round differential-drive robot, as its builder would measure it.
+
+    Attributes
+    ----------
+    radius
+        Radius of the body, m.
+    axle
+        Distance between the wheels, m.
+    max_wheel_speed
+        Wheel speed at an action of 1, m/s.
+    control_period
+        Time between two observations, s.
+    beams
+        The range sensors, in the order of the observation.
+    """
+
+    radius: float = 0.10
+    axle: float = 0.16
+    max_wheel_speed: float = 0.30
+    control_period: float = 0.1
+    beams: tuple[SensorSpec, ...] = field(default_factory=_paper_beams)
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "axle", "max_wheel_speed", "control_period"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"a robot's {name} must be positive, not {value}")
+        if not self.beams:
+            raise ValueError("a robot needs at least one beam")
+
+    @property
+    def beam_origins(self) -> FloatArray:
+        """Origins of the beams in the robot's frame, (n_beams, 2), m."""
+        return np.array([(beam.x, beam.y) for beam in self.beams])
+
+    @property
+    def beam_angles(self) -> FloatArray:
+        """Directions of the beams in the robot's frame, (n_beams,), rad."""
+        return np.array([beam.angle for beam in self.beams])
+
+    @property
+    def min_ranges(self) -> FloatArray:
+        """Shortest readings, (n_beams,), m."""
+        return np.array([beam.min_range for beam in self.beams])
+
+    @property
+    def max_ranges(self) -> FloatArray:
+        """Longest readings, (n_beams,), m."""
+        return np.array([beam.max_range for beam in self.beams])
+
+    @property
+    def max_wheel_travel(self) -> float:
+        """Largest wheel travel that an observation reports, m: twice what the motors can do in a step."""
+        return 2.0 * self.max_wheel_speed * self.control_period
+
+    def measures(self, step: int) -> BoolArray:
+        """Which beams (n_beams,) take a new measurement at a step; the first observation is step 0."""
+        return np.array([step % beam.period == 0 for beam in self.beams])
+
+    def to_json(self) -> str:
+        """The robot as JSON, for files."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """The robot that :meth:`to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            If the text is not such a robot.
+        """
+        try:
+            fields = json.loads(text)
+            beams = tuple(SensorSpec(**beam) for beam in fields.pop("beams"))
+            return cls(**fields, beams=beams)
+        except (TypeError, KeyError, AttributeError, json.JSONDecodeError) as error:
+            raise ValueError(f"not a robot: {error}") from error
+
+
+@dataclass(frozen=True)
+class NominalNoise:
+    """The noise that a builder would read off the data sheets; the true one may differ.
+
+    Attributes
+    ----------
+    range_std
+        Standard deviation of a range, m.
+    wheel_variance
+        Variance of a wheel's reported travel, m^2 per metre of travel.
+    """
+
+    range_std: float = 0.0
+    wheel_variance: float = 2e-5
+
+    def __post_init__(self) -> None:
+        for name in ("range_std", "wheel_variance"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} must be 0 or more, not {value}")

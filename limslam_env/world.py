@@ -1,0 +1,275 @@
+"""A world: walls, obstacles, doors and starts; read from TOML, refused with a reason when it cannot be."""
+
+import hashlib
+import math
+import os
+import tomllib
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from limslam_env.free_space import FreeSpace, free_space
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
+
+MAX_SIDE = 1000.0
+MAX_EDGES = 100_000
+MAX_FILE_BYTES = 20_000_000
+SHORTEST_EDGE = 1e-6
+
+_KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
+
+
+class WorldError(ValueError):
+    """A world, or the file that describes one, that cannot be used. The message says where and why."""
+
+
+def _rows(width: int) -> FloatArray:
+    return np.zeros((0, width))
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Walls and what stands between them. Arrays are read-only; lengths in metres, angles in radians.
+
+    Attributes
+    ----------
+    name
+        What the world is called.
+    size
+        Width and height that the world is drawn in. They add no walls.
+    walls
+        (n, 4): x1, y1, x2, y2 of each wall. Walls have no thickness.
+    obstacles
+        Closed polygons, each (k, 2).
+    doors
+        (m, 4): openings that a good map keeps open.
+    starts
+        (s, 3): poses that robots may start from. Empty: drawn by seed.
+    loop
+        (l, 2): corners of a closed tour to drive laps on. Empty: there is none.
+    """
+
+    name: str
+    size: tuple[float, float]
+    walls: FloatArray
+    obstacles: tuple[FloatArray, ...] = ()
+    doors: FloatArray = field(default_factory=lambda: _rows(4))
+    starts: FloatArray = field(default_factory=lambda: _rows(3))
+    loop: FloatArray = field(default_factory=lambda: _rows(2))
+
+    def __post_init__(self) -> None:
+        for name, width in (("walls", 4), ("doors", 4), ("starts", 3), ("loop", 2)):
+            object.__setattr__(self, name, _frozen(getattr(self, name), name, width))
+        obstacles = tuple(_frozen(polygon, "obstacles", 2) for polygon in self.obstacles)
+        object.__setattr__(self, "obstacles", obstacles)
+        if len(self.size) != 2 or not all(math.isfinite(side) and 0.0 < side <= MAX_SIDE for side in self.size):
+            raise WorldError(f"size must be two lengths up to {MAX_SIDE:g} m, not {list(self.size)}")
+        object.__setattr__(self, "size", (float(self.size[0]), float(self.size[1])))
+        _check_edges(self)
+
+    @cached_property
+    def edges(self) -> FloatArray:
+        """All that stops a beam, (k, 4): the walls first, then the obstacles' edges in order."""
+        edges = np.vstack((self.walls, *(polygon_edges(polygon) for polygon in self.obstacles)))
+        edges.setflags(write=False)
+        return edges
+
+    @cached_property
+    def digest(self) -> str:
+        """A name for the content: equal worlds have equal digests."""
+        arrays = (self.walls, *self.obstacles, self.doors, self.starts, self.loop)
+        parts = [repr((self.name, self.size)).encode(), *(repr(array.shape).encode() + array.tobytes() for array in arrays)]
+        return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
+
+    def free_space(self, radius: float) -> FreeSpace:
+        """Where a disc of ``radius`` (m) fits outside every obstacle."""
+        space = free_space(self.edges, radius)
+        free = space.free.copy()
+        for polygon in self.obstacles:
+            _clear_inside(space, polygon, free)
+        return FreeSpace(space.origin, space.cell, free)
+
+    def check(self, radius: float) -> None:
+        """Make sure that a robot of ``radius`` (m) can start here and never leave.
+
+        Raises
+        ------
+        WorldError
+            If a start collides, if the robot's disc could escape, or if it fits nowhere.
+        """
+        for number, start in enumerate(self.starts):
+            self._check_start(start, radius, f"starts[{number}]")
+        space = self.free_space(radius)
+        if len(self.starts) == 0 and not space.largest_closed_region().any():
+            raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
+        # A gap that the grid is too coarse to be sure of counts as a way out.
+        wide = self.free_space(max(radius - 0.75 * space.cell, 0.25 * radius))
+        for number, start in enumerate(self.starts):
+            if wide.reaches_border(wide.region_of(start[:2])):
+                raise WorldError(
+                    f"world {self.name!r}: starts[{number}] lies in a region that is not closed: "
+                    f"a robot of {radius:g} m radius could leave the world"
+                )
+
+    def check_pose(self, pose: FloatArray, radius: float) -> None:
+        """Make sure that a robot of ``radius`` (m) may start at ``pose`` (3,).
+
+        Raises
+        ------
+        WorldError
+            If the pose is not finite, collides, or lies where the robot could leave the world.
+        """
+        self._check_start(pose, radius, "start")
+        wide = self.free_space(max(radius - 0.75 * free_space(self.edges, radius).cell, 0.25 * radius))
+        if wide.reaches_border(wide.region_of(pose[:2])):
+            raise WorldError(f"world {self.name!r}: start {_text(pose)} lies outside of the closed walls")
+
+    def _check_start(self, start: FloatArray, radius: float, label: str) -> None:
+        if start.shape != (3,) or not np.isfinite(start).all():
+            raise WorldError(f"world {self.name!r}: {label} must be three finite numbers (x, y, theta)")
+        gap = float(distances(start[None, :2], self.edges).min())
+        inside = any(inside_polygon(start[None, :2], polygon)[0] for polygon in self.obstacles)
+        if inside or gap < radius:
+            reason = "inside an obstacle" if inside else f"{gap:.3f} m from a wall"
+            raise WorldError(f"world {self.name!r}: {label} {_text(start)} collides: a robot of {radius:g} m radius {reason}")
+
+
+WorldSource: TypeAlias = str | os.PathLike[str] | World
+
+
+def load_world(source: WorldSource) -> World:
+    """A world by the name of a shipped one, by the path of a file, or as it is.
+
+    Raises
+    ------
+    WorldError
+        If there is no such world, or it cannot be used; the message names file and reason.
+    """
+    if isinstance(source, World):
+        return source
+    if isinstance(source, str) and source in shipped_worlds():
+        text = resources.files("limslam_env.worlds").joinpath(f"{source}.toml").read_text(encoding="utf-8")
+        return parse_world(text, source)
+    path = Path(source)
+    if not path.is_file():
+        if path.suffix:
+            raise WorldError(f"{path}: no such file")
+        raise WorldError(f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, or give a file")
+    if path.suffix != ".toml":
+        raise WorldError(f"{path}: not a world file that can be read (.toml)")
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise WorldError(f"{path}: larger than {MAX_FILE_BYTES // 1_000_000} MB")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise WorldError(f"{path}: cannot be read: {error}") from error
+    return parse_world(text, str(path))
+
+
+def shipped_worlds() -> list[str]:
+    """Names of the worlds that come with the package."""
+    files = resources.files("limslam_env.worlds").iterdir()
+    return sorted(Path(file.name).stem for file in files if file.name.endswith(".toml"))
+
+
+def parse_world(text: str, label: str) -> World:
+    """A world from the text of a TOML file; ``label`` names it in errors.
+
+    Raises
+    ------
+    WorldError
+        If the text is not a world.
+    """
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise WorldError(f"{label}: not TOML: {error}") from error
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise WorldError(f"{label}: unknown key {unknown[0]!r}; a world has {', '.join(sorted(_KEYS))}")
+    missing = sorted({"name", "size", "walls"} - set(table))
+    if missing:
+        raise WorldError(f"{label}: the key {missing[0]!r} is missing")
+    if not isinstance(table["name"], str):
+        raise WorldError(f"{label}: name must be a text")
+    if not isinstance(table.get("obstacles", []), list):
+        raise WorldError(f"{label}: obstacles must be a list of polygons")
+    try:
+        return World(
+            name=table["name"],
+            size=tuple(_numbers(table["size"], "size", 1)),
+            walls=_numbers(table["walls"], "walls", 2),
+            obstacles=tuple(_numbers(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
+            **{key: _numbers(table[key], key, 2) for key in ("doors", "starts", "loop") if table.get(key)},
+        )
+    except WorldError as error:
+        raise WorldError(f"{label}: {error}") from error
+
+
+def _numbers(value: Any, key: str, dimensions: int) -> Any:
+    """Nested lists of TOML numbers as an array; TOML's booleans, texts and ragged lists are none."""
+
+    def is_number_list(item: Any, depth: int) -> bool:
+        if depth == 0:
+            return isinstance(item, int | float) and not isinstance(item, bool) and abs(item) <= 1e300
+        return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
+
+    if not is_number_list(value, dimensions) and not _holds_nan(value, dimensions):
+        raise WorldError(f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}")
+    try:
+        return np.array(value, dtype=float)
+    except ValueError as error:
+        raise WorldError(f"{key}: rows of different lengths") from error
+
+
+def _holds_nan(value: Any, depth: int) -> bool:
+    if depth == 0:
+        return isinstance(value, float) and not math.isfinite(value)
+    return isinstance(value, list) and any(_holds_nan(part, depth - 1) for part in value)
+
+
+def _frozen(value: Any, name: str, width: int) -> FloatArray:
+    array = np.array(value, dtype=float)
+    if array.size == 0:
+        array = _rows(width)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise WorldError(f"{name} must have {width} numbers a row, not shape {array.shape}")
+    if not np.isfinite(array).all():
+        row = int(np.argwhere(~np.isfinite(array))[0, 0])
+        raise WorldError(f"{name}[{row}] holds a number that is not finite")
+    array.setflags(write=False)
+    return array
+
+
+def _check_edges(world: World) -> None:
+    for number, polygon in enumerate(world.obstacles):
+        if len(polygon) < 3:
+            raise WorldError(f"obstacles[{number}] has {len(polygon)} corners; a polygon needs three")
+    if not 1 <= len(world.edges) <= MAX_EDGES:
+        raise WorldError(f"{len(world.edges)} walls and obstacle edges; 1 to {MAX_EDGES} can be used")
+    short = np.nonzero(lengths(world.edges) < SHORTEST_EDGE)[0]
+    if short.size:
+        kind = f"walls[{short[0]}]" if short[0] < len(world.walls) else f"obstacle edge {short[0] - len(world.walls)}"
+        raise WorldError(f"{kind} has no length")
+    extent = np.ptp(world.edges.reshape(-1, 2), axis=0)
+    if np.abs(world.edges).max() > MAX_SIDE or extent.max() > MAX_SIDE:
+        raise WorldError(f"walls reach further than {MAX_SIDE:g} m")
+
+
+def _clear_inside(space: FreeSpace, polygon: FloatArray, free: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
+    (column0, row0) = np.floor((polygon.min(axis=0) - space.origin) / space.cell).astype(int)
+    (column1, row1) = np.ceil((polygon.max(axis=0) - space.origin) / space.cell).astype(int)
+    window = np.zeros_like(free)
+    window[max(row0, 0) : row1, max(column0, 0) : column1] = True
+    window &= free
+    window[window] = inside_polygon(space.centres(window), polygon)
+    free &= ~window
+
+
+def _text(pose: FloatArray) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in pose) + ")"
