@@ -86,6 +86,12 @@ class World:
         parts = [repr((self.name, self.size)).encode(), *(repr(array.shape).encode() + array.tobytes() for array in arrays)]
         return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, World) and other.digest == self.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
     def free_space(self, radius: float) -> FreeSpace:
         """Where a disc of ``radius`` (m) fits outside every obstacle."""
         space = free_space(self.edges, radius)

@@ -1,0 +1,261 @@
+"""What a robot has recorded, whatever it was recorded with, and the project's own ``log.npz``."""
+
+import gzip
+import math
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os import PathLike, fspath
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.interface import Observation, RobotSpec
+
+Path: TypeAlias = str | PathLike[str]
+
+GZIP_MAGIC = b"\x1f\x8b"
+ZIP_MAGIC = b"PK"
+# The longest CARMEN line known is some 4 kB; without a bound, one "line" of a binary file could fill the memory.
+LONGEST_LINE = 1 << 20
+
+
+class LogError(ValueError):
+    """A file cannot be used; the message is one line, ``<file>: what and where``."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedLog:
+    """A run as the robot recorded it, one row an event, in the order of the file.
+
+    Attributes
+    ----------
+    robot
+        The robot that the log stands for, with the beams that were chosen.
+    time
+        (n,) s, the log's own times; they may step back a little.
+    ranges
+        (n, n_beams) float32, m, a beam's maximum where nothing was seen.
+    has_scan
+        (n,) bool; where False the event brought odometry alone and its ranges are the maxima.
+    start_pose
+        (3,) m, m, rad: where the robot was at the first event, in the frame that an estimate is to be given in.
+    odometry
+        (n, 3) m, m, rad: absolute odometry poses in a frame of their own, or None.
+    wheels
+        (n, 2) m: left and right wheel travel since the event before, or None. Exactly one of the two is given.
+    true_pose
+        (n, 3) m, m, rad: where the robot truly was, for scoring only, or None.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit the others, or a number is not finite.
+    """
+
+    robot: RobotSpec
+    time: FloatArray
+    ranges: NDArray[np.float32]
+    has_scan: BoolArray
+    start_pose: FloatArray
+    odometry: FloatArray | None = None
+    wheels: FloatArray | None = None
+    true_pose: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        count, beams = len(self.time), len(self.robot.beams)
+        if count == 0:
+            raise ValueError("holds no events")
+        if (self.odometry is None) == (self.wheels is None):
+            raise ValueError("needs either odometry or wheels")
+        _check("time", self.time, (count,))
+        _check("ranges", self.ranges, (count, beams))
+        _check("has_scan", self.has_scan, (count,))
+        _check("start_pose", self.start_pose, (3,))
+        for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
+            if array is not None:
+                _check(name, array, (count, width))
+        if self.true_pose is not None:
+            _check("true_pose", self.true_pose, (count, 3))
+        if np.any(self.ranges < 0.0):
+            raise ValueError(f"ranges is negative in row {_first_row(self.ranges < 0.0)}")
+
+    def __len__(self) -> int:
+        """The number of events."""
+        return len(self.time)
+
+    def observations(self) -> Iterator[Observation]:
+        """What the robot was told at each event, in fresh arrays.
+
+        Yields
+        ------
+        Observation
+            ``ranges`` (n_beams,) float32 m with ``wheels`` (2,) float32 m, or with ``odometry`` (3,) float64: the
+            motion since the event before in the robot's frame then, zeros at the first event.
+        """
+        if self.odometry is not None:
+            moves = np.zeros((len(self), 3))
+            moves[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
+            for ranges, move in zip(self.ranges, moves, strict=True):
+                yield {"ranges": ranges.astype(np.float32), "odometry": move.copy()}
+        elif self.wheels is not None:
+            for ranges, wheels in zip(self.ranges, self.wheels, strict=True):
+                yield {"ranges": ranges.astype(np.float32), "wheels": wheels.astype(np.float32)}
+
+
+def read_npz(path: Path) -> RecordedLog:
+    """Read the ``log.npz`` of a run's folder, one row a step, row 0 the observation at reset.
+
+    Parameters
+    ----------
+    path
+        A zip of ``time`` (n,) s, ``ranges`` (n, n_beams) m, ``wheels`` (n, 2) m, ``action`` (n, 2), ``true_pose``
+        (n, 3) after each step, ``wall_seen`` (n, n_beams), ``start_pose`` (3,), and ``robot``, the text of
+        :meth:`RobotSpec.to_json`. Pickled objects are refused.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, is cut short or is no such zip; if an array is missing or misshapen, or holds
+        something that is not a finite number.
+    """
+    arrays = _load_arrays(path)
+    try:
+        robot = _robot_of(arrays["robot"])
+        count, beams = len(np.atleast_1d(arrays["time"])), len(robot.beams)
+        _check("action", arrays["action"], (count, 2))
+        _check("wall_seen", arrays["wall_seen"], (count, beams))
+        return RecordedLog(
+            robot=robot,
+            time=_floats("time", arrays),
+            ranges=_floats("ranges", arrays).astype(np.float32),
+            has_scan=np.ones(count, dtype=np.bool_),
+            start_pose=_floats("start_pose", arrays),
+            wheels=_floats("wheels", arrays),
+            true_pose=_floats("true_pose", arrays),
+        )
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """The first ``count`` bytes of a file, fewer if it is shorter.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            return file.read(count)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def numbered_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a text, plain or gzip (told by its first bytes), one at a time.
+
+    Yields
+    ------
+    tuple
+        The line's number from 1 and its bytes with the newline, which only a last line can lack.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, the gzip stream is cut or damaged, or the file is not text.
+    """
+    number = 0
+    try:
+        with open(path, "rb") as raw:
+            packed = raw.peek(len(GZIP_MAGIC)).startswith(GZIP_MAGIC)
+            file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
+            while line := file.readline(LONGEST_LINE):
+                number += 1
+                if b"\0" in line or len(line) == LONGEST_LINE:
+                    raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
+                yield number, line
+    except EOFError as error:
+        raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise LogError(f"{fspath(path)}: line {number + 1}: the gzip stream is damaged: {error}") from error
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def parse_number(field: bytes, what: str) -> float:
+    """A finite number out of a text's field.
+
+    Raises
+    ------
+    ValueError
+        If it is not one; the message begins with ``what``.
+    """
+    text = field.decode("ascii", "replace")
+    try:
+        value = float(field)
+    except ValueError:
+        raise ValueError(f"{what} is not a number: {text[:40]!r}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{what} is {text}, not a finite number")
+    return value
+
+
+_ARRAYS = ("time", "ranges", "wheels", "action", "true_pose", "wall_seen", "robot", "start_pose")
+# What numpy and zipfile were seen to raise, or say they raise, on files cut short or with flipped bits.
+_DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+
+
+def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    if not first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC:
+        raise LogError(f"{fspath(path)}: is not an .npz file")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            missing = [name for name in _ARRAYS if name not in file.files]
+            arrays = {name: file[name] for name in _ARRAYS if name not in missing}
+    except _DAMAGE as error:
+        raise LogError(f"{fspath(path)}: cut short or damaged: {error}") from error
+    if missing:
+        raise LogError(f"{fspath(path)}: has no {' and no '.join(missing)}")
+    return arrays
+
+
+def _robot_of(text: NDArray[Any]) -> RobotSpec:
+    if text.shape != () or text.dtype.kind != "U":
+        raise ValueError("robot is not a text")
+    try:
+        return RobotSpec.from_json(str(text))
+    except ValueError as error:
+        raise ValueError(f"robot: {error}") from error
+
+
+def _floats(name: str, arrays: dict[str, NDArray[Any]]) -> FloatArray:
+    if arrays[name].dtype.kind not in "fiu":
+        raise ValueError(f"{name} does not hold numbers")
+    return arrays[name].astype(np.float64)
+
+
+def _check(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    """Refuse an array of another shape, and anything in it that is not a finite number."""
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name} does not hold numbers")
+    bad = ~np.isfinite(array)
+    if bad.any():
+        raise ValueError(f"{name} holds something that is not a finite number in row {_first_row(bad)}")
+
+
+def _first_row(marked: NDArray[np.bool_]) -> int:
+    return int(np.argwhere(marked)[0, 0])
+
+
+def _unreadable(path: Path, error: OSError) -> LogError:
+    return LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}")
