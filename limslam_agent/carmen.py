@@ -13,7 +13,7 @@ from os import fspath
 
 import numpy as np
 
-from limslam_agent.recorded_log import LogError, Path, RecordedLog, numbered_lines, parse_number
+from limslam_agent.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
 
@@ -37,7 +37,7 @@ _ODOM_FIELDS = 10
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
-def read_carmen(path: Path, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
+def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, keeping the beams nearest to the given angles.
 
     Parameters
@@ -69,14 +69,17 @@ def read_carmen(path: Path, beams_deg: Sequence[float], max_range: float) -> Rec
     for number, line in numbered_lines(path):
         cut = not line.endswith(b"\n")
         try:
-            events.add(line.split(), cut)
+            events.add(line.split(), cut=cut)
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
     if not events.time:
         raise LogError(f"{fspath(path)}: has no odometry: not one ODOM or FLASER line")
     if not events.ranges:
         raise LogError(f"{fspath(path)}: has no scan: not one FLASER line")
-    return _as_log(events, max_range)
+    try:
+        return _as_log(events, max_range)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 def beam_angles_deg(count: int) -> FloatArray:
@@ -91,7 +94,7 @@ def beam_angles_deg(count: int) -> FloatArray:
     """
     if count not in (180, 181, 360, 361):
         raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")
-    return -90.0 + np.arange(count) * (180.0 / (count - count % 2))
+    return -90.0 + np.arange(count, dtype=np.float64) * (180.0 / (count - count % 2))
 
 
 class _Events:
@@ -107,7 +110,7 @@ class _Events:
         self.ranges = array("d")
         self.has_scan = bytearray()
 
-    def add(self, fields: list[bytes], cut: bool) -> None:
+    def add(self, fields: list[bytes], *, cut: bool) -> None:
         """Take in one line, split; ``cut`` says that the file ends within it."""
         kind = fields[0] if fields else b""
         if kind == b"FLASER":
@@ -171,10 +174,11 @@ def _nearest_beams(count: int, beams_deg: Sequence[float]) -> list[int]:
     angles = beam_angles_deg(count)
     chosen: list[int] = []
     for wanted in beams_deg:
+        if not math.isfinite(wanted):
+            raise ValueError(f"a beam angle must be a finite number, not {wanted}")
         mismatch = np.abs((angles - wanted + 180.0) % 360.0 - 180.0)
         beam = int(np.argmin(mismatch))
-        # Written so that an angle that is not a number is refused as well.
-        if not mismatch[beam] <= WORST_BEAM_MISMATCH_DEG + 1e-9:
+        if mismatch[beam] > WORST_BEAM_MISMATCH_DEG + 1e-9:
             reach = f"the log's {count} beams reach from {angles[0]:g} to {angles[-1]:g} deg"
             raise ValueError(f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: {reach}")
         if beam in chosen:
@@ -190,7 +194,7 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
     time = np.array(events.time)
     odometry = np.array(events.odometry).reshape(count, 3)
     odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
-    has_scan = np.frombuffer(bytes(events.has_scan), dtype=np.bool_)
+    has_scan = np.frombuffer(events.has_scan, dtype=np.bool_)
     angles = np.radians(beam_angles_deg(events.beam_count)[np.array(events.columns) - 2])
     mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3))
     ranges = np.full((count, len(angles)), max_range, dtype=np.float32)

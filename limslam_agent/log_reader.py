@@ -5,13 +5,13 @@ from os import fspath
 from pathlib import PurePath
 
 from limslam_agent.carmen import read_carmen
-from limslam_agent.recorded_log import ZIP_MAGIC, LogError, Path, RecordedLog, first_bytes, read_npz
+from limslam_agent.recorded_log import ZIP_MAGIC, FilePath, LogError, RecordedLog, first_bytes, read_npz
 
 DEFAULT_BEAMS_DEG = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 DEFAULT_MAX_RANGE = 3.0
 
 
-def read_log(path: Path, beams_deg: Sequence[float] | None = None, max_range: float | None = None) -> RecordedLog:
+def read_log(path: FilePath, beams_deg: Sequence[float] | None = None, max_range: float | None = None) -> RecordedLog:
     """Read the project's own ``log.npz`` or a CARMEN log, told apart by their first bytes.
 
     Parameters

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import Observation, RobotSpec
 
-Path: TypeAlias = str | PathLike[str]
+FilePath: TypeAlias = str | PathLike[str]
 
 GZIP_MAGIC = b"\x1f\x8b"
-ZIP_MAGIC = b"PK"
+ZIP_MAGIC = b"PK\x03\x04"
 # The longest CARMEN line known is some 4 kB; without a bound, one "line" of a binary file could fill the memory.
 LONGEST_LINE = 1 << 20
 
@@ -69,7 +69,7 @@ class RecordedLog:
     true_pose: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        count, beams = len(self.time), len(self.robot.beams)
+        count, beams = self.time.size, len(self.robot.beams)
         if count == 0:
             raise ValueError("holds no events")
         if (self.odometry is None) == (self.wheels is None):
@@ -88,7 +88,7 @@ class RecordedLog:
 
     def __len__(self) -> int:
         """The number of events."""
-        return len(self.time)
+        return self.time.size
 
     def observations(self) -> Iterator[Observation]:
         """What the robot was told at each event, in fresh arrays.
@@ -109,7 +109,7 @@ class RecordedLog:
                 yield {"ranges": ranges.astype(np.float32), "wheels": wheels.astype(np.float32)}
 
 
-def read_npz(path: Path) -> RecordedLog:
+def read_npz(path: FilePath) -> RecordedLog:
     """Read the ``log.npz`` of a run's folder, one row a step, row 0 the observation at reset.
 
     Parameters
@@ -128,7 +128,7 @@ def read_npz(path: Path) -> RecordedLog:
     arrays = _load_arrays(path)
     try:
         robot = _robot_of(arrays["robot"])
-        count, beams = len(np.atleast_1d(arrays["time"])), len(robot.beams)
+        count, beams = arrays["time"].size, len(robot.beams)
         _check("action", arrays["action"], (count, 2))
         _check("wall_seen", arrays["wall_seen"], (count, beams))
         return RecordedLog(
@@ -144,7 +144,7 @@ def read_npz(path: Path) -> RecordedLog:
         raise LogError(f"{fspath(path)}: {error}") from error
 
 
-def first_bytes(path: Path, count: int) -> bytes:
+def first_bytes(path: FilePath, count: int) -> bytes:
     """The first ``count`` bytes of a file, fewer if it is shorter.
 
     Raises
@@ -159,7 +159,7 @@ def first_bytes(path: Path, count: int) -> bytes:
         raise _unreadable(path, error) from error
 
 
-def numbered_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     """The lines of a text, plain or gzip (told by its first bytes), one at a time.
 
     Yields
@@ -213,11 +213,12 @@ _ARRAYS = ("time", "ranges", "wheels", "action", "true_pose", "wall_seen", "robo
 _DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
-def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    if not first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC:
+def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
+    if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise LogError(f"{fspath(path)}: is not an .npz file")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here, since numpy leaves its own file open when the zip turns out damaged.
+        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
             missing = [name for name in _ARRAYS if name not in file.files]
             arrays = {name: file[name] for name in _ARRAYS if name not in missing}
     except _DAMAGE as error:
@@ -257,5 +258,5 @@ def _first_row(marked: NDArray[np.bool_]) -> int:
     return int(np.argwhere(marked)[0, 0])
 
 
-def _unreadable(path: Path, error: OSError) -> LogError:
+def _unreadable(path: FilePath, error: OSError) -> LogError:
     return LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}")

@@ -11,7 +11,7 @@ from os import fspath
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.recorded_log import LogError, Path, numbered_lines, parse_number
+from limslam_agent.recorded_log import FilePath, LogError, numbered_lines, parse_number
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 NEAREST_WITHIN = 0.1
@@ -28,7 +28,10 @@ _FIELDS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
 
 @dataclass(frozen=True, eq=False)
 class Relations:
-    """Known motions: ``start_time`` and ``end_time`` (k,) s, ``relative`` (k, 3) m, m, rad, the end seen from the start."""
+    """Known motions: from ``start_time`` to ``end_time``, both (k,) s.
+
+    ``relative`` (k, 3) m, m, rad is the pose at the end as seen from the one at the start.
+    """
 
     start_time: FloatArray
     end_time: FloatArray
@@ -57,7 +60,7 @@ class RelationErrors:
     unmatched: int
 
 
-def read_relations(path: Path) -> Relations:
+def read_relations(path: FilePath) -> Relations:
     """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), and comments after ``#``.
 
     Raises

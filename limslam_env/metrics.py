@@ -20,30 +20,22 @@ from limslam_env.world import World
 
 SAMPLE_SPACING = 0.05  # m of wall that one sample stands for
 NEAR, NEARER = 0.10, 0.05  # m from a wall that still match it; NEARER in the metrics named _5cm
-WALL_ANGLE, DOOR_ANGLE = math.radians(10.0), math.radians(30.0)
+WALL_ANGLE, DOOR_ANGLE = math.radians(10.0), math.radians(30.0)  # a match differs by less
 SHORTEST_SIDE = 0.2  # m; below, sides of obstacles are not asked of a map
-KNOWN_START = 0.5  # m of travel
-DOOR_MIDDLE = (0.3, 0.7)
-COVERAGE_LEVELS = (50, 90, 95)  # %
-
-_STAND_SPACING = 0.1
-_FIRST_STANDS = 8
-_PAIRS_AT_ONCE = 1_000_000
+KNOWN_START = 0.5  # m of travel that say nothing about consistency
+_STAND_SPACING, _FIRST_STANDS, _PAIRS_AT_ONCE = 0.1, 8, 1_000_000
 
 WallSamples: TypeAlias = tuple[FloatArray, FloatArray, IntArray]
-"""Samples of walls: points (n, 2) in m, directions (n,) in [0, pi) rad, indices (n,) of the edges they lie on."""
+"""Samples of walls: points (n, 2) in m, directions (n,) in [0, pi] rad, indices (n,) of the edges they lie on."""
 
 
 @dataclass(frozen=True)
 class AssociationEvent:
-    """One observed line, and the landmark that it was matched to or (``is_new``) that was created from it.
-
-    ``true_walls`` holds, for each beam reading in the line, the index of the wall truly hit; -1 nothing, -2 a robot.
-    """
+    """One observed line, and the landmark that it was matched to or (``is_new``) that was created from it."""
 
     landmark: int
     is_new: bool
-    true_walls: tuple[int, ...]
+    true_walls: tuple[int, ...]  # for each reading in the line, the index of the wall hit; -1 nothing, -2 a robot
 
 
 def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray:
@@ -62,19 +54,15 @@ def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray
     if min(np.abs(target).max(), np.abs(source).max()) > 1e-9:
         turned = np.sum(source[:, 0] * target[:, 1] - source[:, 1] * target[:, 0])
         theta = math.atan2(turned, np.sum(source * target))
-    rotated = transform_points(np.array([0.0, 0.0, theta]), mean[None])[0]
-    return np.array([*(true_mean - rotated), theta])
+    return np.array([*(true_mean - transform_points(np.array([0.0, 0.0, theta]), mean[None])[0]), theta])
 
 
 def trajectory_metrics(true: FloatArray, estimated: FloatArray) -> dict[str, float | None]:
     """Errors of an estimated trajectory (n, 3), n >= 1, against the true one (n, 3).
 
-    Returns
-    -------
-    dict
-        ``ate_m``, root mean square (RMS) of the position error; ``ate_aligned_m``, after :func:`rigid_alignment`;
-        ``heading_rmse_deg``; ``final_error_m``; ``rpe_m_per_m``, RMS error of the motion over stretches of 1 m of
-        true travel laid end to end (evo's RPE, delta 1 m, pairs from the reference), None if there is none.
+    ``ate_m`` is the root mean square (RMS) of the position error, ``ate_aligned_m`` the same after
+    :func:`rigid_alignment`; ``heading_rmse_deg`` and ``final_error_m`` are unaligned; ``rpe_m_per_m`` is the RMS error
+    of the motion over stretches of 1 m of true travel laid end to end, None if there is none (evo's RPE, delta 1 m).
     """
     errors = np.linalg.norm(true[:, :2] - estimated[:, :2], axis=1)
     moved = transform_points(rigid_alignment(true[:, :2], estimated[:, :2]), estimated[:, :2])
@@ -127,12 +115,10 @@ def visible_samples(world: World, radius: float, max_range: float, spacing: floa
     asked[: len(world.walls)] = True
     stands = _stands(world, radius)
     tree = cKDTree(stands)
-    low = np.minimum(edges[:, :2], edges[:, 2:]) - max_range
-    high = np.maximum(edges[:, :2], edges[:, 2:]) + max_range
     seen = np.zeros(len(points), dtype=bool)
     for index in np.flatnonzero(asked[owner]):
         point = points[index]
-        around = np.all((low <= point) & (point <= high), axis=1)
+        around = distances(point[None], edges)[0] <= max_range
         around[owner[index]] = False
         near = stands[tree.query_ball_point(point, max_range)]
         near = near[np.argsort(np.linalg.norm(near - point, axis=1))]
@@ -150,15 +136,11 @@ def wall_metrics(
     A sample matches a segment of the other set within 10 cm (exact distance) whose direction differs by less
     than 10 deg. Recall is over the visible samples (:func:`visible_samples` at its default spacing), precision
     over samples of the estimate, each 5 cm, against all true edges: a wall that is truly there is no mistake.
-    ``alignment`` (3,) is the trajectories' :func:`rigid_alignment`.
 
-    Returns
-    -------
-    dict
-        ``wall_recall``, ``wall_precision``, ``wall_f1``, ``wall_f1_5cm``; after the alignment ``wall_f1_aligned``,
-        ``wall_f1_aligned_5cm`` and, since a turned map is no invented wall, ``spurious_walls`` (segments with less
-        than half their samples matched), ``spurious_m`` their length, and ``duplicate_m`` the length of
-        visible wall matched by more than one segment. All are 0 for an empty estimate.
+    Names with ``_5cm`` use 5 cm instead; those with ``_aligned`` first move the estimate by ``alignment`` (3,), the
+    :func:`rigid_alignment` of the trajectories. So do, since a turned map is no invented wall,
+    ``spurious_walls`` (segments with less than half their samples matched), ``spurious_m`` (their length) and
+    ``duplicate_m`` (length of visible wall matched by more than one segment). An empty estimate has 0 for all.
     """
     estimated = estimated.reshape(-1, 4)
     moved = transform_points(alignment, estimated.reshape(-1, 2)).reshape(-1, 4)
@@ -178,16 +160,16 @@ def doors_open(doors: FloatArray, estimated: FloatArray) -> float | None:
     """Share of doors (d, 4) whose middle 40 % no estimated segment (m, 4) covers (within 10 cm, 30 deg)."""
     if len(doors) == 0:
         return None
-    low, high = (doors[:, :2] + part * (doors[:, 2:] - doors[:, :2]) for part in DOOR_MIDDLE)
+    low, high = (doors[:, :2] + part * (doors[:, 2:] - doors[:, :2]) for part in (0.3, 0.7))
     # A tenth of the matching distance apart: nothing slips through between two samples, ends included.
     points, owner = sample(np.hstack((low, high)), 0.1 * NEAR)
-    matches = _matches(points, _directions(doors)[owner], estimated.reshape(-1, 4), NEAR, DOOR_ANGLE)
+    matches = _matches((points, _directions(doors)[owner], owner), estimated.reshape(-1, 4), NEAR, DOOR_ANGLE)
     return float(np.mean(np.bincount(owner, weights=matches, minlength=len(doors)) == 0.0))
 
 
 def coverage_times(time: FloatArray, coverage: FloatArray) -> dict[str, float | None]:
     """First times (s), of those in ``time`` (n,), at which ``coverage`` (n,) reached 50, 90 and 95 %; None if never."""
-    first = {level: np.flatnonzero(coverage >= level / 100.0)[:1] for level in COVERAGE_LEVELS}
+    first = {level: np.flatnonzero(coverage >= level / 100.0)[:1] for level in (50, 90, 95)}
     return {f"time_to_{level}_s": float(time[at[0]]) if at.size else None for level, at in first.items()}
 
 
@@ -227,12 +209,9 @@ def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> 
     An observation's true wall is the one that more than half of its readings hit, a landmark's that of the
     observation that created it. Where either has none there is no right answer: such events are mixed.
 
-    Returns
-    -------
-    dict
-        The int counts ``association_right``, ``association_wrong`` (matched to another wall's landmark),
-        ``association_new`` (rightly), ``association_wrongly_new`` (the wall had a landmark), ``association_mixed``,
-        and ``association_right_share``: right and rightly new of all that are not mixed, or None.
+    Counts (int) of ``association_right``, ``association_wrong`` (matched to another wall's landmark),
+    ``association_new`` (rightly), ``association_wrongly_new`` (the wall had a landmark), ``association_mixed``;
+    ``association_right_share`` is the share of right and rightly new among all not mixed, None if there are none.
     """
     counts = dict.fromkeys(("right", "wrong", "wrongly_new", "new", "mixed"), 0)
     wall_of: dict[int, int | None] = {}
@@ -246,42 +225,35 @@ def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> 
         else:
             verdict = "right" if wall == known else "wrong"
         counts[verdict] += 1
-        if event.is_new:
-            wall_of[event.landmark] = wall
+        wall_of[event.landmark] = known
     judged = len(events) - counts["mixed"]
     share = (counts["right"] + counts["new"]) / judged if judged else None
     return {**{f"association_{name}": count for name, count in counts.items()}, "association_right_share": share}
 
 
-def _wall_scores(
-    visible: WallSamples, all_edges: FloatArray, estimated: FloatArray, tolerance: float
-) -> tuple[float, float, float]:
+def _wall_scores(visible: WallSamples, edges: FloatArray, estimated: FloatArray, tolerance: float) -> list[float]:
     """Recall, precision and F1 at a matching distance (m)."""
-    points, directions, _ = _samples(estimated, SAMPLE_SPACING)
-    found = _matches(*visible[:2], estimated, tolerance, WALL_ANGLE) > 0
-    right = _matches(points, directions, all_edges, tolerance, WALL_ANGLE) > 0
+    found = _matches(visible, estimated, tolerance) > 0
+    right = _matches(_samples(estimated, SAMPLE_SPACING), edges, tolerance) > 0
     recall, precision = (float(np.mean(hits)) if hits.size else 0.0 for hits in (found, right))
-    return recall, precision, 2.0 * recall * precision / (recall + precision) if recall + precision > 0.0 else 0.0
+    return [recall, precision, 2.0 * recall * precision / max(recall + precision, 1e-300)]
 
 
 def _surplus(visible: WallSamples, all_edges: FloatArray, estimated: FloatArray) -> dict[str, float]:
     """What aligned segments (m, 4) hold that is not there, and what they hold twice."""
-    points, directions, owner = _samples(estimated, SAMPLE_SPACING)
-    right = _matches(points, directions, all_edges, NEAR, WALL_ANGLE) > 0
-    hits = np.bincount(owner, weights=right, minlength=len(estimated))
-    spurious = hits < 0.5 * np.bincount(owner, minlength=len(estimated))
-    doubled = _matches(*visible[:2], estimated, NEAR, WALL_ANGLE) >= 2
+    drawn = _samples(estimated, SAMPLE_SPACING)
+    hits = np.bincount(drawn[2], weights=_matches(drawn, all_edges, NEAR) > 0, minlength=len(estimated))
+    spurious = hits < 0.5 * np.bincount(drawn[2], minlength=len(estimated))
     return {
         "spurious_walls": int(np.count_nonzero(spurious)),
         "spurious_m": float(lengths(estimated)[spurious].sum()),
-        "duplicate_m": SAMPLE_SPACING * int(np.count_nonzero(doubled)),
+        "duplicate_m": SAMPLE_SPACING * int(np.count_nonzero(_matches(visible, estimated, NEAR) >= 2)),
     }
 
 
-def _matches(
-    points: FloatArray, directions: FloatArray, segments: FloatArray, tolerance: float, angle: float
-) -> IntArray:
+def _matches(samples: WallSamples, segments: FloatArray, tolerance: float, angle: float = WALL_ANGLE) -> IntArray:
     """How many segments (k, 4) lie within ``tolerance`` (m) and less than ``angle`` (rad) of each of n samples."""
+    points, directions, _ = samples
     counts = np.zeros(len(points), dtype=np.intp)
     step = max(1, _PAIRS_AT_ONCE // max(1, len(segments)))
     for first in range(0, len(points), step):
@@ -293,8 +265,7 @@ def _matches(
 
 
 def _samples(segments: FloatArray, spacing: float) -> WallSamples:
-    """Samples of segments (k, 4): the middles of equal pieces of at most ``spacing`` (m)."""
-    # Middles each stand for a piece of the same length, and none for the corner of two walls.
+    """Middles of equal pieces of segments (k, 4), at most ``spacing`` (m) long, so that no sample is a corner."""
     ends, owner = sample(segments, spacing)
     inner = owner[:-1] == owner[1:]
     owner = owner[:-1][inner]
@@ -302,10 +273,8 @@ def _samples(segments: FloatArray, spacing: float) -> WallSamples:
 
 
 def _directions(segments: FloatArray) -> FloatArray:
-    """Directions (k,) of segments without regard to their sense, in [0, pi) rad."""
-    angle = np.arctan2(segments[:, 3] - segments[:, 1], segments[:, 2] - segments[:, 0]) % math.pi
-    # The remainder of a tiny negative angle rounds to pi itself.
-    return np.where(angle < math.pi, angle, 0.0)
+    """Directions (k,) of segments without regard to their sense, in [0, pi] rad."""
+    return np.arctan2(segments[:, 3] - segments[:, 1], segments[:, 2] - segments[:, 0]) % math.pi
 
 
 def _stands(world: World, radius: float) -> FloatArray:
@@ -313,8 +282,8 @@ def _stands(world: World, radius: float) -> FloatArray:
     space = world.free_space(radius)
     regions = [space.region_of(start[:2]) for start in world.starts] or [space.largest_closed_region()]
     centres = space.centres(np.logical_or.reduce(regions))
-    # One of each block, and not each fourth row and column, which could miss a narrow passage.
-    blocks = np.floor((centres - space.origin) / _STAND_SPACING).astype(int)
+    # One of each block misses no passage, as long as no block holds both sides of a wall.
+    blocks = np.floor((centres - space.origin) / min(_STAND_SPACING, radius)).astype(int)
     _, first = np.unique(blocks, axis=0, return_index=True)
     return centres[first]
 
@@ -347,8 +316,7 @@ def _stretches(poses: FloatArray, length: float) -> tuple[IntArray, IntArray]:
         if driven >= length:
             marks.append(step)
             driven = 0.0
-    steps = np.array(marks)
-    return steps[:-1], steps[1:]
+    return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
 
 
 def _majority(walls: tuple[int, ...], wall_count: int) -> int | None:

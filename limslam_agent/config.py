@@ -1,0 +1,231 @@
+"""Settings of the agent, one frozen dataclass a stage, and the presets that put them together.
+
+Lengths are in metres, angles in radians unless a name says degrees. The paper gives hardly a
+number; where a comment says "ours", the choice is this project's, tuned on seeds that are not
+reported.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from limslam_env.interface import NominalNoise
+
+
+@dataclass(frozen=True)
+class OdometryConfig:
+    """The motion of a log that holds odometry poses instead of wheel travel.
+
+    Attributes
+    ----------
+    distance_variance
+        Variance of the travelled distance, m^2 per metre.
+    turn_variance_per_metre
+        Variance of the heading, rad^2 per metre driven.
+    turn_variance_per_radian
+        Variance of the heading, rad^2 per radian turned.
+    turn_bias
+        Heading that the odometry reports in excess for each metre driven, rad per metre.
+    distance_scale
+        True distance over reported distance.
+    """
+
+    distance_variance: float = 1e-3
+    turn_variance_per_metre: float = 2e-4
+    turn_variance_per_radian: float = 2e-3
+    turn_bias: float = 0.0
+    distance_scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class BufferConfig:
+    """The pseudo-dense scans.
+
+    Attributes
+    ----------
+    size
+        Points at which a buffer is handed on. Ours.
+    min_distance, min_turn
+        A side takes no new points before the robot has driven or turned this far. Ours: points
+        measured while standing still say nothing new about a line.
+    max_gap
+        Distance driven without a measurement after which the wall has ended: what is in the
+        buffer is handed on and the next measurement begins a new wall. Ours.
+    """
+
+    size: int = 30
+    min_distance: float = 0.01
+    min_turn: float = math.radians(1.0)
+    max_gap: float = 0.25
+
+
+@dataclass(frozen=True)
+class HoughConfig:
+    """Lines in a buffer of points.
+
+    Attributes
+    ----------
+    theta_step
+        Angle bins. Ours.
+    r_step
+        Distance bins; never finer than three standard deviations of the ranges, because the
+        votes of one wall would split. Ours.
+    min_votes
+        The threshold: *every* line with this many votes is taken, not only the best. Ours.
+    max_offset
+        Points this far from a line belong to it, or 2.5 standard deviations if that is more. Ours.
+    max_gap
+        A hole in a line's points that makes two pieces of it. Ours.
+    min_length
+        Shorter pieces are no walls. Ours.
+    only_best
+        Ablation: take only the line with the most votes.
+    """
+
+    theta_step: float = math.radians(2.0)
+    r_step: float = 0.02
+    min_votes: int = 8
+    max_offset: float = 0.03
+    max_gap: float = 0.30
+    min_length: float = 0.25
+    only_best: bool = False
+
+
+@dataclass(frozen=True)
+class AssociationConfig:
+    """When an observed line is a landmark that is known already.
+
+    Attributes
+    ----------
+    gate
+        Largest squared Mahalanobis distance. Ours: wide, because the published filter is surer
+        of itself than it should be.
+    max_end_gap
+        Largest distance along the wall between the observation and the landmark's end points. Ours.
+    max_angle, max_distance
+        Largest difference of direction, and distance of the observation's middle from the line. Ours.
+    range_slack
+        How far past its sensors' range a landmark may lie and still count as seen. Ours.
+    """
+
+    gate: float = 25.0
+    max_end_gap: float = 0.35
+    max_angle: float = math.radians(15.0)
+    max_distance: float = 0.35
+    range_slack: float = 0.25
+
+
+@dataclass(frozen=True)
+class FilterConfig:
+    """The extended Kalman filter.
+
+    Attributes
+    ----------
+    min_range_std
+        Least standard deviation that a range is credited with, m; quantities are never exact.
+    correct
+        False is the ablation without a filter: lines are drawn at the odometry's poses.
+    """
+
+    min_range_std: float = 0.005
+    correct: bool = True
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """The low-resolution occupancy grid.
+
+    Attributes
+    ----------
+    cell
+        Side of a cell. Ours.
+    seen_through, hit
+        What a beam adds to the cells that it crosses, and takes off the cell in which it ends. Ours.
+    limit
+        Values stay within plus and minus this. Ours.
+    """
+
+    cell: float = 0.10
+    seen_through: int = 1
+    hit: int = 4
+    limit: int = 20
+
+
+@dataclass(frozen=True)
+class PolicyConfig:
+    """Where to go and how to get there. All ours.
+
+    Attributes
+    ----------
+    speed
+        Cruising speed, m/s.
+    turn_rate
+        Fastest turn, rad/s.
+    lookahead
+        Distance of the point on the path that is steered for.
+    clearance
+        Distance that the planner keeps between the robot's rim and occupied cells if it can.
+    margin
+        Distance that it always keeps.
+    stop_distance
+        Free distance ahead of the rim below which the robot only turns.
+    min_frontier
+        Cells; smaller frontiers are gaps between beams.
+    view_distance
+        A frontier cell counts as reached from cells this near.
+    replan_period
+        Steps between two plans.
+    """
+
+    speed: float = 0.25
+    turn_rate: float = 2.0
+    lookahead: float = 0.25
+    clearance: float = 0.15
+    margin: float = 0.05
+    stop_distance: float = 0.06
+    min_frontier: int = 3
+    view_distance: float = 0.35
+    replan_period: int = 5
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """Everything that an agent is told, besides its robot.
+
+    Attributes
+    ----------
+    preset
+        Name of the preset that these settings began as.
+    noise
+        Nominal noise of the robot, as its builder knows it.
+    """
+
+    preset: str = "paper"
+    noise: NominalNoise = field(default_factory=NominalNoise)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    buffer: BufferConfig = field(default_factory=BufferConfig)
+    hough: HoughConfig = field(default_factory=HoughConfig)
+    association: AssociationConfig = field(default_factory=AssociationConfig)
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    grid: GridConfig = field(default_factory=GridConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
+
+    @property
+    def range_std(self) -> float:
+        """Standard deviation that a range is credited with, m."""
+        return max(self.noise.range_std, self.filter.min_range_std)
+
+
+PRESETS = ("paper", "odometry")
+
+
+def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
+    """The settings of a preset.
+
+    Raises
+    ------
+    ValueError
+        If there is no such preset.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"no preset is called {name!r}; there are {', '.join(PRESETS)}")
+    return AgentConfig(preset=name, noise=noise or NominalNoise(), filter=FilterConfig(correct=name != "odometry"))

@@ -1,0 +1,196 @@
+"""The extended Kalman filter over pose and lines, without dense work.
+
+State (the paper's eq. 1): x = [x, y, theta, r_1, theta_1, ..., r_N, theta_N], covariance P.
+Letters x, P, F, Q, H, R, S, K are the literature's and appear in this module only.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from scipy.linalg.blas import dgemm
+
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import from_frame, from_frame_jacobians, nearest_form, to_frame, to_frame_jacobians
+from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
+
+POSE = 3
+
+
+class LineEKF(ExtendedKalmanFilter):
+    """filterpy's filter for a state that grows, in O(n) a prediction and O(n^2) an update.
+
+    The motion moves only the pose and an observed line depends on five numbers of the state, so
+    ``F`` and ``Q`` hold the pose's (3, 3) block alone, ``update`` takes the non-zero columns of
+    the Jacobian, and P changes in place by a product of rank two. The result equals the dense
+    filter's.
+
+    Parameters
+    ----------
+    pose
+        Start (3,), m, m, rad.
+    covariance
+        Of the start (3, 3); zero if left out.
+    """
+
+    def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
+        super().__init__(dim_x=POSE, dim_z=2)
+        self.x = np.array(pose, dtype=float)
+        self.P = np.zeros((POSE, POSE)) if covariance is None else np.array(covariance, dtype=float)
+
+    @property
+    def num_lines(self) -> int:
+        """How many lines the state holds."""
+        return (len(self.x) - POSE) // 2
+
+    @property
+    def pose(self) -> FloatArray:
+        """The pose (3,), a copy."""
+        return np.array(self.x[:POSE])
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Covariance of the pose (3, 3), a copy."""
+        return np.array(self.P[:POSE, :POSE])
+
+    @property
+    def lines(self) -> FloatArray:
+        """The lines (N, 2), a copy."""
+        return np.array(self.x[POSE:].reshape(-1, 2))
+
+    def line_covariance(self, index: int) -> FloatArray:
+        """Covariance of one line (2, 2), a copy."""
+        first = POSE + 2 * index
+        return np.array(self.P[first : first + 2, first : first + 2])
+
+    def predict(self, increment: FloatArray, covariance: FloatArray) -> None:
+        """Move by an increment (3,) in the robot's frame, with its covariance (3, 3)."""
+        self.F, by_increment = compose_jacobians(self.x[:POSE], increment)
+        self.Q = by_increment @ covariance @ by_increment.T
+        self.x[:POSE] = compose(self.x[:POSE], increment)
+        P = self.P
+        P[:POSE, POSE:] = self.F @ P[:POSE, POSE:]
+        P[POSE:, :POSE] = P[:POSE, POSE:].T
+        P[:POSE, :POSE] = self.F @ P[:POSE, :POSE] @ self.F.T + self.Q
+
+    def update(
+        self,
+        z: FloatArray,
+        HJacobian: Callable[..., FloatArray],  # noqa: N803 (filterpy's name)
+        Hx: Callable[..., FloatArray],  # noqa: N803 (filterpy's name)
+        R: FloatArray,  # noqa: N803 (the literature's letter)
+        args: tuple[Any, ...] = (),
+        hx_args: tuple[Any, ...] = (),
+        residual: Callable[[FloatArray, FloatArray], FloatArray] = np.subtract,
+        *,
+        columns: IntArray,
+    ) -> None:
+        """Correct the whole state by a measurement: filterpy's call, with a sparse Jacobian.
+
+        Parameters
+        ----------
+        z
+            Measurement (m,).
+        HJacobian, Hx
+            Functions of the state: Jacobian (m, k), and predicted measurement (m,).
+        R
+            Covariance of the measurement (m, m).
+        args, hx_args
+            Further arguments of the two.
+        residual
+            Difference of two measurements, for angles.
+        columns
+            The k numbers of the state that the measurement depends on; the Jacobian's other
+            columns are zero.
+        """
+        H = HJacobian(self.x, *args)
+        self.z, self.R = z, R
+        self.y = residual(z, Hx(self.x, *hx_args))
+        HP = H @ self.P[columns]
+        self.S = HP[:, columns] @ H.T + R
+        lower = np.linalg.cholesky(0.5 * (self.S + self.S.T))
+        W = np.linalg.solve(lower, HP)
+        self.x += W.T @ np.linalg.solve(lower, self.y)
+        # P -= W^T W. P is symmetric, so its transpose is P in the column order that BLAS changes in place.
+        dgemm(-1.0, W.T, W.T, beta=1.0, c=self.P.T, trans_b=1, overwrite_c=1)
+        self._restore_angles()
+
+    def predict_update(self, *_: Any, **__: Any) -> None:
+        """Not available: filterpy's version ignores angles.
+
+        Raises
+        ------
+        NotImplementedError
+            Always.
+        """
+        raise NotImplementedError("call predict, then update")
+
+    def columns_of(self, index: int) -> IntArray:
+        """The numbers of the state that an observation of one line depends on."""
+        first = POSE + 2 * index
+        return np.array([0, 1, 2, first, first + 1])
+
+    def innovation(self, line: FloatArray, R: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:  # noqa: N803
+        """Difference (2,) between an observed line and landmark ``index``, and its covariance (2, 2).
+
+        ``line`` is (r, theta) in the robot's frame with covariance ``R``. The covariance is that
+        of observation and landmark together, the paper's Psi.
+        """
+        columns = self.columns_of(index)
+        H = self._line_jacobian(self.x, index)
+        predicted = self._observed(self.x, index)
+        form = nearest_form(line, predicted)
+        return form - predicted, H @ self.P[np.ix_(columns, columns)] @ H.T + _in_form(R, line, form)
+
+    def observe_line(self, line: FloatArray, R: FloatArray, index: int) -> None:  # noqa: N803
+        """Update by an observed line (r, theta) in the robot's frame that is landmark ``index``."""
+        form = nearest_form(line, self._observed(self.x, index))
+        self.update(
+            form, self._line_jacobian, self._observed, _in_form(R, line, form),
+            args=(index,), hx_args=(index,), columns=self.columns_of(index),
+        )  # fmt: skip
+
+    def augment(self, line: FloatArray, R: FloatArray) -> int:  # noqa: N803
+        """Add a new landmark, observed as ``line`` in the robot's frame, and return its index.
+
+        Its covariance with all that is known follows from the pose it was seen from.
+        """
+        by_pose, by_line = from_frame_jacobians(line, self.x[:POSE])
+        old = len(self.x)
+        P = np.empty((old + 2, old + 2))
+        # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
+        P[:old, :old] = 0.5 * (self.P + self.P.T)
+        P[old:, :old] = by_pose @ P[:POSE, :old]
+        P[:old, old:] = P[old:, :old].T
+        P[old:, old:] = by_pose @ P[:POSE, :POSE] @ by_pose.T + by_line @ R @ by_line.T
+        self.x = np.concatenate((self.x, from_frame(line, self.x[:POSE])))
+        self.P = P
+        self.dim_x = old + 2
+        return self.num_lines - 1
+
+    def _observed(self, x: FloatArray, index: int) -> FloatArray:
+        first = POSE + 2 * index
+        return to_frame(x[first : first + 2], x[:POSE])
+
+    def _line_jacobian(self, x: FloatArray, index: int) -> FloatArray:
+        first = POSE + 2 * index
+        return np.hstack(to_frame_jacobians(x[first : first + 2], x[:POSE]))
+
+    def _restore_angles(self) -> None:
+        """Wrap the angles, and turn lines round that crossed the origin: r >= 0 again, P with it."""
+        self.x[2] = wrap_angle(float(self.x[2]))
+        r, theta = self.x[POSE::2], self.x[POSE + 1 :: 2]
+        for index in np.nonzero(r < 0.0)[0]:
+            row = POSE + 2 * index
+            r[index], theta[index] = -r[index], theta[index] + np.pi
+            self.P[row] *= -1.0
+            self.P[:, row] *= -1.0
+        theta[:] = wrap_angle(theta)
+
+
+def _in_form(R: FloatArray, line: FloatArray, form: FloatArray) -> FloatArray:  # noqa: N803
+    """The covariance of a line brought into another form, in which r may have changed its sign."""
+    opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
+    sign = np.array([-1.0 if opposite else 1.0, 1.0])
+    return R * np.outer(sign, sign)
