@@ -107,7 +107,7 @@ class AssociationConfig:
         How far past its sensors' range a landmark may lie and still count as seen. Ours.
     """
 
-    gate: float = 25.0
+    gate: float = 100.0
     max_end_gap: float = 0.35
     max_angle: float = math.radians(15.0)
     max_distance: float = 0.35

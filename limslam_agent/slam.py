@@ -118,7 +118,8 @@ class LineSlam:
 
     def _hits(self, ranges: FloatArray, valid: BoolArray) -> BoolArray:
         """Readings that show a wall: neither nothing seen, nor too near to be measured."""
-        inside = (ranges > self.robot.min_ranges + 1e-6) & (ranges < self.robot.max_ranges - 1e-6)
+        # Readings are float32: a maximum need not survive the rounding exactly.
+        inside = (ranges > self.robot.min_ranges * (1.0 + 1e-6)) & (ranges < self.robot.max_ranges * (1.0 - 1e-6))
         return np.asarray(valid & inside)
 
     def _use(self, scan: Scan) -> None:

@@ -1,0 +1,65 @@
+"""From a point to steer for to wheel speeds, with the front beams watching."""
+
+import math
+
+import numpy as np
+
+from limslam_agent.config import PolicyConfig
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec
+
+_FRONT = math.radians(60.0)
+_BODY_MARGIN = 0.03
+_TURN_IN_PLACE = math.radians(40.0)
+
+
+def steer(
+    pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, config: PolicyConfig
+) -> FloatArray:
+    """Wheel speeds (2,), fractions of the maximum, towards a point (2,), m.
+
+    Far off its heading the robot turns where it stands; else it drives, more slowly the less
+    room the beams show ahead.
+    """
+    offset = target - pose[:2]
+    error = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
+    turn_rate = float(np.clip(2.5 * error, -config.turn_rate, config.turn_rate))
+    if abs(error) > _TURN_IN_PLACE:
+        return wheel_speeds(0.0, turn_rate, robot)
+    room = free_ahead(ranges, robot) - config.stop_distance
+    speed = config.speed * math.cos(error) * min(max(room / 0.2, 0.0), 1.0)
+    return wheel_speeds(speed, turn_rate, robot)
+
+
+def turn_towards(pose: FloatArray, target: FloatArray, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
+    """Wheel speeds (2,) that turn the robot on the spot towards a point (2,), m."""
+    offset = target - pose[:2]
+    error = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
+    return wheel_speeds(0.0, float(np.clip(2.5 * error, -config.turn_rate, config.turn_rate)), robot)
+
+
+def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
+    """How far (m) the body could drive straight on before the nearest point that a front beam sees."""
+    angles = robot.beam_angles
+    reading = np.where(np.isfinite(ranges), ranges, 0.0)
+    front = np.abs(wrap_angle(angles)) <= _FRONT
+    seen = front & (reading < robot.max_ranges * (1.0 - 1e-6))
+    x = robot.beam_origins[:, 0] + reading * np.cos(angles)
+    y = robot.beam_origins[:, 1] + reading * np.sin(angles)
+    in_the_way = seen & (np.abs(y) < robot.radius + _BODY_MARGIN) & (x > 0.0)
+    if not in_the_way.any():
+        return math.inf
+    lateral = np.minimum(np.abs(y[in_the_way]), robot.radius)
+    return float((x[in_the_way] - np.sqrt(robot.radius**2 - lateral**2)).min())
+
+
+def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray:
+    """Left and right wheel (2,) as fractions of the maximum, for m/s and rad/s.
+
+    Where both cannot be had the turn is kept and the speed gives way.
+    """
+    turn = float(np.clip(0.5 * turn_rate * robot.axle, -robot.max_wheel_speed, robot.max_wheel_speed))
+    room = robot.max_wheel_speed - abs(turn)
+    forward = float(np.clip(speed, -room, room))
+    return np.array([forward - turn, forward + turn]) / robot.max_wheel_speed

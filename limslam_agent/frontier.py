@@ -1,0 +1,24 @@
+"""Frontiers: where what is free meets what is unknown (Yamauchi 1997)."""
+
+import numpy as np
+from scipy import ndimage
+
+from limslam_agent.occupancy import GridView
+from limslam_env.geometry import BoolArray
+
+_ALL_AROUND = np.ones((3, 3), dtype=int)
+
+
+def frontier_cells(grid: GridView, min_size: int) -> BoolArray:
+    """Free cells (rows, columns) with an unknown one beside them, in groups of at least ``min_size``."""
+    unknown = grid.unknown
+    beside = np.zeros_like(unknown)
+    beside[1:] |= unknown[:-1]
+    beside[:-1] |= unknown[1:]
+    beside[:, 1:] |= unknown[:, :-1]
+    beside[:, :-1] |= unknown[:, 1:]
+    frontier = grid.free & beside
+    labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.asarray(sizes[labels] >= min_size)

@@ -1,0 +1,130 @@
+"""A low-resolution occupancy grid that grows as far as the robot has seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.config import GridConfig
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec
+
+_SPARE_CELLS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class GridView:
+    """The grid at a moment; not to be written to.
+
+    Attributes
+    ----------
+    low
+        Lower left corner (2,), m.
+    cell
+        Side of a cell, m.
+    values
+        (rows, columns), row 0 at the bottom: positive is free, negative is occupied, 0 is unknown.
+    """
+
+    low: FloatArray
+    cell: float
+    values: NDArray[np.int16]
+
+    @property
+    def free(self) -> BoolArray:
+        """Cells through which more was seen than was seen in them."""
+        return np.asarray(self.values > 0)
+
+    @property
+    def occupied(self) -> BoolArray:
+        """Cells in which something was seen."""
+        return np.asarray(self.values < 0)
+
+    @property
+    def unknown(self) -> BoolArray:
+        """Cells about which nothing is known."""
+        return np.asarray(self.values == 0)
+
+    def cells(self, points: FloatArray) -> IntArray:
+        """(row, column) of the cells that points (n, 2) lie in; may be outside the grid."""
+        return np.floor((points - self.low) / self.cell).astype(np.int64)[:, ::-1]
+
+    def centres(self, cells: IntArray) -> FloatArray:
+        """Centres (n, 2), m, of cells (n, 2) given as (row, column)."""
+        return self.low + (cells[:, ::-1] + 0.5) * self.cell
+
+
+class OccupancyGrid:
+    """The grid of one map.
+
+    A cell's value goes up when a beam passes through it and down when one ends in it, as
+    published, so that single wrong readings are outvoted.
+    """
+
+    def __init__(self, config: GridConfig) -> None:
+        self._config = config
+        self._low = np.zeros(2, dtype=np.int64)
+        self._values = np.zeros((0, 0), dtype=np.int16)
+
+    @property
+    def view(self) -> GridView:
+        """The grid as it is now."""
+        values = self._values.view()
+        values.setflags(write=False)
+        return GridView(self._low * self._config.cell, self._config.cell, values)
+
+    def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
+        """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
+        beams = np.nonzero(usable)[0]
+        directions = np.column_stack((np.cos(robot.beam_angles[beams]), np.sin(robot.beam_angles[beams])))
+        origins = robot.beam_origins[beams]
+        hit = ranges[beams] < robot.max_ranges[beams] * (1.0 - 1e-6)
+        # A reading at the minimum says that something is near, but not that the beam passed through anything.
+        length = np.where(ranges[beams] > robot.min_ranges[beams] * (1.0 + 1e-6), ranges[beams], 0.0)
+        ends = transform_points(pose, origins + length[:, None] * directions)
+        passed = transform_points(pose, self._samples(origins, directions, length))
+        body = pose[:2] + robot.radius * _BODY
+        self._reach(np.vstack((passed, ends, body)))
+        ends_cells = self._indices(ends[hit])
+        crossed = np.setdiff1d(self._indices(np.vstack((passed, body))), ends_cells)
+        self._add(crossed, self._config.seen_through)
+        self._add(np.unique(ends_cells), -self._config.hit)
+
+    def _samples(self, origins: FloatArray, directions: FloatArray, lengths: FloatArray) -> FloatArray:
+        step = 0.5 * self._config.cell
+        counts = np.floor(lengths / step).astype(np.int64)
+        owner = np.repeat(np.arange(len(lengths)), counts)
+        position = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) * step
+        return origins[owner] + position[:, None] * directions[owner]
+
+    def _indices(self, points: FloatArray) -> IntArray:
+        cells = np.floor(points / self._config.cell).astype(np.int64) - self._low
+        return np.asarray(cells[:, 1] * self._values.shape[1] + cells[:, 0])
+
+    def _add(self, indices: IntArray, amount: int) -> None:
+        flat = self._values.reshape(-1)
+        limit = self._config.limit
+        value = np.clip(flat[indices] + amount, -limit, limit)
+        # 0 is kept for cells about which nothing is known.
+        flat[indices] = np.where(value == 0, np.sign(amount), value)
+
+    def _reach(self, points: FloatArray) -> None:
+        """Let the grid cover points (n, 2), with some to spare so that it seldom has to grow."""
+        low = np.floor(points.min(axis=0) / self._config.cell).astype(np.int64)
+        high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
+        rows, columns = self._values.shape
+        if rows and (low >= self._low).all() and (high <= self._low + (columns, rows)).all():
+            return
+        old_low, old_high = (self._low, self._low + (columns, rows)) if rows else (low, high)
+        new_low = np.where(low < old_low, low - _SPARE_CELLS, old_low)
+        new_high = np.where(high > old_high, high + _SPARE_CELLS, old_high)
+        columns_new, rows_new = new_high - new_low
+        grown = np.zeros((rows_new, columns_new), dtype=np.int16)
+        column, row = old_low - new_low
+        grown[row : row + rows, column : column + columns] = self._values
+        self._low, self._values = new_low, grown
+
+
+_ANGLES = np.arange(8) * (np.pi / 4)
+_BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))
