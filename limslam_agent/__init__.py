@@ -1,0 +1,25 @@
+"""LimSLAM's mind: line-landmark EKF-SLAM and frontier exploration from a few range beams.
+
+Nothing in here can see the truth: of the world's package an agent imports geometry and the
+interface, so it also runs on a robot. The filter is loaded when the first name is used.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from limslam_agent.agent import LimSlamAgent
+    from limslam_agent.config import AgentConfig, preset
+    from limslam_agent.slam import LineSlam
+
+__all__ = ["AgentConfig", "LimSlamAgent", "LineSlam", "preset"]
+
+_HOMES = {"LimSlamAgent": "agent", "AgentConfig": "config", "preset": "config", "LineSlam": "slam"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name where it is first used."""
+    import importlib
+
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -69,10 +69,19 @@ class LimSlamAgent:
 
     def act(self, observation: Observation) -> FloatArray:
         """Wheel speeds (2,), fractions of the maximum, in answer to an observation."""
+        self.observe(observation)
+        return self.decide()
+
+    def observe(self, observation: Observation) -> None:
+        """The mapping half of :meth:`act`: where the robot is, and where the walls are."""
         self.slam.step(observation)
-        ranges, usable = self.slam.usable(observation)
-        self._grid.update(self.slam.pose, self.robot, ranges, usable)
-        return self.policy.act(self._belief(ranges))
+
+    def decide(self) -> FloatArray:
+        """The exploring half of :meth:`act`: wheel speeds (2,) from what is believed now."""
+        slam = self.slam
+        self._grid.update(slam.pose, self.robot, slam.ranges, slam.measured)
+        belief = Belief(slam.pose, slam.covariance, slam.ranges, slam.segments, self._grid.view)
+        return self.policy.act(belief)
 
     @property
     def done(self) -> bool:
@@ -88,6 +97,3 @@ class LimSlamAgent:
         """What the agent believes now."""
         slam = self.slam
         return Snapshot(slam.pose, slam.covariance, slam.landmarks, slam.segments, self._grid.view, self.policy.plan)
-
-    def _belief(self, ranges: FloatArray) -> Belief:
-        return Belief(self.slam.pose, self.slam.covariance, ranges, self.slam.segments, self._grid.view)

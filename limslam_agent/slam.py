@@ -46,6 +46,15 @@ class LineSlam:
         Settings of every stage.
     start_pose
         Where the robot begins (3,), m, m, rad: the origin of the map unless it is told.
+
+    Attributes
+    ----------
+    ranges, measured
+        The latest readings (n_beams,), m, and which of them are new and finite.
+    refused_readings
+        How many readings were not finite, since the start.
+    associations
+        What became of each observed line, in order.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, start_pose: FloatArray | None = None) -> None:
@@ -55,6 +64,8 @@ class LineSlam:
         self._buffers = [ScanBuffer(robot, "left", config.buffer), ScanBuffer(robot, "right", config.buffer)]
         self._max_range = float((np.linalg.norm(robot.beam_origins, axis=1) + robot.max_ranges).max())
         self._step = -1
+        self.ranges: FloatArray = robot.max_ranges
+        self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.refused_readings = 0
         self.associations: list[AssociationRecord] = []
 
@@ -67,12 +78,13 @@ class LineSlam:
             If the observation has the wrong shape or reports no motion.
         """
         self._step += 1
-        ranges, valid = self._accepted(observation)
+        self._accept(observation)
         motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
         self._filter.predict(motion.increment, motion.covariance)
+        hits = self._hits()
         for buffer in self._buffers:
             ended = buffer.carry(motion.increment)
-            full = buffer.add(ranges, self._hits(ranges, valid), self._step)
+            full = buffer.add(self.ranges, hits, self._step)
             for scan in (ended, full):
                 if scan is not None:
                     self._use(scan)
@@ -104,23 +116,19 @@ class LineSlam:
             for index in range(len(lines))
         ]  # fmt: skip
 
-    def usable(self, observation: Observation) -> tuple[FloatArray, BoolArray]:
-        """Readings (n_beams,), m, and which of them are new and finite in the present step."""
+    def _accept(self, observation: Observation) -> None:
         ranges = np.asarray(observation["ranges"], dtype=float)
-        return ranges, np.isfinite(ranges) & self.robot.measures(self._step)
-
-    def _accepted(self, observation: Observation) -> tuple[FloatArray, BoolArray]:
-        ranges, valid = self.usable(observation)
         if ranges.shape != (len(self.robot.beams),):
             raise ValueError(f"ranges must be {len(self.robot.beams)} numbers, not of shape {ranges.shape}")
-        self.refused_readings += int(np.count_nonzero(~np.isfinite(ranges)))
-        return ranges, valid
+        finite = np.isfinite(ranges)
+        self.refused_readings += int(np.count_nonzero(~finite))
+        self.ranges, self.measured = ranges, finite & self.robot.measures(self._step)
 
-    def _hits(self, ranges: FloatArray, valid: BoolArray) -> BoolArray:
+    def _hits(self) -> BoolArray:
         """Readings that show a wall: neither nothing seen, nor too near to be measured."""
         # Readings are float32: a maximum need not survive the rounding exactly.
-        inside = (ranges > self.robot.min_ranges * (1.0 + 1e-6)) & (ranges < self.robot.max_ranges * (1.0 - 1e-6))
-        return np.asarray(valid & inside)
+        low, high = self.robot.min_ranges * (1.0 + 1e-6), self.robot.max_ranges * (1.0 - 1e-6)
+        return np.asarray(self.measured & (self.ranges > low) & (self.ranges < high))
 
     def _use(self, scan: Scan) -> None:
         for line in extract_lines(scan.points, self.config.hough, self.config.range_std):

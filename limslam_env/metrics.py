@@ -291,8 +291,7 @@ def _stands(world: World, radius: float) -> FloatArray:
 def _in_sight(point: FloatArray, stands: FloatArray, edges: FloatArray) -> bool:
     """Whether a straight line from any of the places (n, 2) reaches a point (2,) without crossing an edge (k, 4)."""
     sight = point - stands[:, None]
-    span = edges[:, 2:] - edges[:, :2]
-    offset = edges[:, :2] - stands[:, None]
+    span, offset = edges[:, 2:] - edges[:, :2], edges[:, :2] - stands[:, None]
     cross = sight[..., 0] * span[:, 1] - sight[..., 1] * span[:, 0]
     # Edges that run along the line of sight divide by zero and block nothing; their neighbours do.
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,0 +1,201 @@
+"""The command line: ``limslam run`` and ``limslam replay``.
+
+What takes long to import is imported inside the commands, so that help comes at once.
+"""
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Exploration and SLAM with almost no sensing.",
+)
+
+_console = Console(stderr=True, highlight=False)
+
+Out = Annotated[Optional[Path], typer.Option(help="Folder for the results.", show_default="runs/...")]  # noqa: UP045
+Force = Annotated[bool, typer.Option("--force", help="Replace the results of an earlier run in that folder.")]
+PresetName = Annotated[str, typer.Option("--preset", help="The agent's settings: paper, or odometry (no filter).")]
+
+
+@app.callback()
+def _limslam() -> None:
+    """Exploration and SLAM with almost no sensing."""
+
+
+@app.command()
+def run(
+    world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
+    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
+    preset: PresetName = "paper",
+    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
+    max_time: Annotated[float, typer.Option(help="Longest simulated time, s.")] = 1800.0,
+    laps: Annotated[int, typer.Option(help="Drive round the world's loop this often instead of exploring.")] = 0,
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Explore an unknown building and draw its map."""
+    from limslam_agent.episode import RunConfig, run_episode, write_episode
+    from limslam_agent.export import new_folder
+    from limslam_env.world import load_world
+
+    place = load_world(world)
+    config = RunConfig(place, noise, preset, seed, max_time, laps)
+    name = f"{place.name}-{100 * noise:g}cm-{preset}-seed{seed}" + (f"-{laps}laps" if laps else "")
+    target = out or _unused(Path("runs") / name)
+    with new_folder(target, force=force) as folder:
+        with _bar("driving laps" if laps else "exploring", max_time) as advance:
+            episode = run_episode(config, lambda time, coverage: advance(time, f"{time:6.1f} s  {coverage:6.1%} covered"))
+        result = write_episode(folder, episode)
+    _report_run(result["metrics"], result["cost"])
+    typer.echo(f"results     {target}")
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(help="A CARMEN log (plain or .gz), or the log.npz of a run.")],
+    beams: Annotated[Optional[str], typer.Option(help="Beams to use, deg: A,B,...", show_default="-90,...,90")] = None,  # noqa: UP045
+    max_range: Annotated[Optional[float], typer.Option(help="Longest range used, m.", show_default="3.0")] = None,  # noqa: UP045
+    noise: Annotated[float, typer.Option(help="Assumed standard deviation of the ranges, m.")] = 0.02,
+    preset: PresetName = "paper",
+    odometry_noise: Annotated[
+        str, typer.Option(help="Std after 1 m of distance (m) and of heading (deg), and of heading after turning 1 rad (deg).")
+    ] = "0.03,0.8,2.5",
+    odometry_bias: Annotated[
+        str, typer.Option(help="Heading reported in excess, deg per metre, and true over reported distance.")
+    ] = "0,1",
+    relations: Annotated[Optional[Path], typer.Option(help="Known relative poses to score against.")] = None,  # noqa: UP045
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Map from a recorded log."""
+    from dataclasses import replace
+
+    from limslam_agent.config import OdometryConfig
+    from limslam_agent.config import preset as settings
+    from limslam_agent.episode import trajectory_scores, versions
+    from limslam_agent.export import new_folder
+    from limslam_agent.log_reader import read_log
+    from limslam_agent.relations import read_relations
+    from limslam_agent.replay import relation_scores, replay_log, write_replay
+    from limslam_env.interface import NominalNoise
+
+    along, per_metre, per_radian = _numbers("--odometry-noise", odometry_noise, 3, low=0.0)
+    bias, scale = _numbers("--odometry-bias", odometry_bias, 2)
+    if scale <= 0.0:
+        raise ValueError(f"--odometry-bias: the scale must be above 0, not {scale:g}")
+    odometry = OdometryConfig(
+        distance_variance=along**2,
+        turn_variance_per_metre=math.radians(per_metre) ** 2,
+        turn_variance_per_radian=math.radians(per_radian) ** 2,
+        turn_bias=math.radians(bias),
+        distance_scale=scale,
+    )
+    config = replace(settings(preset, NominalNoise(noise)), odometry=odometry)
+    known = read_relations(relations) if relations else None
+    recorded = read_log(log, None if beams is None else _numbers("--beams", beams), max_range)
+    target = out or _unused(Path("runs") / f"replay-{log.name.split('.')[0]}-{preset}")
+    with new_folder(target, force=force) as folder:
+        with _bar("replaying", len(recorded)) as advance:
+            result = replay_log(recorded, config, lambda done: advance(done, f"{done} of {len(recorded)} events"))
+        scores: dict[str, Any] = {}
+        if recorded.true_pose is not None:
+            scores |= trajectory_scores(recorded.true_pose, result.estimated, result.odometry)
+        if known is not None:
+            scores |= relation_scores(result, known)
+        write_replay(folder, result, f"{log.name}, {len(recorded.robot.beams)} beams, {preset}", scores, versions())
+    _report_replay(scores, len(result.landmarks))
+    typer.echo(f"results     {target}")
+
+
+def main() -> None:
+    """Entry point: exit code 2 and one line for what the user can mend, no traceback."""
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        _fail(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        typer.echo("limslam: stopped", err=True)
+        sys.exit(130)
+    except ValueError as error:
+        # All of the project's own refusals are ValueErrors: worlds, logs, outputs, settings.
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or 'output'}: {error.strerror or error}")
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> None:
+    typer.echo("limslam: " + " ".join(message.split()), err=True)
+    sys.exit(2)
+
+
+def _numbers(option: str, text: str, count: int | None = None, low: float = -math.inf) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ValueError(f"{option}: {text!r} is not a list of numbers like 1,2.5") from None
+    if count is not None and len(values) != count:
+        raise ValueError(f"{option}: {count} numbers are needed, not {len(values)}")
+    if not all(math.isfinite(value) and value >= low for value in values):
+        raise ValueError(f"{option}: {text!r} holds a number that is out of bounds")
+    return values
+
+
+@contextmanager
+def _bar(task: str, total: float) -> Iterator[Callable[[float, str], None]]:
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())
+    with Progress(*columns, console=_console, transient=True, refresh_per_second=5) as progress:
+        bar = progress.add_task(task, total=total, state="")
+        yield lambda done, state: progress.update(bar, completed=done, state=state)
+
+
+def _unused(path: Path) -> Path:
+    """The path, or the first numbered one that is not taken."""
+    candidates = [path, *(path.with_name(f"{path.name}-{number}") for number in range(2, 10_000))]
+    return next(candidate for candidate in candidates if not candidate.exists())
+
+
+def _report_run(metrics: dict[str, Any], cost: dict[str, float]) -> None:
+    typer.echo(f"stopped     {metrics['stop_reason']}")
+    if metrics["exploration_time_s"] is not None:
+        typer.echo(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
+    typer.echo(f"covered     {metrics['coverage_true']:.1%} of what can be seen, {metrics['collisions']} collisions")
+    _report_errors(metrics)
+    typer.echo(f"map         {metrics['landmarks']} walls, F1 {metrics['wall_f1_aligned']:.2f} at 10 cm when aligned")
+    typer.echo(f"speed       {cost['speed_x_real_time']:.0f} x real time")
+
+
+def _report_replay(scores: dict[str, Any], walls: int) -> None:
+    if "ate_m" in scores:
+        _report_errors(scores)
+    for prefix, words in (("", "estimate"), ("odometry_", "odometry, corrected"), ("raw_odometry_", "odometry, raw")):
+        if scores.get(f"{prefix}relation_error_m") is not None:
+            typer.echo(f"relations   {words:20}" + _relation_text(scores, prefix))
+    typer.echo(f"map         {walls} walls")
+
+
+def _relation_text(scores: dict[str, Any], prefix: str) -> str:
+    every, loops = (f"{prefix}{part}relation_error" for part in ("", "loop_"))
+    text = f"{scores[every + '_m']:7.3f} m {scores[every + '_deg']:6.2f} deg"
+    if scores[loops + "_m"] is None:
+        return text
+    return text + f"   loops {scores[loops + '_m']:7.3f} m {scores[loops + '_deg']:6.2f} deg"
+
+
+def _report_errors(metrics: dict[str, Any]) -> None:
+    typer.echo(f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m")
+
+
+if __name__ == "__main__":
+    main()

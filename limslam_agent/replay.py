@@ -1,0 +1,129 @@
+"""A recorded log through the mapping half of the agent, scored and written down."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.config import AgentConfig
+from limslam_agent.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.line_map import Landmark
+from limslam_agent.motion import motion_of
+from limslam_agent.occupancy import GridView, OccupancyGrid
+from limslam_agent.recorded_log import RecordedLog
+from limslam_agent.relations import Relations, relation_errors, summary
+from limslam_agent.slam import LineSlam
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What came of a log: a pose for every event of it.
+
+    Attributes
+    ----------
+    log
+        What was replayed.
+    config
+        The settings.
+    estimated, odometry
+        Poses (n, 3): the belief, and odometry alone, corrected for its known bias.
+    landmarks, segments, grid
+        The map.
+    refused_readings
+        How many readings were not finite.
+    slam_ms, wall_clock
+        (n,) cost of each event, ms, and of all of it, s.
+    """
+
+    log: RecordedLog
+    config: AgentConfig
+    estimated: FloatArray
+    odometry: FloatArray
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+    refused_readings: int
+    slam_ms: FloatArray
+    wall_clock: float
+
+
+def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], None] | None = None) -> Replay:
+    """Map from a log, event by event, as if it were happening.
+
+    ``progress`` is told how many events are done.
+    """
+    slam = LineSlam(log.robot, config, log.start_pose)
+    grid = OccupancyGrid(config.grid)
+    count = len(log)
+    estimated, odometry, slam_ms = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    by_odometry, begin = log.start_pose, time.perf_counter()
+    for number, observation in enumerate(log.observations()):
+        before = time.perf_counter()
+        slam.step(observation)
+        slam_ms[number] = 1e3 * (time.perf_counter() - before)
+        if log.has_scan[number]:
+            grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
+        increment = motion_of(observation, log.robot, config.noise, config.odometry).increment
+        by_odometry = compose(by_odometry, increment)
+        estimated[number], odometry[number] = slam.pose, by_odometry
+        if progress is not None:
+            progress(number + 1)
+    return Replay(
+        log, config, estimated, odometry, slam.landmarks, slam.segments, grid.view, slam.refused_readings,
+        slam_ms, time.perf_counter() - begin,
+    )  # fmt: skip
+
+
+def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
+    """Errors over known relative poses, of the estimate, of odometry corrected, and of odometry as recorded."""
+    log = replay.log
+    trajectories = {"": replay.estimated, "odometry_": replay.odometry}
+    if log.odometry is not None:
+        trajectories["raw_odometry_"] = log.odometry
+    scores: dict[str, Any] = {}
+    for prefix, poses in trajectories.items():
+        errors = relation_errors(relations, log.time, poses, log.odometry)
+        scores |= {prefix + name: value for name, value in summary(errors).items()}
+    return scores
+
+
+def write_replay(folder: Path, replay: Replay, title: str, scores: dict[str, Any], versions: dict[str, str]) -> None:
+    """Write trajectory, map, picture and result of a replay into a folder."""
+    from limslam_agent.drawing import MapPicture, draw_map
+
+    log = replay.log
+    write_tum(folder / "trajectory_est.tum", log.time, replay.estimated)
+    write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
+    if log.true_pose is not None:
+        write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
+    write_json(folder / "map.json", map_content(replay.landmarks))
+    write_grid(folder, replay.grid)
+    true_path = None if log.true_pose is None else log.true_pose[:, :2]
+    picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
+    draw_map(folder / "map.png", picture)
+    duration = float(log.time[-1] - log.time[0])
+    write_json(
+        folder / "result.json",
+        {
+            "metrics": {
+                **scores,
+                "landmarks": len(replay.landmarks),
+                "refused_readings": replay.refused_readings,
+            },
+            "cost": {
+                "slam_ms_median": float(np.median(replay.slam_ms)),
+                "slam_ms_p99": float(np.percentile(replay.slam_ms, 99)),
+                "speed_x_real_time": duration / replay.wall_clock,
+                "wall_clock_s": replay.wall_clock,
+            },
+            "config": {"robot": asdict(log.robot), "agent": asdict(replay.config)},
+            "versions": versions,
+            "seed": None,
+        },
+    )
+
