@@ -97,9 +97,7 @@ def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap
     directions = direction(lines)
     observed = np.sort(directions @ ends.T, axis=1)
     known = np.sort(
-        np.column_stack(
-            (np.sum(segments[:, :2] * directions, axis=1), np.sum(segments[:, 2:] * directions, axis=1))
-        ),
+        np.column_stack((np.sum(segments[:, :2] * directions, axis=1), np.sum(segments[:, 2:] * directions, axis=1))),
         axis=1,
     )
     gap = np.maximum(observed[:, 0] - known[:, 1], known[:, 0] - observed[:, 1])

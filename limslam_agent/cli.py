@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -23,7 +23,7 @@ app = typer.Typer(
 
 _console = Console(stderr=True, highlight=False)
 
-Out = Annotated[Optional[Path], typer.Option(help="Folder for the results.", show_default="runs/...")]  # noqa: UP045
+Out = Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/...")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the results of an earlier run in that folder.")]
 PresetName = Annotated[str, typer.Option("--preset", help="The agent's settings: paper, or odometry (no filter).")]
 
@@ -55,7 +55,9 @@ def run(
     target = out or _unused(Path("runs") / name)
     with new_folder(target, force=force) as folder:
         with _bar("driving laps" if laps else "exploring", max_time) as advance:
-            episode = run_episode(config, lambda time, coverage: advance(time, f"{time:6.1f} s  {coverage:6.1%} covered"))
+            episode = run_episode(
+                config, lambda time, coverage: advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
+            )
         result = write_episode(folder, episode)
     _report_run(result["metrics"], result["cost"])
     typer.echo(f"results     {target}")
@@ -64,17 +66,20 @@ def run(
 @app.command()
 def replay(
     log: Annotated[Path, typer.Argument(help="A CARMEN log (plain or .gz), or the log.npz of a run.")],
-    beams: Annotated[Optional[str], typer.Option(help="Beams to use, deg: A,B,...", show_default="-90,...,90")] = None,  # noqa: UP045
-    max_range: Annotated[Optional[float], typer.Option(help="Longest range used, m.", show_default="3.0")] = None,  # noqa: UP045
+    beams: Annotated[str | None, typer.Option(help="Beams to use, deg: A,B,...", show_default="-90,...,90")] = None,
+    max_range: Annotated[float | None, typer.Option(help="Longest range used, m.", show_default="3.0")] = None,
     noise: Annotated[float, typer.Option(help="Assumed standard deviation of the ranges, m.")] = 0.02,
     preset: PresetName = "paper",
     odometry_noise: Annotated[
-        str, typer.Option(help="Std after 1 m of distance (m) and of heading (deg), and of heading after turning 1 rad (deg).")
+        str,
+        typer.Option(
+            help="Std after 1 m of distance (m) and of heading (deg), and of heading after turning 1 rad (deg)."
+        ),
     ] = "0.03,0.8,2.5",
     odometry_bias: Annotated[
-        str, typer.Option(help="Heading reported in excess, deg per metre, and true over reported distance.")
+        str, typer.Option(help="True minus reported heading per metre, deg, and true over reported distance.")
     ] = "0,1",
-    relations: Annotated[Optional[Path], typer.Option(help="Known relative poses to score against.")] = None,  # noqa: UP045
+    relations: Annotated[Path | None, typer.Option(help="Known relative poses to score against.")] = None,
     out: Out = None,
     force: Force = False,
 ) -> None:

@@ -24,7 +24,7 @@ class OdometryConfig:
     turn_variance_per_radian
         Variance of the heading, rad^2 per radian turned.
     turn_bias
-        Heading that the odometry reports in excess for each metre driven, rad per metre.
+        True minus reported heading for each metre driven, rad per metre.
     distance_scale
         True distance over reported distance.
     """

@@ -95,7 +95,9 @@ def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
 
 def _legend(picture: MapPicture) -> list[Line2D]:
     handles = [
-        Line2D([], [], color=WALLS, marker="o", markerfacecolor="white", markersize=4, label="walls of the map, end points"),
+        Line2D(
+            [], [], color=WALLS, marker="o", markerfacecolor="white", markersize=4, label="walls of the map, end points"
+        ),
         Line2D([], [], color=ESTIMATED_PATH, label="estimated path"),
         Line2D([], [], color=ODOMETRY_PATH, linestyle=(0, (4, 2)), label="path by odometry alone"),
     ]

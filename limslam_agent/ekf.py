@@ -77,9 +77,9 @@ class LineEKF(ExtendedKalmanFilter):
     def update(
         self,
         z: FloatArray,
-        HJacobian: Callable[..., FloatArray],  # noqa: N803 (filterpy's name)
-        Hx: Callable[..., FloatArray],  # noqa: N803 (filterpy's name)
-        R: FloatArray,  # noqa: N803 (the literature's letter)
+        HJacobian: Callable[..., FloatArray],
+        Hx: Callable[..., FloatArray],
+        R: FloatArray,
         args: tuple[Any, ...] = (),
         hx_args: tuple[Any, ...] = (),
         residual: Callable[[FloatArray, FloatArray], FloatArray] = np.subtract,
@@ -131,7 +131,7 @@ class LineEKF(ExtendedKalmanFilter):
         first = POSE + 2 * index
         return np.array([0, 1, 2, first, first + 1])
 
-    def innovation(self, line: FloatArray, R: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:  # noqa: N803
+    def innovation(self, line: FloatArray, R: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
         """Difference (2,) between an observed line and landmark ``index``, and its covariance (2, 2).
 
         ``line`` is (r, theta) in the robot's frame with covariance ``R``. The covariance is that
@@ -143,7 +143,7 @@ class LineEKF(ExtendedKalmanFilter):
         form = nearest_form(line, predicted)
         return form - predicted, H @ self.P[np.ix_(columns, columns)] @ H.T + _in_form(R, line, form)
 
-    def observe_line(self, line: FloatArray, R: FloatArray, index: int) -> None:  # noqa: N803
+    def observe_line(self, line: FloatArray, R: FloatArray, index: int) -> None:
         """Update by an observed line (r, theta) in the robot's frame that is landmark ``index``."""
         form = nearest_form(line, self._observed(self.x, index))
         self.update(
@@ -151,7 +151,7 @@ class LineEKF(ExtendedKalmanFilter):
             args=(index,), hx_args=(index,), columns=self.columns_of(index),
         )  # fmt: skip
 
-    def augment(self, line: FloatArray, R: FloatArray) -> int:  # noqa: N803
+    def augment(self, line: FloatArray, R: FloatArray) -> int:
         """Add a new landmark, observed as ``line`` in the robot's frame, and return its index.
 
         Its covariance with all that is known follows from the pose it was seen from.
@@ -189,7 +189,7 @@ class LineEKF(ExtendedKalmanFilter):
         theta[:] = wrap_angle(theta)
 
 
-def _in_form(R: FloatArray, line: FloatArray, form: FloatArray) -> FloatArray:  # noqa: N803
+def _in_form(R: FloatArray, line: FloatArray, form: FloatArray) -> FloatArray:
     """The covariance of a line brought into another form, in which r may have changed its sign."""
     opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
     sign = np.array([-1.0 if opposite else 1.0, 1.0])

@@ -162,15 +162,25 @@ def run_episode(config: RunConfig, progress: Callable[[float, float], None] | No
     odometry, rows, clock = info["pose"], [], time.perf_counter()
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
-        reading = {"ranges": observation["ranges"], "wheels": observation["wheels"]}
         before = time.perf_counter()
-        agent.observe(reading)
+        agent.observe(observation)
         between = time.perf_counter()
         action = agent.decide()
         after = time.perf_counter()
-        odometry = compose(odometry, motion_of(reading, config.robot, config.agent.noise, config.agent.odometry).increment)
+        odometry = compose(
+            odometry, motion_of(observation, config.robot, config.agent.noise, config.agent.odometry).increment
+        )
         rows.append(
-            (info, observation, action, agent.slam.pose, odometry, agent.slam.covariance, between - before, after - between)
+            (
+                info,
+                observation,
+                action,
+                agent.slam.pose,
+                odometry,
+                agent.slam.covariance,
+                between - before,
+                after - between,
+            )
         )
         if progress is not None:
             progress(info["time"], info["coverage"])
@@ -226,7 +236,11 @@ def score(episode: Episode) -> dict[str, Any]:
         "doors_open": metrics.doors_open(episode.world.doors, segments),
         "coverage_true": float(episode.coverage[-1]),
         **metrics.coverage_claims(
-            grid.centres(np.argwhere(grid.free)), grid.cell, episode.coverage_grid.coverable, episode.coverage_grid.low, CELL
+            grid.centres(np.argwhere(grid.free)),
+            grid.cell,
+            episode.coverage_grid.coverable,
+            episode.coverage_grid.low,
+            CELL,
         ),
         **metrics.coverage_times(episode.time, episode.coverage),
         "exploration_time_s": float(episode.time[-1]) if episode.is_finished and not episode.config.laps else None,
@@ -297,7 +311,9 @@ def versions() -> dict[str, str]:
 
 def _finite(scores: dict[str, Any]) -> dict[str, Any]:
     """JSON knows no infinity: a NEES that no covariance allows is written as null."""
-    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in scores.items()}
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in scores.items()
+    }
 
 
 def _laps(config: RunConfig, world: World) -> Policy | None:

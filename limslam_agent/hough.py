@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -49,7 +50,8 @@ def hough_votes(points: FloatArray, config: HoughConfig, std: float) -> FloatArr
     """
     reach = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
     step = max(config.r_step, 3.0 * std)
-    found = cv2.HoughLinesPointSet(
+    # OpenCV's types leave out that nothing found is None.
+    found: Any = cv2.HoughLinesPointSet(
         points.astype(np.float32).reshape(-1, 1, 2),
         lines_max=_MAX_CANDIDATES,
         threshold=config.min_votes,

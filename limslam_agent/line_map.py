@@ -69,4 +69,4 @@ class LineMap:
         tangents = direction(lines)
         position = np.einsum("ned,nd->ne", ends, tangents)
         foot = lines[:, :1] * np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))
-        return (foot[:, None] + position[..., None] * tangents[:, None]).reshape(-1, 4)
+        return np.asarray(foot[:, None] + position[..., None] * tangents[:, None]).reshape(-1, 4)

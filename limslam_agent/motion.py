@@ -50,9 +50,9 @@ def motion_from_odometry(odometry: FloatArray, config: OdometryConfig) -> Motion
     x, y, turn = (float(value) for value in odometry)
     distance = math.hypot(x, y)
     scale = config.distance_scale
-    # The bias is a turn in excess per metre, and backwards it unwinds.
+    # What the heading misses a metre unwinds when driving backwards.
     signed = math.copysign(distance, x)
-    increment = np.array([scale * x, scale * y, turn - config.turn_bias * signed])
+    increment = np.array([scale * x, scale * y, turn + config.turn_bias * signed])
     along = config.distance_variance * distance + _LEAST_VARIANCE
     heading = config.turn_variance_per_metre * distance + config.turn_variance_per_radian * abs(turn) + _LEAST_VARIANCE
     # Heading noise acts along the way, half of it on the sideways position at the end.

@@ -72,7 +72,7 @@ class OccupancyGrid:
         """The grid as it is now."""
         values = self._values.view()
         values.setflags(write=False)
-        return GridView(self._low * self._config.cell, self._config.cell, values)
+        return GridView(np.asarray(self._low * self._config.cell, dtype=np.float64), self._config.cell, values)
 
     def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
         """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
@@ -114,9 +114,10 @@ class OccupancyGrid:
         low = np.floor(points.min(axis=0) / self._config.cell).astype(np.int64)
         high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
         rows, columns = self._values.shape
-        if rows and (low >= self._low).all() and (high <= self._low + (columns, rows)).all():
+        end = self._low + np.array([columns, rows])
+        if rows and (low >= self._low).all() and (high <= end).all():
             return
-        old_low, old_high = (self._low, self._low + (columns, rows)) if rows else (low, high)
+        old_low, old_high = (self._low, end) if rows else (low, high)
         new_low = np.where(low < old_low, low - _SPARE_CELLS, old_low)
         new_high = np.where(high > old_high, high + _SPARE_CELLS, old_high)
         columns_new, rows_new = new_high - new_low

@@ -87,6 +87,6 @@ def _dijkstra(open_cells: BoolArray, toll: FloatArray, row: int, column: int) ->
         (np.concatenate(weights), (np.concatenate(starts), np.concatenate(ends))), shape=(index.size, index.size)
     ).tocsr()
     cost, predecessors = csgraph.dijkstra(
-        graph, directed=False, indices=int(index[row, column]), return_predecessors=True
+        graph, directed=False, indices=index[row, column : column + 1], return_predecessors=True
     )
-    return Routes(cost.reshape(rows, columns), predecessors)
+    return Routes(cost.reshape(rows, columns), predecessors[0])

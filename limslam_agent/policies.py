@@ -17,6 +17,10 @@ from limslam_env.interface import RobotSpec
 
 _ARRIVED = 0.08
 _FACING = np.radians(8.0)
+# Wheel speeds that sum to less than this hardly move the robot; it waits so many steps before it gives a goal up.
+_CREEP = 0.02
+_PATIENCE = 40
+_MAX_RETRIES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,8 @@ class FrontierPolicy:
     """Drive to the frontier of least cost until there is none left (step 8 of the method).
 
     A frontier that is still there after the robot has gone to it and faced it cannot be
-    resolved by these beams; it is set aside.
+    resolved by these beams, and is left. One that the robot could not get to is tried again
+    when there is nothing else.
     """
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig) -> None:
@@ -77,40 +82,59 @@ class FrontierPolicy:
         self.stop_reason: str | None = None
         self.plan: FloatArray = _NO_PLAN
         self._goal: FloatArray | None = None
-        self._set_aside: list[FloatArray] = []
+        self._faced: list[FloatArray] = []
+        self._missed: list[FloatArray] = []
+        self._retries = 0
         self._until_plan = 0
-        self._stuck = 0
+        self._standing = 0
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal; zero when done."""
-        if self.stop_reason is not None:
-            return _STAND
-        if self._until_plan <= 0 or self._goal is None:
+        if self.stop_reason is None and (self._until_plan <= 0 or self._goal is None):
             self._replan(belief)
             self._until_plan = self._config.replan_period
         self._until_plan -= 1
         if self._goal is None:
             return _STAND
-        return self._follow(belief)
+        return self._follow(belief, self._goal)
 
     def _replan(self, belief: Belief) -> None:
         grid = belief.grid
-        frontier = frontier_cells(grid, self._config.min_frontier) & ~self._mask_of(grid, self._set_aside)
-        if not frontier.any():
-            self._finish("explored: no frontier is left")
-            return
-        ways = routes(grid, belief.pose[:2], self._robot.radius + self._config.margin, self._config.clearance)
+        left = frontier_cells(grid, self._config.min_frontier) & ~_around(grid, self._faced)
+        frontier = left & ~_around(grid, self._missed)
         view = max(round(self._config.view_distance / grid.cell), 1)
-        nearby = _cheapest_nearby(ways.cost, view)
-        cost = np.where(frontier, nearby, np.inf)
-        if not np.isfinite(cost).any():
-            self._finish(f"explored: {int(frontier.sum())} frontier cells are left that cannot be reached")
+        ways = self._ways_to(frontier, belief, view)
+        if ways is None:
+            self._run_out(left)
             return
+        cost = np.where(frontier, _cheapest_nearby(ways.cost, view), np.inf)
         goal = self._kept_goal(grid, cost)
         if goal is None:
             goal = np.array(np.unravel_index(int(np.argmin(cost)), cost.shape))
         self._goal = grid.centres(goal[None])[0]
         self.plan = grid.centres(_way_near(ways, goal, view))
+
+    def _ways_to(self, frontier: BoolArray, belief: Belief, view: int) -> Routes | None:
+        """Ways on which some frontier cell can be reached, with as much room as can be had; or None."""
+        if not frontier.any():
+            return None
+        reach = ndimage.binary_dilation(frontier, structure=_disc(view))
+        for margin in (self._config.margin, 0.0, -0.4 * self._robot.radius):
+            ways = routes(belief.grid, belief.pose[:2], self._robot.radius + margin, self._config.clearance)
+            if np.isfinite(ways.cost[reach]).any():
+                return ways
+        return None
+
+    def _run_out(self, left: BoolArray) -> None:
+        """Nothing can be reached: try what was missed once more, then stop."""
+        self._goal, self.plan = None, _NO_PLAN
+        if self._missed and self._retries < _MAX_RETRIES:
+            self._missed = []
+            self._retries += 1
+        elif left.any():
+            self.stop_reason = f"explored: {int(left.sum())} frontier cells are left that cannot be reached"
+        else:
+            self.stop_reason = "explored: no frontier is left"
 
     def _kept_goal(self, grid: GridView, cost: FloatArray) -> IntArray | None:
         """The old goal, or the frontier cell beside it, while it can be had: changing one's mind costs time."""
@@ -121,11 +145,9 @@ class FrontierPolicy:
         if window.size == 0 or not np.isfinite(window).any():
             return None
         near = np.array(np.unravel_index(int(np.argmin(window)), window.shape))
-        return near + (max(row - 2, 0), max(column - 2, 0))
+        return np.asarray(near + np.array([max(row - 2, 0), max(column - 2, 0)]))
 
-    def _follow(self, belief: Belief) -> FloatArray:
-        goal = self._goal
-        assert goal is not None
+    def _follow(self, belief: Belief, goal: FloatArray) -> FloatArray:
         remaining = np.linalg.norm(self.plan - belief.pose[:2], axis=1)
         if remaining[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, goal)
@@ -133,37 +155,35 @@ class FrontierPolicy:
         ahead = np.nonzero(remaining[nearest:] > self._config.lookahead)[0]
         target = self.plan[nearest + ahead[0]] if ahead.size else self.plan[-1]
         action = steer(belief.pose, target, belief.ranges, self._robot, self._config)
-        self._stuck = self._stuck + 1 if not action.any() else 0
-        if self._stuck > 20:
-            self._give_up(goal)
+        self._standing = self._standing + 1 if abs(float(action.sum())) < _CREEP else 0
+        if self._standing > _PATIENCE:
+            self._leave(self._missed, goal)
         return action
 
     def _look(self, belief: Belief, goal: FloatArray) -> FloatArray:
+        """Turn to the goal from where it should be seen; once faced, it can be shown no better."""
         offset = goal - belief.pose[:2]
         error = wrap_angle(float(np.arctan2(offset[1], offset[0]) - belief.pose[2]))
         if abs(error) < _FACING or np.hypot(*offset) < 0.5 * _ARRIVED:
-            self._give_up(goal)
+            self._leave(self._faced, goal)
             return _STAND
         return turn_towards(belief.pose, goal, self._robot, self._config)
 
-    def _give_up(self, goal: FloatArray) -> None:
-        self._set_aside.append(goal)
+    def _leave(self, pile: list[FloatArray], goal: FloatArray) -> None:
+        pile.append(goal)
         self._goal = None
-        self._stuck = 0
+        self._standing = 0
 
-    def _finish(self, reason: str) -> None:
-        self.stop_reason, self._goal, self.plan = reason, None, _NO_PLAN
 
-    def _mask_of(self, grid: GridView, places: list[FloatArray]) -> BoolArray:
-        mask = np.zeros(grid.values.shape, dtype=bool)
-        if places:
-            cells = grid.cells(np.array(places))
-            for down in (-1, 0, 1):
-                for right in (-1, 0, 1):
-                    rows, columns = cells[:, 0] + down, cells[:, 1] + right
-                    inside = (rows >= 0) & (rows < mask.shape[0]) & (columns >= 0) & (columns < mask.shape[1])
-                    mask[rows[inside], columns[inside]] = True
-        return mask
+def _around(grid: GridView, places: list[FloatArray]) -> BoolArray:
+    """The cells (rows, columns) of some places and those beside them."""
+    mask = np.zeros(grid.values.shape, dtype=bool)
+    if places:
+        cells = grid.cells(np.array(places))
+        inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
+        mask[cells[inside, 0], cells[inside, 1]] = True
+        mask = ndimage.binary_dilation(mask, structure=np.ones((3, 3), dtype=bool))
+    return mask
 
 
 def _cheapest_nearby(cost: FloatArray, cells: int) -> FloatArray:
@@ -219,5 +239,3 @@ class Laps:
             self.stop_reason = "all laps driven"
             return _STAND
         return steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config)
-
-

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike, fspath
+from pathlib import Path
 from typing import IO, Any, TypeAlias
 
 import numpy as np
@@ -153,7 +154,7 @@ def first_bytes(path: FilePath, count: int) -> bytes:
         If the file cannot be read.
     """
     try:
-        with open(path, "rb") as file:
+        with Path(path).open("rb") as file:
             return file.read(count)
     except OSError as error:
         raise _unreadable(path, error) from error
@@ -174,7 +175,7 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     """
     number = 0
     try:
-        with open(path, "rb") as raw:
+        with Path(path).open("rb") as raw:
             packed = raw.peek(len(GZIP_MAGIC)).startswith(GZIP_MAGIC)
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
@@ -218,7 +219,7 @@ def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
         raise LogError(f"{fspath(path)}: is not an .npz file")
     try:
         # Opened here, since numpy leaves its own file open when the zip turns out damaged.
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
+        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             missing = [name for name in _ARRAYS if name not in file.files]
             arrays = {name: file[name] for name in _ARRAYS if name not in missing}
     except _DAMAGE as error:

@@ -73,9 +73,10 @@ def read_relations(path: FilePath) -> Relations:
         fields = line.partition(b"#")[0].split()
         if not fields:
             continue
+        if len(fields) != len(_FIELDS):
+            wanted = f"{len(_FIELDS)} are needed: {' '.join(_FIELDS)}"
+            raise LogError(f"{fspath(path)}: line {number}: {len(fields)} fields where {wanted}")
         try:
-            if len(fields) != len(_FIELDS):
-                raise ValueError(f"{len(fields)} fields where {len(_FIELDS)} are needed: {' '.join(_FIELDS)}")
             rows.append([parse_number(field, name) for field, name in zip(fields, _FIELDS, strict=True)])
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {error}") from error

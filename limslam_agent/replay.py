@@ -126,4 +126,3 @@ def write_replay(folder: Path, replay: Replay, title: str, scores: dict[str, Any
             "seed": None,
         },
     )
-

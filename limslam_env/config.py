@@ -1,8 +1,8 @@
 """Settings of the simulated world: noise, task and reward, as frozen dataclasses with units."""
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Self, TypeAlias
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -48,10 +48,24 @@ class NoiseConfig:
         if not -0.5 <= low <= high <= 0.5:
             raise ValueError(f"wheel_mismatch must lie between -0.5 and 0.5, not {self.wheel_mismatch}")
 
-    def drawn(self, generator: np.random.Generator) -> Self:
+    def drawn(self, generator: np.random.Generator) -> "DrawnNoise":
         """The same settings with a value drawn from each range."""
-        ranges = {name: value for name, value in vars(self).items() if isinstance(value, tuple)}
-        return replace(self, **{name: float(generator.uniform(*value)) for name, value in ranges.items()})
+        values = {
+            name: float(generator.uniform(*value)) if isinstance(value, tuple) else value
+            for name, value in vars(self).items()
+        }
+        return DrawnNoise(**values)
+
+
+@dataclass(frozen=True)
+class DrawnNoise(NoiseConfig):
+    """Noise of one episode: every number is one number."""
+
+    sensor_noise: float = 0.0
+    dropout: float = 0.0
+    wheel_variance: float = 2e-5
+    encoder_resolution: float = 0.0
+    wheel_mismatch: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The single-robot environment of Gymnasium: a thin adapter over the simulation."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, TypeAlias
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,10 +16,8 @@ from limslam_env.simulation import Simulation, Truth
 from limslam_env.task import is_done, reward
 from limslam_env.world import World, WorldSource, load_world
 
-ObservationArrays: TypeAlias = dict[str, NDArray[np.float32]]
 
-
-class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
+class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
     """Explore an unknown building with a few range beams and wheel encoders.
 
     ## Description
@@ -82,7 +80,10 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
     * v0: first release.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+    }
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
         beams = self.robot
         limit = np.full(2, beams.max_wheel_travel, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.observation_space = spaces.Dict(
+        self.observation_space: spaces.Dict = spaces.Dict(  # type: ignore[assignment]
             {
                 "ranges": spaces.Box(beams.min_ranges.astype(np.float32), beams.max_ranges.astype(np.float32)),
                 "wheels": spaces.Box(-limit, limit),
@@ -126,7 +127,7 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ObservationArrays, dict[str, Any]]:
+    ) -> tuple[Observation, dict[str, Any]]:
         """Start a new episode; options: `start` (x, y, theta) and `world`.
 
         Raises
@@ -149,8 +150,8 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
         return self._result(observations[0], truth)
 
     def step(
-        self, action: NDArray[np.float32] | Sequence[float]
-    ) -> tuple[ObservationArrays, float, bool, bool, dict[str, Any]]:
+        self, action: NDArray[np.floating[Any]] | Sequence[float]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for one control period.
 
         Raises
@@ -168,7 +169,7 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
         value = reward(self.task.reward, truth.new_area, bool(truth.contact[0]))
         return observation, float(value), is_done(self.task, truth.coverage), False, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3) of world, robot, beams and path; None without a render mode."""
         if self.render_mode is None or self._truth is None:
             return None
@@ -180,7 +181,7 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
         )  # fmt: skip
         return render(state)
 
-    def _result(self, observation: Observation, truth: Truth) -> tuple[ObservationArrays, dict[str, Any]]:
+    def _result(self, observation: Observation, truth: Truth) -> tuple[Observation, dict[str, Any]]:
         self._truth = truth
         if self.render_mode is not None:
             self._path.append(truth.poses[0, :2])
@@ -192,7 +193,7 @@ class LimSlamEnv(gym.Env[ObservationArrays, NDArray[np.float32]]):
             "collision": bool(truth.contact[0]),
             "wall_seen": truth.wall_seen[0].copy(),
         }
-        return {"ranges": observation["ranges"], "wheels": observation["wheels"]}, info
+        return observation, info
 
 
 def _with_sensor_noise(noise: NoiseConfig, sensor_noise: Setting | None) -> NoiseConfig:

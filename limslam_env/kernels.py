@@ -56,8 +56,8 @@ def cast_rays(
         x, y = origins[ray, 0], origins[ray, 1]
         dx, dy = directions[ray, 0], directions[ray, 1]
         best, hit = lengths[ray], -1
-        column = int(math.floor((x - grid[0]) / grid[2]))
-        row = int(math.floor((y - grid[1]) / grid[2]))
+        column = math.floor((x - grid[0]) / grid[2])
+        row = math.floor((y - grid[1]) / grid[2])
         inside = 0 <= column < columns and 0 <= row < rows
         first = cell_starts[row * columns + column] if inside else 0
         last = cell_starts[row * columns + column + 1] if inside else len(edges)
@@ -101,7 +101,7 @@ def mark_rays(
         dx, dy = directions[ray, 0], directions[ray, 1]
         # A ray ends before the wall it hits, so that it never marks the cell behind.
         reach = lengths[ray] / cell - 1e-6
-        column, row = int(math.floor(x)), int(math.floor(y))
+        column, row = math.floor(x), math.floor(y)
         column_step, row_step = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
         next_column = ((column + (dx > 0.0)) - x) / dx if dx != 0.0 else np.inf
         next_row = ((row + (dy > 0.0)) - y) / dy if dy != 0.0 else np.inf

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from limslam_env.config import NoiseConfig
+from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 
 
 def reported_travel(
-    travel: FloatArray, remainder: FloatArray, noise: NoiseConfig, limit: float, generator: np.random.Generator
+    travel: FloatArray, remainder: FloatArray, noise: DrawnNoise, limit: float, generator: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """What the encoders of one robot say.
 
@@ -18,7 +18,7 @@ def reported_travel(
     remainder
         Travel (2,) that was too small for the encoders to report so far, m.
     noise
-        Its numbers must be drawn (no ranges).
+        Of this episode.
     limit
         Largest travel that can be reported, m.
     generator

@@ -42,8 +42,7 @@ class Physics:
             self._space.add(wall)
         self._bodies = [self._add_robot(pose, number) for number, pose in enumerate(poses)]
         self._filters = [
-            pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT)
-            for number in range(len(poses))
+            pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT) for number in range(len(poses))
         ]
 
     @property

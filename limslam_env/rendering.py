@@ -108,7 +108,9 @@ def _draw_beams(canvas: _Canvas, state: RenderState, number: int) -> None:
     x, y, theta = state.poses[number]
     cos, sin = np.cos(theta), np.sin(theta)
     mounts = state.robot.beam_origins
-    origins = np.column_stack((x + cos * mounts[:, 0] - sin * mounts[:, 1], y + sin * mounts[:, 0] + cos * mounts[:, 1]))
+    origins = np.column_stack(
+        (x + cos * mounts[:, 0] - sin * mounts[:, 1], y + sin * mounts[:, 0] + cos * mounts[:, 1])
+    )
     angles = theta + state.robot.beam_angles
     ends = origins + state.ranges[number][:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
     hit = state.hits[number] != -1

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.config import NoiseConfig
+from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.segment import distances as segment_distances
 from limslam_env.interface import RobotSpec
@@ -119,7 +119,7 @@ def longest_reach(robot: RobotSpec) -> float:
 
 
 def noisy_ranges(
-    ideal: FloatArray, hits: IntArray, robot: RobotSpec, noise: NoiseConfig, generator: np.random.Generator
+    ideal: FloatArray, hits: IntArray, robot: RobotSpec, noise: DrawnNoise, generator: np.random.Generator
 ) -> FloatArray:
     """Readings (n_beams,), m, of one robot from ideal distances.
 

@@ -83,7 +83,10 @@ class World:
     def digest(self) -> str:
         """A name for the content: equal worlds have equal digests."""
         arrays = (self.walls, *self.obstacles, self.doors, self.starts, self.loop)
-        parts = [repr((self.name, self.size)).encode(), *(repr(array.shape).encode() + array.tobytes() for array in arrays)]
+        parts = [
+            repr((self.name, self.size)).encode(),
+            *(repr(array.shape).encode() + array.tobytes() for array in arrays),
+        ]
         return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
 
     def __eq__(self, other: object) -> bool:
@@ -142,7 +145,9 @@ class World:
         inside = any(inside_polygon(start[None, :2], polygon)[0] for polygon in self.obstacles)
         if inside or gap < radius:
             reason = "inside an obstacle" if inside else f"{gap:.3f} m from a wall"
-            raise WorldError(f"world {self.name!r}: {label} {_text(start)} collides: a robot of {radius:g} m radius {reason}")
+            raise WorldError(
+                f"world {self.name!r}: {label} {_text(start)} collides: a robot of {radius:g} m radius {reason}"
+            )
 
 
 WorldSource: TypeAlias = str | os.PathLike[str] | World

@@ -96,7 +96,7 @@ def direction(line: FloatArray) -> FloatArray:
 
 def distance(line: FloatArray, points: FloatArray) -> FloatArray:
     """Signed distance (m) of points (n, 2) from one line, positive beyond it as seen from the origin."""
-    return points @ normal(line) - line[0]
+    return np.asarray(points @ normal(line) - line[0])
 
 
 def along(line: FloatArray, points: FloatArray) -> FloatArray:
@@ -106,7 +106,7 @@ def along(line: FloatArray, points: FloatArray) -> FloatArray:
 
 def at(line: FloatArray, position: FloatArray) -> FloatArray:
     """Points (n, 2) on one line at the given positions (n,) along it: the inverse of :func:`along`."""
-    return line[0] * normal(line) + np.multiply.outer(position, direction(line))
+    return np.asarray(line[0] * normal(line) + np.multiply.outer(position, direction(line)))
 
 
 def _to_frame_unsigned(line: FloatArray, pose: FloatArray) -> FloatArray:

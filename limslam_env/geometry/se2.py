@@ -64,7 +64,7 @@ def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
     """Take points (n, 2) from the frame of ``pose`` into the frame that ``pose`` is given in."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     rotation = np.array([[cos, sin], [-sin, cos]])
-    return points @ rotation + pose[:2]
+    return np.asarray(points @ rotation + pose[:2])
 
 
 def arc(distance: float, turn: float) -> FloatArray:

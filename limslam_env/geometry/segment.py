@@ -17,7 +17,7 @@ def distances(points: FloatArray, segments: FloatArray) -> FloatArray:
     squared = np.maximum(np.einsum("kd,kd->k", span, span), 1e-300)
     offset = points[:, None, :] - start[None]
     fraction = np.clip(np.einsum("nkd,kd->nk", offset, span) / squared, 0.0, 1.0)
-    return np.linalg.norm(offset - fraction[..., None] * span[None], axis=-1)
+    return np.asarray(np.linalg.norm(offset - fraction[..., None] * span[None], axis=-1))
 
 
 def polygon_edges(polygon: FloatArray) -> FloatArray:
