@@ -45,8 +45,9 @@ def run(
     force: Force = False,
 ) -> None:
     """Explore an unknown building and draw its map."""
-    from limslam_agent.episode import RunConfig, run_episode, write_episode
+    from limslam_agent.episode import RunConfig, run_episode
     from limslam_agent.export import new_folder
+    from limslam_agent.results import write_episode
     from limslam_env.world import load_world
 
     place = load_world(world)
@@ -75,7 +76,7 @@ def replay(
         typer.Option(
             help="Std after 1 m of distance (m) and of heading (deg), and of heading after turning 1 rad (deg)."
         ),
-    ] = "0.03,0.8,2.5",
+    ] = "0.05,0.8,4",
     odometry_bias: Annotated[
         str, typer.Option(help="True minus reported heading per metre, deg, and true over reported distance.")
     ] = "0,1",
@@ -88,15 +89,15 @@ def replay(
 
     from limslam_agent.config import OdometryConfig
     from limslam_agent.config import preset as settings
-    from limslam_agent.episode import trajectory_scores, versions
     from limslam_agent.export import new_folder
     from limslam_agent.log_reader import read_log
     from limslam_agent.relations import read_relations
     from limslam_agent.replay import relation_scores, replay_log, write_replay
+    from limslam_agent.results import trajectory_scores, versions
     from limslam_env.interface import NominalNoise
 
     along, per_metre, per_radian = _numbers("--odometry-noise", odometry_noise, 3, low=0.0)
-    bias, scale = _numbers("--odometry-bias", odometry_bias, 2)
+    bias, scale = _numbers("--odometry-bias", odometry_bias if "," in odometry_bias else f"{odometry_bias},1", 2)
     if scale <= 0.0:
         raise ValueError(f"--odometry-bias: the scale must be above 0, not {scale:g}")
     odometry = OdometryConfig(

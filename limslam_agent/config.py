@@ -29,9 +29,9 @@ class OdometryConfig:
         True distance over reported distance.
     """
 
-    distance_variance: float = 1e-3
-    turn_variance_per_metre: float = 2e-4
-    turn_variance_per_radian: float = 2e-3
+    distance_variance: float = 0.05**2
+    turn_variance_per_metre: float = math.radians(0.8) ** 2
+    turn_variance_per_radian: float = math.radians(4.0) ** 2
     turn_bias: float = 0.0
     distance_scale: float = 1.0
 

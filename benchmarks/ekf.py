@@ -1,0 +1,119 @@
+"""How long one prediction and one update take, by the number of landmarks: ``python -m benchmarks.ekf``.
+
+The line filter is timed beside filterpy's dense one in the same run, on the same state, so that the
+ratio says something on any machine. The bars are for the line filter, in milliseconds of the median.
+"""
+
+import math
+import time
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from limslam_agent.ekf import POSE, LineEKF
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import to_frame, to_frame_jacobians
+from limslam_env.geometry.se2 import compose, compose_jacobians
+
+BARS_MS = {50: 0.05, 200: 0.10, 500: 0.40}
+"""Landmarks, and the longest that prediction and one update may take, ms."""
+
+REPETITIONS = 1000
+DENSE_SECONDS = 3.0
+INCREMENT = np.array([0.02, 0.0, 0.01])
+MOTION_COVARIANCE = np.diag([1e-6, 1e-7, 1e-5])
+LINE_COVARIANCE = np.diag([1e-5, 1e-4])
+OFF = np.array([1e-4, 1e-4])
+"""How far observed lines lie off where they are expected (m, rad): near, so that the two stay alike."""
+
+
+def line_filter(landmarks: int) -> LineEKF:
+    """A filter with that many lines all round the robot, each correlated with all others."""
+    generator = np.random.default_rng(landmarks)
+    ekf = LineEKF(np.zeros(POSE), 1e-4 * np.eye(POSE))
+    for _ in range(landmarks):
+        ekf.augment(np.array([generator.uniform(1.0, 5.0), generator.uniform(-math.pi, math.pi)]), LINE_COVARIANCE)
+    return ekf
+
+
+def dense_filter(ekf: LineEKF) -> ExtendedKalmanFilter:
+    """filterpy's filter in the same state."""
+    dense = ExtendedKalmanFilter(dim_x=len(ekf.x), dim_z=2)
+    dense.x, dense.P = np.array(ekf.x), np.array(ekf.P)
+    return dense
+
+
+def expected(state: FloatArray, columns: IntArray) -> FloatArray:
+    """The line at ``columns`` of a state as the robot should see it."""
+    return to_frame(state[columns[POSE:]], state[:POSE])
+
+
+def time_line_filter(ekf: LineEKF, repetitions: int) -> FloatArray:
+    """Durations (s) of a prediction and an update by one line after the other."""
+    durations = np.zeros(repetitions)
+    for number in range(repetitions):
+        index = number % ekf.num_lines
+        columns = ekf.columns_of(index)
+        seen = to_frame(ekf.x[columns[POSE:]], compose(ekf.pose, INCREMENT)) + OFF
+        begun = time.perf_counter()
+        ekf.predict(INCREMENT, MOTION_COVARIANCE)
+        ekf.observe_line(seen, LINE_COVARIANCE, index)
+        durations[number] = time.perf_counter() - begun
+    return durations
+
+
+def time_dense_filter(dense: ExtendedKalmanFilter, repetitions: int, seconds: float) -> FloatArray:
+    """The same with matrices of full size; three at least, and no more than fit into ``seconds``."""
+    size = len(dense.x)
+    durations: list[float] = []
+    while len(durations) < repetitions and (len(durations) < 3 or sum(durations) < seconds):
+        first = POSE + 2 * (len(durations) % ((size - POSE) // 2))
+        columns = np.array([0, 1, 2, first, first + 1])
+        seen = to_frame(dense.x[columns[POSE:]], compose(dense.x[:POSE], INCREMENT)) + OFF
+        begun = time.perf_counter()
+        dense_predict(dense)
+        dense.update(
+            seen, dense_jacobian, expected, LINE_COVARIANCE, args=(columns,), hx_args=(columns,)
+        )  # fmt: skip
+        durations.append(time.perf_counter() - begun)
+    return np.array(durations)
+
+
+def dense_predict(dense: ExtendedKalmanFilter) -> None:
+    """filterpy's prediction, with the pose moved as the line filter moves it."""
+    size = len(dense.x)
+    moved = compose(dense.x[:POSE], INCREMENT)
+    by_pose, by_increment = compose_jacobians(dense.x[:POSE], INCREMENT)
+    dense.F, dense.Q = np.eye(size), np.zeros((size, size))
+    dense.F[:POSE, :POSE] = by_pose
+    dense.Q[:POSE, :POSE] = by_increment @ MOTION_COVARIANCE @ by_increment.T
+    dense.predict()
+    dense.x[:POSE] = moved
+
+
+def dense_jacobian(state: FloatArray, columns: IntArray) -> FloatArray:
+    """Derivative (2, n) of :func:`expected` by the whole state."""
+    jacobian = np.zeros((2, len(state)))
+    jacobian[:, columns] = np.hstack(to_frame_jacobians(state[columns[POSE:]], state[:POSE]))
+    return jacobian
+
+
+def main() -> None:
+    """Time both filters and print a table."""
+    print(f"prediction and one update: median of {REPETITIONS} (filterpy: of as many as fit into {DENSE_SECONDS:g} s)")
+    print(f"{'landmarks':>9} {'LineEKF ms':>11} {'bar ms':>7} {'':>6} {'filterpy ms':>12} {'ratio':>7}")
+    for landmarks, bar in BARS_MS.items():
+        ekf = line_filter(landmarks)
+        dense = dense_filter(ekf)
+        # The first calls load and warm what later ones find ready.
+        time_line_filter(ekf, 100)
+        sparse_ms = 1000.0 * float(np.median(time_line_filter(ekf, REPETITIONS)))
+        dense_ms = 1000.0 * float(np.median(time_dense_filter(dense, REPETITIONS, DENSE_SECONDS)))
+        verdict = "ok" if sparse_ms <= bar else "MISSED"
+        print(
+            f"{landmarks:>9} {sparse_ms:>11.4f} {bar:>7.2f} {verdict:>6} {dense_ms:>12.3f} {dense_ms / sparse_ms:>7.0f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

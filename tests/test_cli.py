@@ -1,0 +1,230 @@
+"""The command line as a user meets it: exit codes, one line, and whole folders or none."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+RUN_FILES = {
+    "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
+}  # fmt: skip
+
+# One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
+SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
+
+
+def limslam(*arguments, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-m", "limslam_agent.cli", *map(str, arguments)],
+        capture_output=True, text=True, check=False, cwd=cwd,
+    )  # fmt: skip
+
+
+def carmen_line(x, time):
+    return f"{SCAN} {x} 0 0 {x} 0 0 {time} host {time}"
+
+
+@pytest.fixture
+def carmen_log(tmp_path):
+    path = tmp_path / "corridor.log"
+    path.write_text("\n".join(carmen_line(0.05 * step, 100.0 + 0.1 * step) for step in range(80)) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "short"
+    result = limslam("run", "--noise", "0.02", "--max-time", "12", "--seed", "300", "--out", folder)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+def test_a_run_writes_its_whole_folder_and_nothing_beside_it(short_run):
+    assert {path.name for path in short_run.iterdir()} == RUN_FILES
+    assert [path.name for path in short_run.parent.iterdir()] == ["short"]
+
+
+def test_result_has_the_promised_parts_and_metrics(short_run):
+    result = json.loads((short_run / "result.json").read_text())
+    assert set(result) == {"metrics", "cost", "config", "versions", "seed"}
+    promised = {
+        "ate_m", "ate_aligned_m", "heading_rmse_deg", "final_error_m", "rpe_m_per_m", "anees", "nees_in_95",
+        "wall_recall", "wall_precision", "wall_f1", "wall_f1_5cm", "wall_f1_aligned", "spurious_walls", "spurious_m",
+        "duplicate_m", "doors_open", "coverage_true", "coverage_claimed", "coverage_correct", "time_to_50_s",
+        "time_to_90_s", "time_to_95_s", "exploration_time_s", "path_m", "collisions", "stop_reason",
+    }  # fmt: skip
+    assert promised <= set(result["metrics"])
+    assert {"slam_ms_median", "slam_ms_p99", "speed_x_real_time", "peak_rss_mb"} <= set(result["cost"])
+    assert result["seed"] == 300
+    # Twelve seconds are not enough, and the run says so.
+    assert result["metrics"]["stop_reason"].startswith("time")
+    assert result["metrics"]["exploration_time_s"] is None
+
+
+def test_files_agree_with_each_other(short_run):
+    with np.load(short_run / "log.npz", allow_pickle=False) as log:
+        arrays = {name: log[name] for name in log.files}
+    rows = 121
+    assert arrays["time"].shape == (rows,)
+    assert arrays["ranges"].shape == arrays["wall_seen"].shape == (rows, 6)
+    for name in ("true", "est"):
+        table = np.loadtxt(short_run / f"trajectory_{name}.tum")
+        assert table.shape == (rows, 8)
+        np.testing.assert_allclose(np.linalg.norm(table[:, 4:], axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(
+        np.loadtxt(short_run / "trajectory_true.tum")[:, 1:3], arrays["true_pose"][:, :2], atol=1e-6
+    )
+    content = json.loads((short_run / "map.json").read_text())
+    assert len(content["segments"]) == len(content["landmarks"]) > 0
+    assert set(content["landmarks"][0]) == {"r", "theta", "cov", "ends", "observations"}
+    header, size, depth = (short_run / "map.pgm").read_bytes().split(b"\n", 3)[:3]
+    assert (header, depth) == (b"P5", b"255")
+    columns, height = map(int, size.split())
+    assert len((short_run / "map.pgm").read_bytes().split(b"\n", 3)[3]) == columns * height
+    assert "free_thresh: 0.196" in (short_run / "map.yaml").read_text()
+
+
+def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
+    result = limslam("replay", short_run / "log.npz", "--noise", "0.02", "--out", tmp_path / "again")
+    assert result.returncode == 0, result.stderr
+    again = np.loadtxt(tmp_path / "again" / "trajectory_est.tum")
+    np.testing.assert_array_equal(again, np.loadtxt(short_run / "trajectory_est.tum"))
+    metrics = json.loads((tmp_path / "again" / "result.json").read_text())["metrics"]
+    assert metrics["ate_m"] == pytest.approx(json.loads((short_run / "result.json").read_text())["metrics"]["ate_m"])
+
+
+def test_results_are_only_replaced_by_force(short_run, tmp_path):
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    (folder / "result.json").write_text("old")
+    refused = limslam("run", "--max-time", "1", "--out", folder)
+    assert refused.returncode == 2
+    assert "--force" in refused.stderr
+    assert (folder / "result.json").read_text() == "old"
+    assert limslam("run", "--max-time", "1", "--out", folder, "--force").returncode == 0
+    assert {path.name for path in folder.iterdir()} == RUN_FILES
+
+
+def test_force_never_replaces_what_is_no_run(tmp_path):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    result = limslam("run", "--max-time", "1", "--out", tmp_path, "--force")
+    assert_refused(result, "holds no run's results")
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+
+
+def test_without_a_folder_runs_get_names_of_their_own(tmp_path):
+    for _ in range(2):
+        assert limslam("run", "--max-time", "1", cwd=tmp_path).returncode == 0
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == [
+        "env1-2cm-paper-seed0", "env1-2cm-paper-seed0-2",
+    ]  # fmt: skip
+
+
+def test_laps_drive_round_the_square(tmp_path):
+    result = limslam("run", "--world", "square", "--laps", "1", "--noise", "0", "--out", tmp_path / "lap")
+    assert result.returncode == 0, result.stderr
+    metrics = json.loads((tmp_path / "lap" / "result.json").read_text())["metrics"]
+    assert metrics["stop_reason"] == "all laps driven"
+    assert 18.0 < metrics["path_m"] < 22.0  # a lap is 20 m
+    assert metrics["exploration_time_s"] is None
+
+
+def test_the_odometry_preset_does_not_correct(tmp_path):
+    assert limslam("run", "--preset", "odometry", "--max-time", "15", "--out", tmp_path / "odo").returncode == 0
+    metrics = json.loads((tmp_path / "odo" / "result.json").read_text())["metrics"]
+    assert metrics["ate_m"] == pytest.approx(metrics["odometry_ate_m"], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "--noise", "-0.01"), "-0.01"),
+        (("run", "--noise", "nan"), "nan"),
+        (("run", "--noise", "much"), "--noise"),
+        (("run", "--world", "atlantis"), "atlantis"),
+        (("run", "--world", "missing.toml"), "missing.toml"),
+        (("run", "--preset", "magic"), "magic"),
+        (("run", "--max-time", "0"), "0 s"),
+        (("run", "--laps", "-1"), "-1"),
+        (("run", "--seed", "-3"), "-3"),
+        (("run", "--warp"), "--warp"),
+        (("fly",), "fly"),
+        (("replay", "missing.log"), "missing.log"),
+        (("replay", "{log}", "--beams", "90,120"), "120"),
+        (("replay", "{log}", "--beams", "left"), "left"),
+        (("replay", "{log}", "--max-range", "-1"), "-1"),
+        (("replay", "{log}", "--noise", "-1"), "-1"),
+        (("replay", "{log}", "--odometry-noise", "1,2"), "--odometry-noise"),
+        (("replay", "{log}", "--odometry-noise", "1,2,-3"), "--odometry-noise"),
+        (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
+        (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
+    ],
+)
+def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
+    before = sorted(tmp_path.rglob("*"))
+    arguments = [part.replace("{log}", str(carmen_log)) for part in arguments]
+    assert_refused(limslam(*arguments, cwd=tmp_path), words)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda text: text[:-400], "line 80"),
+        (lambda text: text.replace("2.00", "nan", 5), "line 1"),
+        (lambda text: text.replace("FLASER", "RAWLASER"), "FLASER"),
+        (lambda _: "", "corridor.log"),
+        (lambda text: "\n".join(line.rsplit(" ", 9)[0] for line in text.splitlines()), "odometry"),
+    ],
+    ids=["truncated", "nan", "no scans", "empty", "no odometry"],
+)
+def test_bad_logs_get_one_line_and_leave_nothing(damage, words, carmen_log, tmp_path):
+    carmen_log.write_text(damage(carmen_log.read_text()))
+    assert_refused(limslam("replay", carmen_log, "--out", tmp_path / "out"), words)
+    assert [path.name for path in tmp_path.iterdir()] == ["corridor.log"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
+    tmp_path.chmod(0o500)
+    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "run"), "cannot be written")
+
+
+def test_a_file_in_the_way_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "file" / "run"), "cannot be written")
+    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "file"), "not a folder")
+
+
+def test_replay_of_a_corridor_finds_its_walls_and_is_scored(carmen_log, tmp_path):
+    relations = tmp_path / "known.relations"
+    relations.write_text("100.0 107.0 3.5 0 0 0 0 0\n")
+    result = limslam(
+        "replay", carmen_log, "--beams", "-90,-45,0,45,90", "--relations", relations, "--out", tmp_path / "out"
+    )
+    assert result.returncode == 0, result.stderr
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"trajectory_est.tum", "map.json", "map.png", "map.pgm", "map.yaml", "result.json"} <= files
+    table = np.loadtxt(tmp_path / "out" / "trajectory_est.tum")
+    np.testing.assert_allclose(table[:, 0], 100.0 + 0.1 * np.arange(80), atol=1e-6)  # the log's own times
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert metrics["relation_error_m"] < 0.1
+    assert metrics["raw_odometry_relation_error_m"] == pytest.approx(0.0, abs=1e-9)
+
+
+def assert_refused(result, words):
+    assert result.returncode == 2, (result.stdout, result.stderr)
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert result.stderr.startswith("limslam: ")
+    assert words in result.stderr
+
+
+def test_importing_the_command_line_is_light():
+    loaded = "import sys, limslam_agent.cli; print(sorted({'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib'} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
