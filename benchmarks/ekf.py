@@ -37,7 +37,7 @@ def line_filter(landmarks: int) -> LineEKF:
 
 
 def dense_filter(ekf: LineEKF) -> ExtendedKalmanFilter:
-    """filterpy's filter in the same state."""
+    """The filter of filterpy in the same state."""
     dense = ExtendedKalmanFilter(dim_x=len(ekf.x), dim_z=2)
     dense.x, dense.P = np.array(ekf.x), np.array(ekf.P)
     return dense
@@ -72,15 +72,13 @@ def time_dense_filter(dense: ExtendedKalmanFilter, repetitions: int, seconds: fl
         seen = to_frame(dense.x[columns[POSE:]], compose(dense.x[:POSE], INCREMENT)) + OFF
         begun = time.perf_counter()
         dense_predict(dense)
-        dense.update(
-            seen, dense_jacobian, expected, LINE_COVARIANCE, args=(columns,), hx_args=(columns,)
-        )  # fmt: skip
+        dense.update(seen, dense_jacobian, expected, LINE_COVARIANCE, args=(columns,), hx_args=(columns,))
         durations.append(time.perf_counter() - begun)
     return np.array(durations)
 
 
 def dense_predict(dense: ExtendedKalmanFilter) -> None:
-    """filterpy's prediction, with the pose moved as the line filter moves it."""
+    """The prediction of filterpy, with the pose moved as the line filter moves it."""
     size = len(dense.x)
     moved = compose(dense.x[:POSE], INCREMENT)
     by_pose, by_increment = compose_jacobians(dense.x[:POSE], INCREMENT)

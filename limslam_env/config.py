@@ -38,6 +38,9 @@ class NoiseConfig:
     wheel_mismatch: Setting = 0.0
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, list):
+                object.__setattr__(self, name, tuple(value))
         for name in ("sensor_noise", "dropout", "wheel_variance", "encoder_resolution"):
             low, high = bounds_of(getattr(self, name))
             if not (math.isfinite(high) and 0.0 <= low <= high):
@@ -49,11 +52,14 @@ class NoiseConfig:
             raise ValueError(f"wheel_mismatch must lie between -0.5 and 0.5, not {self.wheel_mismatch}")
 
     def drawn(self, generator: np.random.Generator) -> "DrawnNoise":
-        """The same settings with a value drawn from each range."""
-        values = {
-            name: float(generator.uniform(*value)) if isinstance(value, tuple) else value
-            for name, value in vars(self).items()
-        }
+        """The same settings with a value drawn from each range.
+
+        A number is drawn for every setting, so that making one of them a range shifts no other.
+        """
+        values = {}
+        for (name, setting), share in zip(vars(self).items(), generator.random(len(vars(self))), strict=True):
+            low, high = bounds_of(setting)
+            values[name] = low + (high - low) * float(share)
         return DrawnNoise(**values)
 
 
@@ -109,4 +115,5 @@ class TaskConfig:
 
 def bounds_of(setting: Setting) -> tuple[float, float]:
     """Lowest and highest value that a setting can take."""
-    return setting if isinstance(setting, tuple) else (setting, setting)
+    low, high = setting if isinstance(setting, tuple) else (setting, setting)
+    return low, high

@@ -1,6 +1,7 @@
 """The single-robot environment of Gymnasium: a thin adapter over the simulation."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -142,11 +143,12 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
         unknown = sorted(set(options) - {"start", "world"})
         if unknown:
             raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'world'")
-        if "world" in options:
-            self._simulation = Simulation(load_world(options["world"]), self.robot)
+        start = _start(options.get("start"))
+        simulation = Simulation(load_world(options["world"]), self.robot) if "world" in options else self._simulation
         seeds = np.random.SeedSequence(int(self.np_random.integers(2**63)))
-        observations, truth = self._simulation.reset(seeds, self.noise, _start(options.get("start")))
-        self._path = []
+        observations, truth = simulation.reset(seeds, self.noise, start)
+        # A refused reset leaves the episode as it was.
+        self._simulation, self._path = simulation, []
         return self._result(observations[0], truth)
 
     def step(
@@ -199,8 +201,7 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
 def _with_sensor_noise(noise: NoiseConfig, sensor_noise: Setting | None) -> NoiseConfig:
     if sensor_noise is None:
         return noise
-    setting = tuple(sensor_noise) if isinstance(sensor_noise, list) else sensor_noise
-    return NoiseConfig(**{**vars(noise), "sensor_noise": setting})
+    return replace(noise, sensor_noise=sensor_noise)
 
 
 def _start(option: Any) -> FloatArray | None:

@@ -10,9 +10,12 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.segment import distances
 
 CELL = 0.025
-"""Side of a cell of the reachability grid, m; coarser in worlds of more than MAX_CELLS cells."""
+"""Side of a cell of the reachability grid, m; coarser in worlds that would have more than MAX_CELLS of them."""
 
 MAX_CELLS = 4_000_000
+
+COARSEST = 0.6
+"""Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a wall."""
 
 
 @dataclass(frozen=True)
@@ -67,13 +70,17 @@ class FreeSpace:
         return np.asarray(labels, dtype=np.int32)
 
 
-def free_space(edges: FloatArray, radius: float) -> FreeSpace:
-    """Mark where a disc of ``radius`` (m) fits between edges (k, 4)."""
+def cell_for(edges: FloatArray, radius: float) -> float:
+    """Side of a cell (m) that suits a disc of ``radius`` (m) and the extent of edges (k, 4)."""
+    extent = np.ptp(edges.reshape(-1, 2), axis=0) + 4.0 * radius
+    return min(max(CELL, math.sqrt(float(np.prod(extent)) / MAX_CELLS)), COARSEST * radius)
+
+
+def free_space(edges: FloatArray, radius: float, cell: float) -> FreeSpace:
+    """Mark in cells of ``cell`` (m) where a disc of ``radius`` (m) fits between edges (k, 4)."""
     low = np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0)
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
-    margin = 2.0 * radius
-    cell = max(CELL, math.sqrt(float(np.prod(high - low + 2.0 * margin)) / MAX_CELLS))
-    margin = max(margin, 3.0 * cell)
+    margin = max(2.0 * radius, 3.0 * cell)
     # Half a cell off the round numbers on which walls tend to stand.
     origin = low - margin - 0.5 * cell
     columns, rows = (np.ceil((high + margin - origin) / cell)).astype(int) + 1

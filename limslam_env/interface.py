@@ -193,4 +193,4 @@ class NominalNoise:
         for name in ("range_std", "wheel_variance"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name} must be 0 or more, not {value}")
+                raise ValueError(f"noise ({name}) must be a number of 0 or more, not {value:g}")

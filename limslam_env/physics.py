@@ -6,6 +6,8 @@ wheels set the velocity anew at each step anyway. Instead a robot that overlaps 
 put back along the shortest way, which is frictionless sliding, and turns freely.
 """
 
+import math
+
 import numpy as np
 import pymunk
 
@@ -15,6 +17,7 @@ from limslam_env.geometry.se2 import arc, wheels_to_arc, wrap_angle
 _WALL, _ROBOT, _QUERY = 1, 2, 4
 _TOUCH = 1e-5
 _MAX_PUSHES = 24
+_LONGEST_MOVE = 0.5
 _DEEPEST = 5e-4
 
 
@@ -63,6 +66,14 @@ class Physics:
         contact
             (n,), whether a robot touched something.
         """
+        # A move of more than the radius could end beyond a wall; an arc in pieces is the same arc.
+        parts = max(1, math.ceil(float(np.abs(travel).max()) / (_LONGEST_MOVE * self._radius)))
+        contact = np.zeros(len(self._bodies), dtype=bool)
+        for _ in range(parts):
+            contact |= self._move_freely(travel / parts, period / parts)
+        return contact
+
+    def _move_freely(self, travel: FloatArray, period: float) -> BoolArray:
         before = [body.position for body in self._bodies]
         for body, wheels in zip(self._bodies, travel, strict=True):
             x, y, turn = arc(*wheels_to_arc(wheels, self._axle)).tolist()
@@ -85,12 +96,17 @@ class Physics:
             pushed = [self._push_out(number, contact) for number in range(len(self._bodies))]
             if not any(pushed):
                 return contact
-        # Wedged: between walls that meet in a sharp corner the pushes go on for ever.
-        for number, place in enumerate(before):
-            nearest = self._nearest(number)
-            if nearest is not None and nearest.distance < self._radius - _DEEPEST:
-                self._move(self._bodies[number], place)
+        # Wedged: between walls that meet in a sharp corner the pushes go on for ever. Who is put back
+        # may meet one who came after him, who then has to go back as well.
+        for _ in self._bodies:
+            deep = [number for number in range(len(self._bodies)) if self._is_deep(number)]
+            for number in deep:
+                self._move(self._bodies[number], before[number])
         return contact
+
+    def _is_deep(self, number: int) -> bool:
+        nearest = self._nearest(number)
+        return nearest is not None and nearest.distance < self._radius - _DEEPEST
 
     def _push_out(self, number: int, contact: BoolArray) -> bool:
         nearest = self._nearest(number)

@@ -128,6 +128,5 @@ def noisy_ranges(
     """
     drawn = generator.standard_normal(len(ideal))
     reading = np.where(hits == -1, robot.max_ranges, ideal + noise.sensor_noise * drawn)
-    if noise.dropout:
-        reading = np.where(generator.random(len(ideal)) < noise.dropout, robot.max_ranges, reading)
+    reading = np.where(generator.random(len(ideal)) < noise.dropout, robot.max_ranges, reading)
     return np.clip(reading, robot.min_ranges, robot.max_ranges)

@@ -90,11 +90,10 @@ class Simulation:
         WorldError
             If a given start collides, lies outside, or there is no room for all robots.
         """
-        start_seed, range_seed, wheel_seed, setting_seed = seeds.spawn(4)
-        self.noise = noise.drawn(np.random.default_rng(setting_seed))
-        self._range_generator = np.random.default_rng(range_seed)
-        self._wheel_generator = np.random.default_rng(wheel_seed)
-        poses = self._starts(np.random.default_rng(start_seed), start)
+        starts, ranges, wheels, settings = (np.random.default_rng(part) for part in seeds.spawn(4))
+        poses = self._starts(starts, start)
+        self.noise = noise.drawn(settings)
+        self._range_generator, self._wheel_generator = ranges, wheels
         self._physics = Physics(self.world.edges, self.robot.radius, self.robot.axle, poses)
         self._grid = coverage_grid(self.world, self.robot, poses)
         self._seen = np.zeros_like(self._grid.coverable)
@@ -146,18 +145,24 @@ class Simulation:
 
     def _starts(self, generator: np.random.Generator, start: FloatArray | None) -> FloatArray:
         given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
+        if len(given) > self.num_robots:
+            raise WorldError(f"{len(given)} starts for {self.num_robots} robots")
+        poses: list[FloatArray] = []
         for pose in given:
             self.world.check_pose(pose, self.robot.radius)
-        poses = list(given[: self.num_robots])
-        candidates = [pose for pose in self.world.starts if self._is_apart(pose, poses)]
-        poses += candidates[: self.num_robots - len(poses)]
+            if not self._is_apart(pose, poses):
+                raise WorldError(f"world {self.world.name!r}: two robots are to start in one place")
+            poses.append(pose)
+        for pose in self.world.starts:
+            if len(poses) < self.num_robots and self._is_apart(pose, poses):
+                poses.append(pose)
         if len(poses) < self.num_robots:
             self._draw_starts(generator, poses)
         return np.array(poses)
 
     def _draw_starts(self, generator: np.random.Generator, poses: list[FloatArray]) -> None:
         space = self.world.free_space(self.robot.radius)
-        region = space.region_of(poses[0]) if poses else space.largest_closed_region()
+        region = space.region_of(poses[0][:2]) if poses else space.largest_closed_region()
         for place in generator.permutation(space.centres(region)):
             pose = np.array([*place, generator.uniform(-np.pi, np.pi)])
             if self._is_apart(pose, poses):

@@ -12,11 +12,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from limslam_env.free_space import FreeSpace, free_space
+from limslam_env.free_space import FreeSpace, cell_for, free_space
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
 
-MAX_SIDE = 1000.0
+MAX_SIDE = 500.0
 MAX_EDGES = 100_000
 MAX_FILE_BYTES = 20_000_000
 SHORTEST_EDGE = 1e-6
@@ -97,11 +97,7 @@ class World:
 
     def free_space(self, radius: float) -> FreeSpace:
         """Where a disc of ``radius`` (m) fits outside every obstacle."""
-        space = free_space(self.edges, radius)
-        free = space.free.copy()
-        for polygon in self.obstacles:
-            _clear_inside(space, polygon, free)
-        return FreeSpace(space.origin, space.cell, free)
+        return self._free_space(radius, cell_for(self.edges, radius))
 
     def check(self, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) can start here and never leave.
@@ -113,17 +109,14 @@ class World:
         """
         for number, start in enumerate(self.starts):
             self._check_start(start, radius, f"starts[{number}]")
+        if len(self.starts):
+            self._check_closed([(f"starts[{number}]", start) for number, start in enumerate(self.starts)], radius)
+            return
         space = self.free_space(radius)
-        if len(self.starts) == 0 and not space.largest_closed_region().any():
+        region = space.largest_closed_region()
+        if not region.any():
             raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
-        # A gap that the grid is too coarse to be sure of counts as a way out.
-        wide = self.free_space(max(radius - 0.75 * space.cell, 0.25 * radius))
-        for number, start in enumerate(self.starts):
-            if wide.reaches_border(wide.region_of(start[:2])):
-                raise WorldError(
-                    f"world {self.name!r}: starts[{number}] lies in a region that is not closed: "
-                    f"a robot of {radius:g} m radius could leave the world"
-                )
+        self._check_closed([("its largest room", space.centres(region)[0])], radius)
 
     def check_pose(self, pose: FloatArray, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) may start at ``pose`` (3,).
@@ -134,9 +127,26 @@ class World:
             If the pose is not finite, collides, or lies where the robot could leave the world.
         """
         self._check_start(pose, radius, "start")
-        wide = self.free_space(max(radius - 0.75 * free_space(self.edges, radius).cell, 0.25 * radius))
-        if wide.reaches_border(wide.region_of(pose[:2])):
-            raise WorldError(f"world {self.name!r}: start {_text(pose)} lies outside of the closed walls")
+        self._check_closed([(f"start {_text(pose)}", pose)], radius)
+
+    def _free_space(self, radius: float, cell: float) -> FreeSpace:
+        space = free_space(self.edges, radius, cell)
+        free = space.free.copy()
+        for polygon in self.obstacles:
+            _clear_inside(space, polygon, free)
+        return FreeSpace(space.origin, space.cell, free)
+
+    def _check_closed(self, places: list[tuple[str, FloatArray]], radius: float) -> None:
+        # A gap that the grid is too coarse to be sure of counts as a way out.
+        cell = cell_for(self.edges, radius)
+        wide = self._free_space(radius - 0.75 * cell, cell)
+        for label, place in places:
+            region = wide.region_of(place[:2])
+            if not region.any() or wide.reaches_border(region):
+                raise WorldError(
+                    f"world {self.name!r}: {label} lies in a region that is not closed: "
+                    f"a robot of {radius:g} m radius could leave the world"
+                )
 
     def _check_start(self, start: FloatArray, radius: float, label: str) -> None:
         if start.shape != (3,) or not np.isfinite(start).all():
@@ -167,7 +177,11 @@ def load_world(source: WorldSource) -> World:
         text = resources.files("limslam_env.worlds").joinpath(f"{source}.toml").read_text(encoding="utf-8")
         return parse_world(text, source)
     path = Path(source)
-    if not path.is_file():
+    try:
+        is_there = path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        is_there = False
+    if not is_there:
         if path.suffix:
             raise WorldError(f"{path}: no such file")
         raise WorldError(f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, or give a file")
@@ -198,7 +212,8 @@ def parse_world(text: str, label: str) -> World:
     """
     try:
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
+        # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
         raise WorldError(f"{label}: not TOML: {error}") from error
     unknown = sorted(set(table) - _KEYS)
     if unknown:
@@ -216,7 +231,7 @@ def parse_world(text: str, label: str) -> World:
             size=tuple(_numbers(table["size"], "size", 1)),
             walls=_numbers(table["walls"], "walls", 2),
             obstacles=tuple(_numbers(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
-            **{key: _numbers(table[key], key, 2) for key in ("doors", "starts", "loop") if table.get(key)},
+            **{key: _numbers(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
         )
     except WorldError as error:
         raise WorldError(f"{label}: {error}") from error
@@ -226,11 +241,12 @@ def _numbers(value: Any, key: str, dimensions: int) -> Any:
     """Nested lists of TOML numbers as an array; TOML's booleans, texts and ragged lists are none."""
 
     def is_number_list(item: Any, depth: int) -> bool:
-        if depth == 0:
-            return isinstance(item, int | float) and not isinstance(item, bool) and abs(item) <= 1e300
-        return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
+        if depth > 0:
+            return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
+        # Whole numbers of TOML may be too large for a float; floats that are not finite are named later.
+        return isinstance(item, float) or (type(item) is int and abs(item) <= MAX_SIDE * 1e6)
 
-    if not is_number_list(value, dimensions) and not _holds_nan(value, dimensions):
+    if not is_number_list(value, dimensions):
         raise WorldError(f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}")
     try:
         return np.array(value, dtype=float)
@@ -238,15 +254,9 @@ def _numbers(value: Any, key: str, dimensions: int) -> Any:
         raise WorldError(f"{key}: rows of different lengths") from error
 
 
-def _holds_nan(value: Any, depth: int) -> bool:
-    if depth == 0:
-        return isinstance(value, float) and not math.isfinite(value)
-    return isinstance(value, list) and any(_holds_nan(part, depth - 1) for part in value)
-
-
 def _frozen(value: Any, name: str, width: int) -> FloatArray:
     array = np.array(value, dtype=float)
-    if array.size == 0:
+    if array.shape == (0,):
         array = _rows(width)
     if array.ndim != 2 or array.shape[1] != width:
         raise WorldError(f"{name} must have {width} numbers a row, not shape {array.shape}")

@@ -22,7 +22,11 @@ def wrap_angle(angle: float) -> float: ...
 def wrap_angle(angle: FloatArray) -> FloatArray: ...
 def wrap_angle(angle: float | FloatArray) -> float | FloatArray:
     """Bring an angle, or an array of them, into (-pi, pi] (radians)."""
-    return math.pi - (math.pi - angle) % _TAU
+    wrapped = math.pi - (math.pi - angle) % _TAU
+    # A hair above pi the remainder rounds up to the whole circle.
+    if isinstance(wrapped, float):
+        return wrapped if wrapped > -math.pi else math.pi
+    return np.where(wrapped > -math.pi, wrapped, math.pi)
 
 
 def compose(first: FloatArray, second: FloatArray) -> FloatArray:

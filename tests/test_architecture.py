@@ -1,0 +1,182 @@
+"""Who may import whom, read from the source with ast; and what an import loads, seen in a new interpreter."""
+
+import ast
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import limslam_env
+
+LAYERS = [
+    {"geometry"},
+    {"interface", "config", "free_space", "world"},
+    {"kernels", "task", "physics"},
+    {"sensors", "odometry"},
+    {"coverage"},
+    {"simulation"},
+    {"env"},
+]
+# These stand beside the layers: they may read what a world is, and nothing that moves in it.
+BESIDE = {"metrics": {"world", "geometry", "free_space", "interface"}}
+BESIDE["rendering"] = BESIDE["metrics"]
+# Data and the package's own front door; no room of the house.
+NO_LAYER = {"", "worlds"}
+
+COMPOSITION_ROOT = {"episode", "evaluate", "results", "cli"}
+SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
+LONGEST_FILE = 330
+
+# Wherever the packages are installed: the checkout, or a wheel.
+ENV_FOLDER = Path(limslam_env.__file__).parent
+AGENT_FOLDER = Path(next(iter(find_spec("limslam_agent").submodule_search_locations)))
+
+
+def modules(folder: Path) -> dict[str, Path]:
+    """Dotted names within a package, without the package's own; "" is its __init__."""
+    found = {}
+    for path in sorted(folder.rglob("*.py")):
+        parts = path.relative_to(folder).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+ENV, AGENT = modules(ENV_FOLDER), modules(AGENT_FOLDER)
+ALL = {
+    f"{folder.name}.{name}".rstrip("."): path
+    for folder in (ENV_FOLDER, AGENT_FOLDER)
+    for name, path in modules(folder).items()
+}
+
+
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(path: Path) -> set[str]:
+    """Full dotted names of all that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}:{node.lineno} imports relatively, which this test does not follow"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def rooms(path: Path, package: str) -> set[str]:
+    """The modules of a package that a file imports, by their first name; "" for the package itself."""
+    known = {name.split(".")[0] for name in (ENV if package == "limslam_env" else AGENT)}
+    parts = [name.split(".") for name in imports(path)]
+    return {inner[0] if inner and inner[0] in known else "" for first, *inner in parts if first == package}
+
+
+def layer_of(name: str) -> int:
+    room = name.split(".", maxsplit=1)[0]
+    (layer,) = [number for number, names in enumerate(LAYERS) if room in names]
+    return layer
+
+
+def test_every_module_of_the_env_has_a_place():
+    placed = set().union(*LAYERS, BESIDE, NO_LAYER)
+    assert {name.split(".")[0] for name in ENV} <= placed
+
+
+@pytest.mark.parametrize("name", [name for name in ENV if name.split(".")[0] not in {*BESIDE, *NO_LAYER}])
+def test_no_module_of_the_env_imports_a_later_layer(name):
+    imported = rooms(ENV[name], "limslam_env") - {name.split(".")[0]}
+    # Pictures are drawn on demand only: the import stands in a function, and nothing else may have it.
+    if name == "env":
+        imported -= {"rendering"}
+    assert "" not in imported, "the package's front door is for users"
+    assert all(layer_of(other) <= layer_of(name) for other in imported), imported
+
+
+def test_geometry_is_a_leaf():
+    for name, path in ENV.items():
+        if name.split(".")[0] == "geometry":
+            outside = {full.split(".")[0] for full in imports(path)} - {"limslam_env", "numpy", "math", "typing"}
+            assert not outside
+            assert rooms(path, "limslam_env") <= {"geometry"}
+
+
+@pytest.mark.parametrize("name", sorted(BESIDE))
+def test_metrics_and_rendering_stand_on_the_world_alone(name):
+    assert rooms(ENV[name], "limslam_env") <= BESIDE[name]
+
+
+def test_env_loads_rendering_only_when_a_picture_is_asked_for():
+    top = [node for node in tree_of(ENV["env"]).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert not any("rendering" in ast.dump(node) for node in top)
+
+
+@pytest.mark.parametrize("name", ENV)
+def test_the_env_never_imports_the_agent(name):
+    assert not any(full.split(".")[0] == "limslam_agent" for full in imports(ENV[name]))
+
+
+@pytest.mark.parametrize("name", AGENT)
+def test_an_agent_cannot_read_the_truth(name):
+    if name in COMPOSITION_ROOT:
+        return
+    assert rooms(AGENT[name], "limslam_env") <= {"geometry", "interface"}
+    assert not rooms(AGENT[name], "limslam_agent") & COMPOSITION_ROOT, "it would get at the env through them"
+
+
+@pytest.mark.parametrize(("library", "owner"), [("pymunk", "limslam_env.physics"), ("numba", "limslam_env.kernels")])
+def test_one_module_alone_imports_it(library, owner):
+    importers = {name for name, path in ALL.items() if any(full.split(".")[0] == library for full in imports(path))}
+    assert importers == {owner}
+
+
+def dotted(node: ast.expr) -> str:
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_no_module_draws_from_global_random_state(name):
+    imported = imports(ALL[name])
+    assert not any(full == "random" or full.startswith("random.") for full in imported)
+    assert {full.split(".")[2] for full in imported if full.startswith("numpy.random.")} <= SEEDED
+    used = {dotted(node) for node in ast.walk(tree_of(ALL[name])) if isinstance(node, ast.Attribute)}
+    drawn = {full.split(".")[2] for full in used if full.startswith(("np.random.", "numpy.random."))}
+    assert drawn <= SEEDED
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_generator_is_seeded(name):
+    calls = [node for node in ast.walk(tree_of(ALL[name])) if isinstance(node, ast.Call)]
+    unseeded = [node.lineno for node in calls if dotted(node.func).endswith("default_rng") and not node.args]
+    assert not unseeded
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_no_file_is_too_long(name):
+    assert len(ALL[name].read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE
+
+
+def loaded_by(names: list[str], suspects: set[str]) -> set[str]:
+    """Which of the suspects a new interpreter has loaded after importing modules."""
+    lines = [*(f"import {name}" for name in names), "import sys", f"print(*({suspects!r} & set(sys.modules)))"]
+    command = [sys.executable, "-c", "\n".join(lines)]
+    return set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
+
+
+def test_importing_the_env_loads_no_heavy_library():
+    assert loaded_by(["limslam_env"], {"pymunk", "numba", "cv2", "pygame"}) == set()
+
+
+def test_importing_the_agent_loads_no_simulator():
+    parts = [f"limslam_agent.{name}".rstrip(".") for name in AGENT if name not in COMPOSITION_ROOT]
+    assert len(parts) > 10
+    unwanted = {"pymunk", "numba", "pygame", "limslam_env.world", "limslam_env.simulation", "limslam_env.env"}
+    assert loaded_by(parts, unwanted) == set()
+
+
+def test_the_suspects_would_be_noticed():
+    assert loaded_by(["limslam_env.env"], {"pymunk", "numba"}) == {"pymunk", "numba"}
