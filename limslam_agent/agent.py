@@ -94,6 +94,9 @@ class LimSlamAgent:
         return self.policy.stop_reason
 
     def snapshot(self) -> Snapshot:
-        """What the agent believes now."""
-        slam = self.slam
-        return Snapshot(slam.pose, slam.covariance, slam.landmarks, slam.segments, self._grid.view, self.policy.plan)
+        """What the agent believes now; it stays as it is while the agent goes on."""
+        slam, view = self.slam, self._grid.view
+        values = view.values.copy()
+        values.setflags(write=False)
+        grid = GridView(view.low, view.cell, values)
+        return Snapshot(slam.pose, slam.covariance, slam.landmarks, slam.segments, grid, self.policy.plan.copy())

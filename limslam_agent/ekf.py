@@ -37,7 +37,7 @@ class LineEKF(ExtendedKalmanFilter):
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
         super().__init__(dim_x=POSE, dim_z=2)
         self.x = np.array(pose, dtype=float)
-        self.P = np.zeros((POSE, POSE)) if covariance is None else np.array(covariance, dtype=float)
+        self.P = np.zeros((POSE, POSE)) if covariance is None else np.array(covariance, dtype=float, order="C")
 
     @property
     def num_lines(self) -> int:

@@ -11,12 +11,9 @@ _ALL_AROUND = np.ones((3, 3), dtype=int)
 
 def frontier_cells(grid: GridView, min_size: int) -> BoolArray:
     """Free cells (rows, columns) with an unknown one beside them, in groups of at least ``min_size``."""
-    unknown = grid.unknown
-    beside = np.zeros_like(unknown)
-    beside[1:] |= unknown[:-1]
-    beside[:-1] |= unknown[1:]
-    beside[:, 1:] |= unknown[:, :-1]
-    beside[:, :-1] |= unknown[:, 1:]
+    # What lies past the grid's edge is unknown too.
+    unknown = np.pad(grid.unknown, 1, constant_values=True)
+    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
     frontier = grid.free & beside
     labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
     sizes = np.bincount(labels.ravel())

@@ -54,7 +54,7 @@ def hough_votes(points: FloatArray, config: HoughConfig, std: float) -> FloatArr
     found: Any = cv2.HoughLinesPointSet(
         points.astype(np.float32).reshape(-1, 1, 2),
         lines_max=_MAX_CANDIDATES,
-        threshold=config.min_votes,
+        threshold=config.min_votes - 1,  # OpenCV wants more votes than this
         min_rho=-reach - step,
         max_rho=reach + step,
         rho_step=step,

@@ -65,7 +65,6 @@ class Policy(Protocol):
         ...
 
 
-_STAND = np.zeros(2)
 _NO_PLAN = np.zeros((0, 2))
 
 
@@ -95,7 +94,7 @@ class FrontierPolicy:
             self._until_plan = self._config.replan_period
         self._until_plan -= 1
         if self._goal is None:
-            return _STAND
+            return np.zeros(2)
         return self._follow(belief, self._goal)
 
     def _replan(self, belief: Belief) -> None:
@@ -166,7 +165,7 @@ class FrontierPolicy:
         error = wrap_angle(float(np.arctan2(offset[1], offset[0]) - belief.pose[2]))
         if abs(error) < _FACING or np.hypot(*offset) < 0.5 * _ARRIVED:
             self._leave(self._faced, goal)
-            return _STAND
+            return np.zeros(2)
         return turn_towards(belief.pose, goal, self._robot, self._config)
 
     def _leave(self, pile: list[FloatArray], goal: FloatArray) -> None:
@@ -237,5 +236,5 @@ class Laps:
             self._remaining -= 1
         if self._remaining <= 0:
             self.stop_reason = "all laps driven"
-            return _STAND
+            return np.zeros(2)
         return steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config)
