@@ -4,6 +4,7 @@ State (the paper's eq. 1): x = [x, y, theta, r_1, theta_1, ..., r_N, theta_N], c
 Letters x, P, F, Q, H, R, S, K are the literature's and appear in this module only.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,8 @@ from limslam_env.geometry.line import from_frame, from_frame_jacobians, nearest_
 from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
 
 POSE = 3
+_BLOCK = 130_000
+_R_NEGATED = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
 class LineEKF(ExtendedKalmanFilter):
@@ -109,11 +112,10 @@ class LineEKF(ExtendedKalmanFilter):
         self.y = residual(z, Hx(self.x, *hx_args))
         HP = H @ self.P[columns]
         self.S = HP[:, columns] @ H.T + R
-        lower = np.linalg.cholesky(0.5 * (self.S + self.S.T))
-        W = np.linalg.solve(lower, HP)
-        self.x += W.T @ np.linalg.solve(lower, self.y)
-        # P -= W^T W. P is symmetric, so its transpose is P in the column order that BLAS changes in place.
-        dgemm(-1.0, W.T, W.T, beta=1.0, c=self.P.T, trans_b=1, overwrite_c=1)
+        # With S = L L^T, W = L^-1 H P: the gain's correction is W^T L^-1 y, and P loses W^T W.
+        W, whitened = _whiten(self.S, HP, self.y)
+        self.x += whitened @ W
+        self._subtract_square(W)
         self._restore_angles()
 
     def predict_update(self, *_: Any, **__: Any) -> None:
@@ -169,6 +171,18 @@ class LineEKF(ExtendedKalmanFilter):
         self.dim_x = old + 2
         return self.num_lines - 1
 
+    def _subtract_square(self, W: FloatArray) -> None:
+        """P -= W^T W, in place.
+
+        P is symmetric and stored by rows, so the transpose of some of its rows is in the column order
+        that BLAS changes in place. Blocks stay below the size from which it would use threads, which
+        take longer to wake than this takes to do.
+        """
+        rows = max(1, _BLOCK // self.P.shape[0])
+        for first in range(0, self.P.shape[0], rows):
+            part = slice(first, first + rows)
+            dgemm(-1.0, W.T, W[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
+
     def _observed(self, x: FloatArray, index: int) -> FloatArray:
         first = POSE + 2 * index
         return to_frame(x[first : first + 2], x[:POSE])
@@ -186,11 +200,32 @@ class LineEKF(ExtendedKalmanFilter):
             r[index], theta[index] = -r[index], theta[index] + np.pi
             self.P[row] *= -1.0
             self.P[:, row] *= -1.0
-        theta[:] = wrap_angle(theta)
+        if len(theta) and np.abs(theta).max() > np.pi:
+            theta[:] = wrap_angle(theta)
+
+
+def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """``L^-1 HP`` (m, n) and ``L^-1 y`` (m,) with the Cholesky factor L of S (m, m).
+
+    By hand: m is one or two, and LAPACK's calls would cost more than the rest of an update.
+    """
+    rows: list[list[float]] = S.tolist()
+    L = [[0.0] * len(rows) for _ in rows]
+    W, whitened = np.empty_like(HP), np.empty_like(y)
+    for i in range(len(rows)):
+        row, difference = HP[i], y[i]
+        for j in range(i):
+            L[i][j] = (rows[i][j] - sum(L[i][k] * L[j][k] for k in range(j))) / L[j][j]
+            row, difference = row - L[i][j] * W[j], difference - L[i][j] * whitened[j]
+        pivot = rows[i][i] - sum(part * part for part in L[i][:i])
+        if not pivot > 0.0:
+            raise np.linalg.LinAlgError("the innovation's covariance is not positive")
+        L[i][i] = math.sqrt(pivot)
+        W[i], whitened[i] = row / L[i][i], difference / L[i][i]
+    return W, whitened
 
 
 def _in_form(R: FloatArray, line: FloatArray, form: FloatArray) -> FloatArray:
     """The covariance of a line brought into another form, in which r may have changed its sign."""
     opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
-    sign = np.array([-1.0 if opposite else 1.0, 1.0])
-    return R * np.outer(sign, sign)
+    return R * _R_NEGATED if opposite else R

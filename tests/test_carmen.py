@@ -299,7 +299,7 @@ def test_an_odometry_line_that_is_cut_is_refused(write: Any) -> None:
     assert ": line 2: cut short: " in refusal(write(scan(), "OD"))
 
 
-def test_a_gzip_stream_that_is_cut_is_refused_at_the_line(write: Any, tmp_path: Path) -> None:
+def test_a_gzip_stream_that_is_cut_is_refused_at_the_line(tmp_path: Path) -> None:
     noise = np.random.default_rng(1)
     lines = [scan(list(noise.uniform(0.5, 3.0, 181).round(2)), at=1.0 + i) for i in range(200)]
     whole = gzip.compress("".join(lines).encode())

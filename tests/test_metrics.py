@@ -151,8 +151,8 @@ class TestTrajectory:
     @pytest.mark.parametrize("seed", [0, 1, 2])
     def test_agrees_with_evo(self, seed: int) -> None:
         pytest.importorskip("evo")
-        from evo.core import metrics as evo_metrics  # noqa: PLC0415 - evo may be missing
-        from evo.core.trajectory import PosePath3D  # noqa: PLC0415
+        from evo.core import metrics as evo_metrics
+        from evo.core.trajectory import PosePath3D
 
         def path(planar: FloatArray) -> PosePath3D:
             matrices = np.tile(np.eye(4), (len(planar), 1, 1))

@@ -35,6 +35,11 @@ def compose(first: FloatArray, second: FloatArray) -> FloatArray:
     Leading axes broadcast. The heading of the result is wrapped.
     """
     first, second = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    if first.ndim == second.ndim == 1:
+        # Single poses are composed at every step; plain numbers take a tenth of the time.
+        (x0, y0, heading), (ahead, left, turn) = first.tolist(), second.tolist()
+        c, s = math.cos(heading), math.sin(heading)
+        return np.array([x0 + c * ahead - s * left, y0 + s * ahead + c * left, wrap_angle(heading + turn)])
     cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
     x = first[..., 0] + cos * second[..., 0] - sin * second[..., 1]
     y = first[..., 1] + sin * second[..., 0] + cos * second[..., 1]
@@ -57,8 +62,8 @@ def between(start: FloatArray, end: FloatArray) -> FloatArray:
 
 def compose_jacobians(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives of ``compose(first, second)`` by ``first`` and by ``second``, each (3, 3)."""
-    cos, sin = math.cos(first[2]), math.sin(first[2])
-    x, y = second[0], second[1]
+    heading, x, y = float(first[2]), float(second[0]), float(second[1])
+    cos, sin = math.cos(heading), math.sin(heading)
     by_first = np.array([[1.0, 0.0, -sin * x - cos * y], [0.0, 1.0, cos * x - sin * y], [0.0, 0.0, 1.0]])
     by_second = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return by_first, by_second
