@@ -45,8 +45,7 @@ def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
     reading = np.where(np.isfinite(ranges), ranges, 0.0)
     front = np.abs(wrap_angle(angles)) <= _FRONT
     seen = front & (reading < robot.max_ranges * (1.0 - 1e-6))
-    x = robot.beam_origins[:, 0] + reading * np.cos(angles)
-    y = robot.beam_origins[:, 1] + reading * np.sin(angles)
+    x, y = (robot.beam_origins + reading[:, None] * robot.beam_directions).T
     in_the_way = seen & (np.abs(y) < robot.radius + _BODY_MARGIN) & (x > 0.0)
     if not in_the_way.any():
         return math.inf

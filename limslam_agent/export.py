@@ -122,13 +122,12 @@ def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
 
 def write_grid(folder: Path, grid: GridView) -> None:
     """Write ``map.pgm`` and ``map.yaml`` as ROS's map_server reads them."""
-    known = np.argwhere(~grid.unknown)
-    first, last = (known.min(axis=0), known.max(axis=0) + 1) if len(known) else (np.zeros(2, int), np.ones(2, int))
-    values = np.zeros((1, 1)) if not len(known) else grid.values[first[0] : last[0], first[1] : last[1]]
+    # A log without a scan leaves an empty grid, which no picture can be.
+    values = grid.values if grid.values.size else np.zeros((1, 1))
     pixels = np.where(values > 0, 254, np.where(values < 0, 0, 205)).astype(np.uint8)[::-1]
     header = f"P5\n{pixels.shape[1]} {pixels.shape[0]}\n255\n".encode()
     (folder / "map.pgm").write_bytes(header + pixels.tobytes())
-    x, y = grid.low + first[::-1] * grid.cell
+    x, y = grid.low
     (folder / "map.yaml").write_text(
         f"image: map.pgm\nresolution: {grid.cell:g}\norigin: [{x:.6f}, {y:.6f}, 0.0]\n"
         "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",

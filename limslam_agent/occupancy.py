@@ -64,21 +64,22 @@ class OccupancyGrid:
 
     def __init__(self, config: GridConfig) -> None:
         self._config = config
-        self._low = np.zeros(2, dtype=np.int64)
+        # Cells are counted from the world's origin; what is known lies within the two corners.
+        self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
         self._values = np.zeros((0, 0), dtype=np.int16)
 
     @property
     def view(self) -> GridView:
-        """The grid as it is now."""
-        values = self._values.view()
+        """The grid as it is now, as far as anything is known."""
+        (left, bottom), (right, top) = self._known_low - self._low, self._known_high - self._low
+        values = self._values[bottom:top, left:right]
         values.setflags(write=False)
-        return GridView(np.asarray(self._low * self._config.cell, dtype=np.float64), self._config.cell, values)
+        return GridView(np.asarray(self._known_low * self._config.cell, dtype=np.float64), self._config.cell, values)
 
     def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
         """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
         beams = np.nonzero(usable)[0]
-        directions = np.column_stack((np.cos(robot.beam_angles[beams]), np.sin(robot.beam_angles[beams])))
-        origins = robot.beam_origins[beams]
+        origins, directions = robot.beam_origins[beams], robot.beam_directions[beams]
         hit = ranges[beams] < robot.max_ranges[beams] * (1.0 - 1e-6)
         # A reading at the minimum says that something is near, but not that the beam passed through anything.
         length = np.where(ranges[beams] > robot.min_ranges[beams] * (1.0 + 1e-6), ranges[beams], 0.0)
@@ -115,6 +116,8 @@ class OccupancyGrid:
         high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
         rows, columns = self._values.shape
         end = self._low + np.array([columns, rows])
+        self._known_low = np.minimum(self._known_low, low) if rows else low
+        self._known_high = np.maximum(self._known_high, high) if rows else high
         if rows and (low >= self._low).all() and (high <= end).all():
             return
         old_low, old_high = (self._low, end) if rows else (low, high)

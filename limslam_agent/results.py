@@ -18,7 +18,6 @@ from limslam_agent.export import map_content, write_grid, write_json, write_tum
 from limslam_env import metrics
 from limslam_env.coverage import CELL
 from limslam_env.geometry import FloatArray
-from limslam_env.sensors import longest_reach
 
 
 def trajectory_scores(true: FloatArray, estimated: FloatArray, odometry: FloatArray) -> dict[str, float | None]:
@@ -35,7 +34,7 @@ def score(episode: Episode) -> dict[str, Any]:
     robot, snapshot = episode.config.robot, episode.snapshot
     segments = snapshot.segments
     alignment = metrics.rigid_alignment(episode.true[:, :2], episode.estimated[:, :2])
-    visible = metrics.visible_samples(episode.world, robot.radius, longest_reach(robot))
+    visible = metrics.visible_samples(episode.world, robot.radius, robot.reach)
     grid = snapshot.grid
     return {
         **trajectory_scores(episode.true, episode.estimated, episode.odometry),

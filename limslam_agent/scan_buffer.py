@@ -56,8 +56,7 @@ class ScanBuffer:
         self._config = config
         self._beams = np.array([number for number, beam in enumerate(robot.beams) if beam.side == side], dtype=int)
         self._origins = robot.beam_origins[self._beams]
-        angles = robot.beam_angles[self._beams]
-        self._directions = np.column_stack((np.cos(angles), np.sin(angles)))
+        self._directions = robot.beam_directions[self._beams]
         self._scan = _EMPTY
         self._since_hit = 0.0
         self._moved = self._turned = np.inf

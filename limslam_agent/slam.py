@@ -62,7 +62,6 @@ class LineSlam:
         self._filter = LineEKF(np.zeros(3) if start_pose is None else start_pose)
         self._map = LineMap()
         self._buffers = [ScanBuffer(robot, "left", config.buffer), ScanBuffer(robot, "right", config.buffer)]
-        self._max_range = float((np.linalg.norm(robot.beam_origins, axis=1) + robot.max_ranges).max())
         self._step = -1
         self.ranges: FloatArray = robot.max_ranges
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
@@ -139,7 +138,7 @@ class LineSlam:
         observed = ObservedLine(fit.line, fit.covariance, fit.ends, scan.origins, scan.points)
         matches = associate(
             observed, self.pose, self._filter.lines, self.segments, self._filter.innovation,
-            self._max_range, self.config.association,
+            self.robot.reach, self.config.association,
         )  # fmt: skip
         if matches:
             landmark = matches[0].landmark

@@ -8,7 +8,7 @@ import numpy as np
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels import mark_rays
-from limslam_env.sensors import Rays, build_wall_index, longest_reach
+from limslam_env.sensors import Rays, build_wall_index
 from limslam_env.world import World
 
 CELL = 0.10
@@ -53,7 +53,7 @@ class CoverageGrid:
 
 @functools.lru_cache(maxsize=64)
 def _coverage_grid(world: World, robot: RobotSpec, starts: tuple[tuple[float, ...], ...]) -> CoverageGrid:
-    edges, reach = world.edges, longest_reach(robot)
+    edges, reach = world.edges, robot.reach
     low = np.floor(np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0) / CELL) * CELL
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
     columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)

@@ -7,12 +7,13 @@ Nothing in here can tell the truth about a world.
 import json
 import math
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any, Literal, NotRequired, Self, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 
 Side = Literal["left", "right", "none"]
@@ -124,25 +125,35 @@ class RobotSpec:
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
 
-    @property
+    @cached_property
     def beam_origins(self) -> FloatArray:
         """Origins of the beams in the robot's frame, (n_beams, 2), m."""
-        return np.array([(beam.x, beam.y) for beam in self.beams])
+        return _read_only([(beam.x, beam.y) for beam in self.beams])
 
-    @property
+    @cached_property
     def beam_angles(self) -> FloatArray:
         """Directions of the beams in the robot's frame, (n_beams,), rad."""
-        return np.array([beam.angle for beam in self.beams])
+        return _read_only([beam.angle for beam in self.beams])
 
-    @property
+    @cached_property
+    def beam_directions(self) -> FloatArray:
+        """Directions of the beams as unit vectors in the robot's frame, (n_beams, 2)."""
+        return _read_only([(math.cos(beam.angle), math.sin(beam.angle)) for beam in self.beams])
+
+    @cached_property
     def min_ranges(self) -> FloatArray:
         """Shortest readings, (n_beams,), m."""
-        return np.array([beam.min_range for beam in self.beams])
+        return _read_only([beam.min_range for beam in self.beams])
 
-    @property
+    @cached_property
     def max_ranges(self) -> FloatArray:
         """Longest readings, (n_beams,), m."""
-        return np.array([beam.max_range for beam in self.beams])
+        return _read_only([beam.max_range for beam in self.beams])
+
+    @cached_property
+    def reach(self) -> float:
+        """Farthest that a beam sees from the robot's centre, m."""
+        return float((np.linalg.norm(self.beam_origins, axis=1) + self.max_ranges).max())
 
     @property
     def max_wheel_travel(self) -> float:
@@ -151,7 +162,11 @@ class RobotSpec:
 
     def measures(self, step: int) -> BoolArray:
         """Which beams (n_beams,) take a new measurement at a step; the first observation is step 0."""
-        return np.array([step % beam.period == 0 for beam in self.beams])
+        return np.asarray(step % self._periods == 0)
+
+    @cached_property
+    def _periods(self) -> IntArray:
+        return np.array([beam.period for beam in self.beams])
 
     def to_json(self) -> str:
         """The robot as JSON, for files."""
@@ -172,6 +187,12 @@ class RobotSpec:
             return cls(**fields, beams=beams)
         except (TypeError, KeyError, AttributeError, json.JSONDecodeError) as error:
             raise ValueError(f"not a robot: {error}") from error
+
+
+def _read_only(values: list[Any]) -> FloatArray:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
 
 
 @dataclass(frozen=True)

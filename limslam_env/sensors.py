@@ -101,21 +101,15 @@ class Rays:
 
 def beam_rays(poses: FloatArray, robot: RobotSpec) -> Rays:
     """The rays of robots at poses (m, 3)."""
-    mounts, angles = robot.beam_origins, robot.beam_angles
-    ahead = np.column_stack((np.cos(angles), np.sin(angles)))
+    mounts, ahead = robot.beam_origins, robot.beam_directions
     offsets = np.maximum(np.einsum("bd,bd->b", mounts, ahead), 0.0)
     inner = mounts - offsets[:, None] * ahead
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     rotations = np.stack((np.stack((cos, -sin), -1), np.stack((sin, cos), -1)), -2)
     origins = poses[:, None, :2] + np.einsum("mij,bj->mbi", rotations, inner)
     directions = np.einsum("mij,bj->mbi", rotations, ahead)
-    owners = np.repeat(np.arange(len(poses)), len(angles))
+    owners = np.repeat(np.arange(len(poses)), len(ahead))
     return Rays(origins.reshape(-1, 2), directions.reshape(-1, 2), np.tile(offsets, len(poses)), owners)
-
-
-def longest_reach(robot: RobotSpec) -> float:
-    """The longest ray that :func:`beam_rays` needs, m."""
-    return float((np.linalg.norm(robot.beam_origins, axis=1) + robot.max_ranges).max())
 
 
 def noisy_ranges(

@@ -10,7 +10,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.odometry import reported_travel
 from limslam_env.physics import Physics
-from limslam_env.sensors import beam_rays, build_wall_index, longest_reach, noisy_ranges
+from limslam_env.sensors import beam_rays, build_wall_index, noisy_ranges
 from limslam_env.world import World, WorldError
 
 
@@ -63,7 +63,7 @@ class Simulation:
     def __init__(self, world: World, robot: RobotSpec, num_robots: int = 1) -> None:
         world.check(robot.radius)
         self.world, self.robot, self.num_robots = world, robot, num_robots
-        self._index = build_wall_index(world.edges, longest_reach(robot))
+        self._index = build_wall_index(world.edges, robot.reach)
 
     @property
     def coverage_grid(self) -> CoverageGrid:

@@ -9,7 +9,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CELL, coverage_grid, mark_seen
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.sensors import beam_rays, build_wall_index, longest_reach
+from limslam_env.sensors import beam_rays, build_wall_index
 from limslam_env.simulation import Simulation
 from limslam_env.world import World, load_world
 
@@ -24,7 +24,7 @@ def box_world(*walls: list[float]) -> World:
 def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     """The cells that beams and body mark at each of the poses in turn, one robot alone in the world."""
     grid = coverage_grid(world, ROBOT, world.starts[:1])
-    index = build_wall_index(world.edges, longest_reach(ROBOT))
+    index = build_wall_index(world.edges, ROBOT.reach)
     seen = np.zeros_like(grid.coverable)
     for pose in poses[:, None]:
         rays = beam_rays(pose, ROBOT)

@@ -11,7 +11,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 from limslam_env.odometry import reported_travel
-from limslam_env.sensors import WallIndex, beam_rays, build_wall_index, longest_reach, noisy_ranges
+from limslam_env.sensors import WallIndex, beam_rays, build_wall_index, noisy_ranges
 from limslam_env.simulation import Simulation
 from limslam_env.world import World, load_world, shipped_worlds
 
@@ -89,7 +89,7 @@ def test_no_ray_slips_through_a_joint_of_two_walls():
 
 
 def test_a_robot_is_seen_at_its_rim_and_not_by_its_own_beams():
-    index = build_wall_index(BOX, longest_reach(FRONT))
+    index = build_wall_index(BOX, FRONT.reach)
     poses = np.array([[1.0, 2.0, 0.0], [2.0, 2.0, math.pi / 2]])
     rays = beam_rays(poses, FRONT)
     lengths = rays.offsets + np.tile(FRONT.max_ranges, 2)
@@ -123,7 +123,7 @@ def test_a_wall_in_front_hides_a_robot():
     poses = np.array([[1.5, 2.0, 0.0], [2.5, 2.0, 0.0]])
     rays = beam_rays(poses, FRONT)
     lengths = rays.offsets + np.tile(FRONT.max_ranges, 2)
-    index = build_wall_index(edges, longest_reach(FRONT))
+    index = build_wall_index(edges, FRONT.reach)
     _, hits = index.cast(rays.origins, rays.directions, lengths, rays.owners, poses[:, :2].copy(), 0.1)
     assert hits[0] == 4
 
@@ -132,7 +132,7 @@ def test_a_wall_in_front_hides_a_robot():
 def test_a_robot_pressed_to_a_wall_never_sees_through_it(depth):
     # The rim, where beams start, may lie a little behind the wall; the second wall is what would be seen then.
     edges = np.array([[-9.0, 0.0, 9.0, 0.0], [-9.0, -0.5, 9.0, -0.5]])
-    index = build_wall_index(edges, longest_reach(ROBOT))
+    index = build_wall_index(edges, ROBOT.reach)
     poses = np.array([[0.0, ROBOT.radius - depth, heading] for heading in np.linspace(-math.pi, math.pi, 721)])
     rays = beam_rays(poses, ROBOT)
     lengths = rays.offsets + np.tile(ROBOT.max_ranges, len(poses))

@@ -27,7 +27,7 @@ def placed(walls: FloatArray, start: FloatArray) -> FloatArray:
 
 def ranges_at(pose: FloatArray, walls: FloatArray, robot: RobotSpec) -> FloatArray:
     """Exact readings: the nearest crossing of each beam with a wall, by solving two equations."""
-    readings = robot.max_ranges
+    readings = robot.max_ranges.copy()
     for number, beam in enumerate(robot.beams):
         origin = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
         heading = np.array([math.cos(pose[2] + beam.angle), math.sin(pose[2] + beam.angle)])
