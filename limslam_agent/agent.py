@@ -83,6 +83,10 @@ class LimSlamAgent:
         belief = Belief(slam.pose, slam.covariance, slam.ranges, slam.segments, self._grid.view)
         return self.policy.act(belief)
 
+    def finish(self) -> None:
+        """Use what is still waiting in the scan buffers: the run is over."""
+        self.slam.finish()
+
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""

@@ -41,6 +41,9 @@ class Match:
     distance: float
 
 
+_BEHIND = 0.05
+"""A beam may begin this far, m, behind a line that noise has moved."""
+
 Innovation = Callable[[FloatArray, FloatArray, int], tuple[FloatArray, FloatArray]]
 
 
@@ -78,7 +81,7 @@ def associate(
         near_ends(ends, lines, segments, config.max_end_gap)
         & in_range(pose, segments, max_range + config.range_slack)
         & alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance)
-        & visible(observed, pose, lines, max_range + config.range_slack)
+        & visible(observed, pose, segments, max_range + config.range_slack, config.max_end_gap + config.range_slack)
     )
     matches = []
     for landmark in np.nonzero(possible)[0].tolist():
@@ -104,21 +107,34 @@ def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap
     return np.asarray(gap <= max_gap)
 
 
-def visible(observed: ObservedLine, pose: FloatArray, lines: FloatArray, max_range: float) -> BoolArray:
+def visible(
+    observed: ObservedLine, pose: FloatArray, segments: FloatArray, max_range: float, slack: float
+) -> BoolArray:
     """Exclusion 2: landmarks (N,) that the beams which made the observation can see.
 
-    Most of those beams must meet the landmark's line ahead of them and within ``max_range`` (m).
+    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and
+    within ``max_range`` (m). A landmark behind another one counts: around a loop the same wall may stand
+    in the map twice, and the older one must not be hidden by the younger.
     """
     origins = transform_points(pose, observed.origins)
     reaches = transform_points(pose, observed.points) - origins
     reaches /= np.maximum(np.linalg.norm(reaches, axis=1, keepdims=True), 1e-12)
-    normals = normal(lines)
-    approach = reaches @ normals.T
+    return np.asarray((_crossings(origins, reaches, segments, slack) < max_range).mean(axis=0) >= 0.5)
+
+
+def _crossings(origins: FloatArray, directions: FloatArray, segments: FloatArray, slack: float) -> FloatArray:
+    """How far (n, N), m, beams go to each lengthened segment; infinite where they do not meet it."""
+    start = segments[:, :2]
+    span = segments[:, 2:] - start
+    length = np.maximum(np.linalg.norm(span, axis=1), 1e-12)
+    tangent = span / length[:, None]
+    offset = start[None] - origins[:, None]
+    cross = directions[:, :1] * tangent[:, 1] - directions[:, 1:] * tangent[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ahead = (lines[:, 0] - origins @ normals.T) / approach
-    # A beam may end a little short of its origin's side of a line that the noise has moved.
-    sees = (ahead > -0.05) & (ahead < max_range)
-    return np.asarray(sees.mean(axis=0) >= 0.5)
+        ahead = (offset[..., 0] * tangent[:, 1] - offset[..., 1] * tangent[:, 0]) / cross
+        position = (offset[..., 0] * directions[:, 1:] - offset[..., 1] * directions[:, :1]) / cross
+    met = (ahead > -_BEHIND) & (position > -slack) & (position < length + slack)
+    return np.where(met, ahead, np.inf)
 
 
 def in_range(pose: FloatArray, segments: FloatArray, max_range: float) -> BoolArray:

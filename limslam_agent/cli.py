@@ -4,15 +4,21 @@ What takes long to import is imported inside the commands, so that help comes at
 """
 
 import math
+import re
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from limslam_agent.config import OdometryConfig
 
 app = typer.Typer(
     add_completion=False,
@@ -52,7 +58,10 @@ def run(
 
     place = load_world(world)
     config = RunConfig(place, noise, preset, seed, max_time, laps)
-    name = f"{place.name}-{100 * noise:g}cm-{preset}-seed{seed}" + (f"-{laps}laps" if laps else "")
+    name = (
+        f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', place.name).strip('.') or 'world'}-{100 * noise:g}cm-{preset}-seed{seed}"
+        + (f"-{laps}laps" if laps else "")
+    )
     target = out or _unused(Path("runs") / name)
     with new_folder(target, force=force) as folder:
         with _bar("driving laps" if laps else "exploring", max_time) as advance:
@@ -72,22 +81,23 @@ def replay(
     noise: Annotated[float, typer.Option(help="Assumed standard deviation of the ranges, m.")] = 0.02,
     preset: PresetName = "paper",
     odometry_noise: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Std after 1 m of distance (m) and of heading (deg), and of heading after turning 1 rad (deg)."
+            help="Std after 1 m of distance (m) and of heading (deg), and of heading after turning 1 rad (deg).",
+            show_default="0.05,0.8,4",
         ),
-    ] = "0.05,0.8,4",
+    ] = None,
     odometry_bias: Annotated[
-        str, typer.Option(help="True minus reported heading per metre, deg, and true over reported distance.")
-    ] = "0,1",
+        str | None,
+        typer.Option(
+            help="True minus reported heading per metre, deg, and true over reported distance.", show_default="0,1"
+        ),
+    ] = None,
     relations: Annotated[Path | None, typer.Option(help="Known relative poses to score against.")] = None,
     out: Out = None,
     force: Force = False,
 ) -> None:
     """Map from a recorded log."""
-    from dataclasses import replace
-
-    from limslam_agent.config import OdometryConfig
     from limslam_agent.config import preset as settings
     from limslam_agent.export import new_folder
     from limslam_agent.log_reader import read_log
@@ -96,36 +106,53 @@ def replay(
     from limslam_agent.results import trajectory_scores, versions
     from limslam_env.interface import NominalNoise
 
-    along, per_metre, per_radian = _numbers("--odometry-noise", odometry_noise, 3, low=0.0)
-    bias, scale = _numbers("--odometry-bias", odometry_bias if "," in odometry_bias else f"{odometry_bias},1", 2)
-    if scale <= 0.0:
-        raise ValueError(f"--odometry-bias: the scale must be above 0, not {scale:g}")
-    odometry = OdometryConfig(
-        distance_variance=along**2,
-        turn_variance_per_metre=math.radians(per_metre) ** 2,
-        turn_variance_per_radian=math.radians(per_radian) ** 2,
-        turn_bias=math.radians(bias),
-        distance_scale=scale,
-    )
+    odometry = _odometry(odometry_noise, odometry_bias)
     config = replace(settings(preset, NominalNoise(noise)), odometry=odometry)
     known = read_relations(relations) if relations else None
     recorded = read_log(log, None if beams is None else _numbers("--beams", beams), max_range)
+    if recorded.odometry is None and (odometry_noise or odometry_bias):
+        raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
     target = out or _unused(Path("runs") / f"replay-{log.name.split('.')[0]}-{preset}")
     with new_folder(target, force=force) as folder:
         with _bar("replaying", len(recorded)) as advance:
             result = replay_log(recorded, config, lambda done: advance(done, f"{done} of {len(recorded)} events"))
         scores: dict[str, Any] = {}
         if recorded.true_pose is not None:
-            scores |= trajectory_scores(recorded.true_pose, result.estimated, result.odometry)
+            scores |= trajectory_scores(recorded.true_pose, result.estimated, result.odometry, result.covariances)
         if known is not None:
             scores |= relation_scores(result, known)
-        write_replay(folder, result, f"{log.name}, {len(recorded.robot.beams)} beams, {preset}", scores, versions())
+            if not scores["relations"]:
+                raise ValueError(f"{relations}: none of its {len(known.start_time)} relations lies in the log's time")
+        source = {"log": log.name, "relations": relations.name if relations else None}
+        write_replay(folder, result, source, scores, versions())
     _report_replay(scores, len(result.landmarks))
     typer.echo(f"results     {target}")
 
 
+def _odometry(noise: str | None, bias: str | None) -> "OdometryConfig":
+    from limslam_agent.config import OdometryConfig
+
+    odometry = OdometryConfig()
+    if noise is not None:
+        along, per_metre, per_radian = _numbers("--odometry-noise", noise, 3, low=0.0)
+        odometry = replace(
+            odometry,
+            distance_variance=along**2,
+            turn_variance_per_metre=math.radians(per_metre) ** 2,
+            turn_variance_per_radian=math.radians(per_radian) ** 2,
+        )
+    if bias is not None:
+        turn, scale = _numbers("--odometry-bias", bias if "," in bias else f"{bias},1", 2)
+        if not 0.01 <= scale <= 100.0:
+            raise ValueError(f"--odometry-bias: the scale must lie between 0.01 and 100, not {scale:g}")
+        odometry = replace(odometry, turn_bias=math.radians(turn), distance_scale=scale)
+    return odometry
+
+
 def main() -> None:
     """Entry point: exit code 2 and one line for what the user can mend, no traceback."""
+    # A polite end is an end like any other: what was being written is taken back.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
@@ -138,22 +165,25 @@ def main() -> None:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename or 'output'}: {error.strerror or error}")
+    except (ArithmeticError, MemoryError) as error:
+        _fail(f"the numbers are out of all bounds: {error}")
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _fail(message: str) -> None:
-    typer.echo("limslam: " + " ".join(message.split()), err=True)
+    if message:
+        typer.echo("limslam: " + " ".join(message.split()), err=True)
     sys.exit(2)
 
 
-def _numbers(option: str, text: str, count: int | None = None, low: float = -math.inf) -> list[float]:
+def _numbers(option: str, text: str, count: int | None = None, low: float = -1e6) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         raise ValueError(f"{option}: {text!r} is not a list of numbers like 1,2.5") from None
     if count is not None and len(values) != count:
         raise ValueError(f"{option}: {count} numbers are needed, not {len(values)}")
-    if not all(math.isfinite(value) and value >= low for value in values):
+    if not all(math.isfinite(value) and low <= value <= 1e6 for value in values):
         raise ValueError(f"{option}: {text!r} holds a number that is out of bounds")
     return values
 
@@ -161,7 +191,8 @@ def _numbers(option: str, text: str, count: int | None = None, low: float = -mat
 @contextmanager
 def _bar(task: str, total: float) -> Iterator[Callable[[float, str], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())
-    with Progress(*columns, console=_console, transient=True, refresh_per_second=5) as progress:
+    quiet = not _console.is_terminal
+    with Progress(*columns, console=_console, transient=True, refresh_per_second=5, disable=quiet) as progress:
         bar = progress.add_task(task, total=total, state="")
         yield lambda done, state: progress.update(bar, completed=done, state=state)
 

@@ -100,11 +100,15 @@ class AssociationConfig:
         Largest squared Mahalanobis distance. Ours: wide, because the published filter is surer
         of itself than it should be.
     max_end_gap
-        Largest distance along the wall between the observation and the landmark's end points. Ours.
+        Largest distance along the wall between the observation and the landmark's end points. Ours: a
+        little more than the gap that ends a wall in the buffer, because both ends are known but roughly.
     max_angle, max_distance
         Largest difference of direction, and distance of the observation's middle from the line. Ours.
     range_slack
         How far past its sensors' range a landmark may lie and still count as seen. Ours.
+    min_new_length
+        An observation that is no known landmark becomes a new one when it is at least this long. Ours:
+        the direction of a short stretch is poorly known, and everything later leans on it.
     """
 
     gate: float = 100.0
@@ -112,6 +116,7 @@ class AssociationConfig:
     max_angle: float = math.radians(15.0)
     max_distance: float = 0.35
     range_slack: float = 0.25
+    min_new_length: float = 0.30
 
 
 @dataclass(frozen=True)
@@ -157,7 +162,9 @@ class PolicyConfig:
     Attributes
     ----------
     speed
-        Cruising speed, m/s.
+        Cruising speed while exploring, m/s: slower means more points a metre, and better lines.
+    lap_speed
+        Cruising speed on laps, m/s.
     turn_rate
         Fastest turn, rad/s.
     lookahead
@@ -165,18 +172,19 @@ class PolicyConfig:
     clearance
         Distance that the planner keeps between the robot's rim and occupied cells if it can.
     margin
-        Distance that it always keeps.
+        Distance that it keeps unless there is no other way.
     stop_distance
         Free distance ahead of the rim below which the robot only turns.
     min_frontier
         Cells; smaller frontiers are gaps between beams.
     view_distance
-        A frontier cell counts as reached from cells this near.
+        A frontier cell counts as reached when the way to it is this short.
     replan_period
         Steps between two plans.
     """
 
-    speed: float = 0.25
+    speed: float = 0.20
+    lap_speed: float = 0.25
     turn_rate: float = 2.0
     lookahead: float = 0.25
     clearance: float = 0.15

@@ -15,9 +15,9 @@ _TURN_IN_PLACE = math.radians(40.0)
 
 
 def steer(
-    pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, config: PolicyConfig
+    pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, config: PolicyConfig, cruise: float
 ) -> FloatArray:
-    """Wheel speeds (2,), fractions of the maximum, towards a point (2,), m.
+    """Wheel speeds (2,), fractions of the maximum, towards a point (2,), m, at ``cruise`` m/s or less.
 
     Far off its heading the robot turns where it stands; else it drives, more slowly the less
     room the beams show ahead.
@@ -28,7 +28,7 @@ def steer(
     if abs(error) > _TURN_IN_PLACE:
         return wheel_speeds(0.0, turn_rate, robot)
     room = free_ahead(ranges, robot) - config.stop_distance
-    speed = config.speed * math.cos(error) * min(max(room / 0.2, 0.0), 1.0)
+    speed = cruise * math.cos(error) * min(max(room / 0.2, 0.0), 1.0)
     return wheel_speeds(speed, turn_rate, robot)
 
 
@@ -40,10 +40,16 @@ def turn_towards(pose: FloatArray, target: FloatArray, robot: RobotSpec, config:
 
 
 def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
-    """How far (m) the body could drive straight on before the nearest point that a front beam sees."""
+    """How far (m) the body could drive straight on before the nearest point that a front beam sees.
+
+    A beam that gives no number is left out; when none of the front ones gives any, there is no room.
+    """
     angles = robot.beam_angles
-    reading = np.where(np.isfinite(ranges), ranges, 0.0)
-    front = np.abs(wrap_angle(angles)) <= _FRONT
+    ahead = np.abs(wrap_angle(angles)) <= _FRONT
+    front = ahead & np.isfinite(ranges)
+    if ahead.any() and not front.any():
+        return 0.0
+    reading = np.where(front, ranges, 0.0)
     seen = front & (reading < robot.max_ranges * (1.0 - 1e-6))
     x, y = (robot.beam_origins + reading[:, None] * robot.beam_directions).T
     in_the_way = seen & (np.abs(y) < robot.radius + _BODY_MARGIN) & (x > 0.0)

@@ -54,7 +54,7 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     _draw_walls(axes, picture.segments)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_axis_off()
-    axes.set_title(picture.title, fontsize=11)
+    axes.set_title(picture.title, fontsize=11, parse_math=False)
     _draw_scale(axes, low, high)
     handles = _legend(picture)
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False, fontsize=9)

@@ -21,8 +21,9 @@ from limslam_env.env import LimSlamEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, RobotSpec
-from limslam_env.world import World, WorldSource, load_world
+from limslam_env.world import World, WorldError, WorldSource, load_world
 
+LONGEST_TIME = 1e6
 OUT_OF_TIME = "time: the run's longest time is over"
 
 
@@ -50,7 +51,8 @@ class RunConfig:
     Raises
     ------
     ValueError
-        If a number is out of bounds, or there is no such preset.
+        If a number is out of bounds, there is no such preset, or the world cannot be used or has no
+        loop to drive laps on.
     """
 
     world: WorldSource = "env1"
@@ -64,12 +66,16 @@ class RunConfig:
     def __post_init__(self) -> None:
         NominalNoise(self.noise)
         preset(self.preset)
-        if not self.max_time > 0.0:
-            raise ValueError(f"the longest time must be above 0 s, not {self.max_time:g}")
+        if not 0.0 < self.max_time <= LONGEST_TIME:
+            raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
         if self.laps < 0:
             raise ValueError(f"laps must be 0 or more, not {self.laps}")
         if self.seed < 0:
             raise ValueError(f"a seed is 0 or more, not {self.seed}")
+        world = load_world(self.world)
+        if self.laps and len(world.loop) < 3:
+            raise WorldError(f"world {world.name!r} has no loop to drive laps on")
+        world.check(self.robot.radius)
 
     @property
     def agent(self) -> AgentConfig:
@@ -139,17 +145,14 @@ def run_episode(config: RunConfig, progress: Callable[[float, float], None] | No
         What is run.
     progress
         Told the simulated time (s) and the true coverage (0 to 1) at each step.
-
-    Raises
-    ------
-    WorldError
-        If the world cannot be used, or has no loop to drive laps on.
     """
     world = load_world(config.world)
     env = LimSlamEnv(world, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise), coverage_goal=None)
     agent = LimSlamAgent(config.robot, config.agent, _laps(config, world))
     observation, info = env.reset(seed=config.seed)
     agent.reset(info["pose"], config.seed)
+    associations: list[AssociationRecord] = []
+    agent.slam.on_association = associations.append
     odometry, rows, clock = info["pose"], [], time.perf_counter()
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
@@ -178,6 +181,7 @@ def run_episode(config: RunConfig, progress: Callable[[float, float], None] | No
         if agent.done or len(rows) > max_steps:
             break
         observation, _, _, _, info = env.step(action)
+    agent.finish()
     infos, observations, actions, estimated, odometries, covariances, slam, decide = zip(*rows, strict=True)
     return Episode(
         config=config,
@@ -193,7 +197,7 @@ def run_episode(config: RunConfig, progress: Callable[[float, float], None] | No
         wall_seen=np.array([info["wall_seen"] for info in infos]),
         coverage=np.array([info["coverage"] for info in infos]),
         contact=np.array([info["collision"] for info in infos]),
-        associations=agent.slam.associations,
+        associations=associations,
         snapshot=agent.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=agent.stop_reason or OUT_OF_TIME,
@@ -207,6 +211,4 @@ def run_episode(config: RunConfig, progress: Callable[[float, float], None] | No
 def _laps(config: RunConfig, world: World) -> Policy | None:
     if not config.laps:
         return None
-    if len(world.loop) < 3:
-        raise ValueError(f"world {world.name!r} has no loop to drive laps on")
     return Laps(config.robot, config.agent.policy, world.loop, config.laps)

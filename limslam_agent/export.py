@@ -45,6 +45,7 @@ def new_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     """
     target = target.absolute()
     _check_target(target, force=force)
+    missing = [parent for parent in target.parents if not parent.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         beside = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -59,6 +60,9 @@ def new_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
         _put_in_place(beside, target)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+        for parent in missing:
+            if parent.is_dir() and not any(parent.iterdir()):
+                parent.rmdir()
 
 
 def _check_target(target: Path, *, force: bool) -> None:
@@ -74,19 +78,19 @@ def _check_target(target: Path, *, force: bool) -> None:
 
 
 def _put_in_place(beside: Path, target: Path) -> None:
-    old = None
-    if target.is_dir():
-        old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-        target.rename(old / "run")
+    if not target.is_dir():
+        beside.rename(target)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent)) / "run"
+    target.rename(old)
     try:
         beside.rename(target)
-    except OSError:
-        if old is not None:
-            (old / "run").rename(target)
+    except BaseException:  # an interrupt as well must not cost the old results
+        old.rename(target)
         raise
     finally:
-        if old is not None:
-            shutil.rmtree(old, ignore_errors=True)
+        if target.is_dir():
+            shutil.rmtree(old.parent, ignore_errors=True)
 
 
 def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:

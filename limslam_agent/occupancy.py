@@ -11,6 +11,7 @@ from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32
+_MAX_CELLS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +79,11 @@ class OccupancyGrid:
 
     def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
         """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
-        beams = np.nonzero(usable)[0]
+        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
+        beams = np.nonzero(usable & (ranges > robot.min_ranges * (1.0 + 1e-6)))[0]
         origins, directions = robot.beam_origins[beams], robot.beam_directions[beams]
         hit = ranges[beams] < robot.max_ranges[beams] * (1.0 - 1e-6)
-        # A reading at the minimum says that something is near, but not that the beam passed through anything.
-        length = np.where(ranges[beams] > robot.min_ranges[beams] * (1.0 + 1e-6), ranges[beams], 0.0)
+        length = ranges[beams]
         ends = transform_points(pose, origins + length[:, None] * directions)
         passed = transform_points(pose, self._samples(origins, directions, length))
         body = pose[:2] + robot.radius * _BODY
@@ -116,14 +117,20 @@ class OccupancyGrid:
         high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
         rows, columns = self._values.shape
         end = self._low + np.array([columns, rows])
-        self._known_low = np.minimum(self._known_low, low) if rows else low
-        self._known_high = np.maximum(self._known_high, high) if rows else high
-        if rows and (low >= self._low).all() and (high <= end).all():
-            return
+        known = (np.minimum(self._known_low, low), np.maximum(self._known_high, high)) if rows else (low, high)
+        if not rows or (low < self._low).any() or (high > end).any():
+            self._grow(low, high)
+        self._known_low, self._known_high = known
+
+    def _grow(self, low: IntArray, high: IntArray) -> None:
+        rows, columns = self._values.shape
+        end = self._low + np.array([columns, rows])
         old_low, old_high = (self._low, end) if rows else (low, high)
         new_low = np.where(low < old_low, low - _SPARE_CELLS, old_low)
         new_high = np.where(high > old_high, high + _SPARE_CELLS, old_high)
         columns_new, rows_new = new_high - new_low
+        if max(columns_new, rows_new) > _MAX_CELLS:
+            raise ValueError(f"the map has grown past {_MAX_CELLS * self._config.cell:g} m: the robot's pose is lost")
         grown = np.zeros((rows_new, columns_new), dtype=np.int16)
         column, row = old_low - new_low
         grown[row : row + rows, column : column + columns] = self._values

@@ -9,6 +9,7 @@ from scipy.sparse import csgraph
 from limslam_agent.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
+_TIGHT = 20.0
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 
 
@@ -46,21 +47,20 @@ def routes(grid: GridView, start: FloatArray, radius: float, comfort: float) -> 
     grid
         The map.
     start
-        Where the robot is. Cells under the robot count as passable: it is there.
+        Where the robot is. Its cell counts as free: it is there.
     radius
-        Distance from occupied cells that is always kept, m.
+        Distance from occupied cells within which a step costs many times as much, m. It is not forbidden:
+        cells are coarse, and a passage that looks too narrow may be the only one.
     comfort
-        Further distance within which a cell costs up to three times as much, m.
+        Further distance within which a step costs up to three times as much, m.
     """
     distance = _wall_distance(grid)
     row, column = grid.cells(start[None])[0]
-    open_cells = grid.free & (distance >= radius)
-    rows, columns = np.ogrid[: open_cells.shape[0], : open_cells.shape[1]]
-    near = (rows - row) ** 2 + (columns - column) ** 2 <= (radius / grid.cell) ** 2
-    open_cells |= near & ~grid.unknown & ~grid.occupied
-    if 0 <= row < open_cells.shape[0] and 0 <= column < open_cells.shape[1]:
-        open_cells[row, column] = True
-    toll = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0)
+    open_cells = grid.free.copy()
+    if not (0 <= row < open_cells.shape[0] and 0 <= column < open_cells.shape[1]):
+        return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1))
+    open_cells[row, column] = True
+    toll = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0) + _TIGHT * (distance < radius)
     return _dijkstra(open_cells, toll * grid.cell, int(row), int(column))
 
 
@@ -80,6 +80,9 @@ def _dijkstra(open_cells: BoolArray, toll: FloatArray, row: int, column: int) ->
         here = (slice(0, rows - down), slice(max(-right, 0), columns - max(right, 0)))
         there = (slice(down, rows), slice(max(right, 0), columns - max(-right, 0)))
         both = open_cells[here] & open_cells[there]
+        if down and right:
+            # No cutting of corners: between two occupied cells that touch, the wall goes on.
+            both &= open_cells[here[0], there[1]] & open_cells[there[0], here[1]]
         starts.append(index[here][both])
         ends.append(index[there][both])
         weights.append(0.5 * length * (toll[here][both] + toll[there][both]))

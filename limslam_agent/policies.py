@@ -1,5 +1,6 @@
 """Policies: from what the robot believes to what its wheels do. Each has ``act(belief) -> action``."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -7,10 +8,10 @@ import numpy as np
 from scipy import ndimage
 
 from limslam_agent.config import PolicyConfig
-from limslam_agent.controller import steer, turn_towards
+from limslam_agent.controller import steer, turn_towards, wheel_speeds
 from limslam_agent.frontier import frontier_cells
 from limslam_agent.occupancy import GridView
-from limslam_agent.planner import Routes, routes
+from limslam_agent.planner import routes
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -18,7 +19,7 @@ from limslam_env.interface import RobotSpec
 _ARRIVED = 0.08
 _FACING = np.radians(8.0)
 # Wheel speeds that sum to less than this hardly move the robot; it waits so many steps before it gives a goal up.
-_CREEP = 0.02
+_CREEP = 0.05
 _PATIENCE = 40
 _MAX_RETRIES = 2
 
@@ -84,11 +85,15 @@ class FrontierPolicy:
         self._faced: list[FloatArray] = []
         self._missed: list[FloatArray] = []
         self._retries = 0
+        self._looking_round = 0
         self._until_plan = 0
         self._standing = 0
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal; zero when done."""
+        if self._looking_round > 0:
+            self._looking_round -= 1
+            return wheel_speeds(0.0, self._config.turn_rate, self._robot)
         if self.stop_reason is None and (self._until_plan <= 0 or self._goal is None):
             self._replan(belief)
             self._until_plan = self._config.replan_period
@@ -99,39 +104,28 @@ class FrontierPolicy:
 
     def _replan(self, belief: Belief) -> None:
         grid = belief.grid
-        left = frontier_cells(grid, self._config.min_frontier) & ~_around(grid, self._faced)
-        frontier = left & ~_around(grid, self._missed)
-        view = max(round(self._config.view_distance / grid.cell), 1)
-        ways = self._ways_to(frontier, belief, view)
-        if ways is None:
-            self._run_out(left)
+        faced = _around(grid, self._faced)
+        frontier = frontier_cells(grid, self._config.min_frontier, faced | _around(grid, self._missed))
+        ways = routes(grid, belief.pose[:2], self._robot.radius + self._config.margin, self._config.clearance)
+        cost = np.where(frontier, ways.cost, np.inf)
+        if not np.isfinite(cost).any():
+            self._run_out(frontier_cells(grid, self._config.min_frontier, faced))
             return
-        cost = np.where(frontier, _cheapest_nearby(ways.cost, view), np.inf)
         goal = self._kept_goal(grid, cost)
         if goal is None:
             goal = np.array(np.unravel_index(int(np.argmin(cost)), cost.shape))
         self._goal = grid.centres(goal[None])[0]
-        self.plan = grid.centres(_way_near(ways, goal, view))
-
-    def _ways_to(self, frontier: BoolArray, belief: Belief, view: int) -> Routes | None:
-        """Ways on which some frontier cell can be reached, with as much room as can be had; or None."""
-        if not frontier.any():
-            return None
-        reach = ndimage.binary_dilation(frontier, structure=_disc(view))
-        for margin in (self._config.margin, 0.0, -0.4 * self._robot.radius):
-            ways = routes(belief.grid, belief.pose[:2], self._robot.radius + margin, self._config.clearance)
-            if np.isfinite(ways.cost[reach]).any():
-                return ways
-        return None
+        self.plan = _cut_short(grid.centres(ways.path_to((int(goal[0]), int(goal[1])))), self._config.view_distance)
 
     def _run_out(self, left: BoolArray) -> None:
-        """Nothing can be reached: try what was missed once more, then stop."""
+        """Nothing can be reached: look round and try all again, a few times, then stop."""
         self._goal, self.plan = None, _NO_PLAN
-        if self._missed and self._retries < _MAX_RETRIES:
+        if left.any() and self._retries < _MAX_RETRIES:
             self._missed = []
             self._retries += 1
+            self._looking_round = math.ceil(2.0 * math.pi / (self._config.turn_rate * self._robot.control_period))
         elif left.any():
-            self.stop_reason = f"explored: {int(left.sum())} frontier cells are left that cannot be reached"
+            self.stop_reason = f"explored: frontiers are left that cannot be reached ({int(left.sum())} cells)"
         else:
             self.stop_reason = "explored: no frontier is left"
 
@@ -153,7 +147,7 @@ class FrontierPolicy:
         nearest = int(np.argmin(remaining))
         ahead = np.nonzero(remaining[nearest:] > self._config.lookahead)[0]
         target = self.plan[nearest + ahead[0]] if ahead.size else self.plan[-1]
-        action = steer(belief.pose, target, belief.ranges, self._robot, self._config)
+        action = steer(belief.pose, target, belief.ranges, self._robot, self._config, self._config.speed)
         self._standing = self._standing + 1 if abs(float(action.sum())) < _CREEP else 0
         if self._standing > _PATIENCE:
             self._leave(self._missed, goal)
@@ -165,6 +159,7 @@ class FrontierPolicy:
         error = wrap_angle(float(np.arctan2(offset[1], offset[0]) - belief.pose[2]))
         if abs(error) < _FACING or np.hypot(*offset) < 0.5 * _ARRIVED:
             self._leave(self._faced, goal)
+            self._retries = 0
             return np.zeros(2)
         return turn_towards(belief.pose, goal, self._robot, self._config)
 
@@ -185,24 +180,11 @@ def _around(grid: GridView, places: list[FloatArray]) -> BoolArray:
     return mask
 
 
-def _cheapest_nearby(cost: FloatArray, cells: int) -> FloatArray:
-    """For each cell, the least cost among those at most ``cells`` away."""
-    return np.asarray(ndimage.minimum_filter(cost, footprint=_disc(cells), mode="constant", cval=np.inf))
-
-
-def _way_near(ways: Routes, goal: IntArray, cells: int) -> IntArray:
-    """The path (k, 2) to the cheapest cell at most ``cells`` from a goal (row, column)."""
-    rows, columns = np.nonzero(_disc(cells))
-    candidates = np.column_stack((rows, columns)) - cells + goal
-    inside = ((candidates >= 0) & (candidates < ways.cost.shape)).all(axis=1)
-    candidates = candidates[inside]
-    best = candidates[int(np.argmin(ways.cost[candidates[:, 0], candidates[:, 1]]))]
-    return ways.path_to((int(best[0]), int(best[1])))
-
-
-def _disc(cells: int) -> BoolArray:
-    rows, columns = np.ogrid[-cells : cells + 1, -cells : cells + 1]
-    return np.asarray(rows**2 + columns**2 <= cells**2)
+def _cut_short(path: FloatArray, distance: float) -> FloatArray:
+    """A path (k, 2) without its last ``distance`` (m): from there its end can be seen. One place at least."""
+    lengths = np.hypot(*np.diff(path, axis=0).T)
+    to_go = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
+    return path[: max(int(np.count_nonzero(to_go >= distance)), 1)]
 
 
 class Laps:
@@ -223,6 +205,7 @@ class Laps:
         self._corners = corners
         self._remaining = laps * len(corners)
         self._next: int | None = None
+        self._standing = 0
         self.stop_reason: str | None = None
         self.plan: FloatArray = corners
 
@@ -236,5 +219,13 @@ class Laps:
             self._remaining -= 1
         if self._remaining <= 0:
             self.stop_reason = "all laps driven"
+        if self.stop_reason is not None:
             return np.zeros(2)
-        return steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config)
+        action = steer(
+            belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config, self._config.lap_speed
+        )
+        self._standing = self._standing + 1 if abs(float(action.sum())) < _CREEP else 0
+        if self._standing > _PATIENCE:
+            self.stop_reason = f"stopped: something is in the way to corner {self._next + 1} of the loop"
+            return np.zeros(2)
+        return action

@@ -23,6 +23,9 @@ ZIP_MAGIC = b"PK\x03\x04"
 # The longest CARMEN line known is some 4 kB; without a bound, one "line" of a binary file could fill the memory.
 LONGEST_LINE = 1 << 20
 
+# m between two events; a robot that is said to have gone further was not measured there.
+LONGEST_JUMP = 50.0
+
 
 class LogError(ValueError):
     """A file cannot be used; the message is one line, ``<file>: what and where``."""
@@ -84,6 +87,11 @@ class RecordedLog:
                 _check(name, array, (count, width))
         if self.true_pose is not None:
             _check("true_pose", self.true_pose, (count, 3))
+        if self.odometry is not None:
+            jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
+            if np.any(jumps > LONGEST_JUMP):
+                row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
+                raise ValueError(f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}")
         if np.any(self.ranges < 0.0):
             raise ValueError(f"ranges is negative in row {_first_row(self.ranges < 0.0)}")
 
@@ -98,16 +106,22 @@ class RecordedLog:
         ------
         Observation
             ``ranges`` (n_beams,) float32 m with ``wheels`` (2,) float32 m, or with ``odometry`` (3,) float64: the
-            motion since the event before in the robot's frame then, zeros at the first event.
+            motion since the event before in the robot's frame then, zeros at the first event. An event
+            without a scan has no ``ranges``.
         """
+        moves = None
         if self.odometry is not None:
             moves = np.zeros((len(self), 3))
             moves[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
-            for ranges, move in zip(self.ranges, moves, strict=True):
-                yield {"ranges": ranges.astype(np.float32), "odometry": move.copy()}
-        elif self.wheels is not None:
-            for ranges, wheels in zip(self.ranges, self.wheels, strict=True):
-                yield {"ranges": ranges.astype(np.float32), "wheels": wheels.astype(np.float32)}
+        for row in range(len(self)):
+            observation: Observation = {}
+            if moves is not None:
+                observation["odometry"] = moves[row].copy()
+            elif self.wheels is not None:
+                observation["wheels"] = self.wheels[row].astype(np.float32)
+            if self.has_scan[row]:
+                observation["ranges"] = self.ranges[row].astype(np.float32)
+            yield observation
 
 
 def read_npz(path: FilePath) -> RecordedLog:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config import AgentConfig
+from limslam_agent.cost import run_cost
 from limslam_agent.export import map_content, write_grid, write_json, write_tum
 from limslam_agent.line_map import Landmark
 from limslam_agent.motion import motion_of
@@ -32,6 +33,8 @@ class Replay:
         The settings.
     estimated, odometry
         Poses (n, 3): the belief, and odometry alone, corrected for its known bias.
+    covariances
+        Of the believed poses (n, 3, 3).
     landmarks, segments, grid
         The map.
     refused_readings
@@ -44,6 +47,7 @@ class Replay:
     config: AgentConfig
     estimated: FloatArray
     odometry: FloatArray
+    covariances: FloatArray
     landmarks: list[Landmark]
     segments: FloatArray
     grid: GridView
@@ -60,23 +64,33 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
     slam = LineSlam(log.robot, config, log.start_pose)
     grid = OccupancyGrid(config.grid)
     count = len(log)
-    estimated, odometry, slam_ms = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
+    covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
     by_odometry, begin = log.start_pose, time.perf_counter()
     for number, observation in enumerate(log.observations()):
         before = time.perf_counter()
         slam.step(observation)
         slam_ms[number] = 1e3 * (time.perf_counter() - before)
-        if log.has_scan[number]:
-            grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
+        grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
         increment = motion_of(observation, log.robot, config.noise, config.odometry).increment
         by_odometry = compose(by_odometry, increment)
-        estimated[number], odometry[number] = slam.pose, by_odometry
+        estimated[number], odometry[number], covariances[number] = slam.pose, by_odometry, slam.covariance
         if progress is not None:
             progress(number + 1)
+    slam.finish()
     return Replay(
-        log, config, estimated, odometry, slam.landmarks, slam.segments, grid.view, slam.refused_readings,
-        slam_ms, time.perf_counter() - begin,
-    )  # fmt: skip
+        log=log,
+        config=config,
+        estimated=estimated,
+        odometry=odometry,
+        covariances=covariances,
+        landmarks=slam.landmarks,
+        segments=slam.segments,
+        grid=grid.view,
+        refused_readings=slam.refused_readings,
+        slam_ms=slam_ms,
+        wall_clock=time.perf_counter() - begin,
+    )
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
@@ -92,11 +106,16 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
     return scores
 
 
-def write_replay(folder: Path, replay: Replay, title: str, scores: dict[str, Any], versions: dict[str, str]) -> None:
-    """Write trajectory, map, picture and result of a replay into a folder."""
+def write_replay(
+    folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any], versions: dict[str, str]
+) -> None:
+    """Write trajectory, map, picture and result of a replay into a folder.
+
+    ``source`` names the ``log`` and the ``relations`` that it was made from.
+    """
     from limslam_agent.drawing import MapPicture, draw_map
 
-    log = replay.log
+    log, config = replay.log, replay.config
     write_tum(folder / "trajectory_est.tum", log.time, replay.estimated)
     write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
     if log.true_pose is not None:
@@ -104,25 +123,15 @@ def write_replay(folder: Path, replay: Replay, title: str, scores: dict[str, Any
     write_json(folder / "map.json", map_content(replay.landmarks))
     write_grid(folder, replay.grid)
     true_path = None if log.true_pose is None else log.true_pose[:, :2]
+    title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
     picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
     draw_map(folder / "map.png", picture)
-    duration = float(log.time[-1] - log.time[0])
-    write_json(
-        folder / "result.json",
-        {
-            "metrics": {
-                **scores,
-                "landmarks": len(replay.landmarks),
-                "refused_readings": replay.refused_readings,
-            },
-            "cost": {
-                "slam_ms_median": float(np.median(replay.slam_ms)),
-                "slam_ms_p99": float(np.percentile(replay.slam_ms, 99)),
-                "speed_x_real_time": duration / replay.wall_clock,
-                "wall_clock_s": replay.wall_clock,
-            },
-            "config": {"robot": asdict(log.robot), "agent": asdict(replay.config)},
-            "versions": versions,
-            "seed": None,
-        },
-    )
+    counts = {"landmarks": len(replay.landmarks), "refused_readings": replay.refused_readings}
+    result = {
+        "metrics": {**scores, **counts},
+        "cost": run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms),
+        "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
+        "versions": versions,
+        "seed": None,
+    }
+    write_json(folder / "result.json", result)

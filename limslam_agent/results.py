@@ -4,7 +4,6 @@ The estimate meets the truth here, after the run is over.
 """
 
 import math
-import resource
 import sys
 from dataclasses import asdict
 from importlib.metadata import version
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.cost import run_cost
 from limslam_agent.episode import Episode
 from limslam_agent.export import map_content, write_grid, write_json, write_tum
 from limslam_env import metrics
@@ -20,12 +20,15 @@ from limslam_env.coverage import CELL
 from limslam_env.geometry import FloatArray
 
 
-def trajectory_scores(true: FloatArray, estimated: FloatArray, odometry: FloatArray) -> dict[str, float | None]:
-    """Errors of an estimated trajectory (n, 3), and the error of odometry alone beside them."""
+def trajectory_scores(
+    true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
+) -> dict[str, float | None]:
+    """Errors of an estimated trajectory (n, 3) with covariances (n, 3, 3), and of odometry alone beside them."""
     by_odometry = metrics.trajectory_metrics(true, odometry)
     return {
         **metrics.trajectory_metrics(true, estimated),
         **{f"odometry_{name}": by_odometry[name] for name in ("ate_m", "heading_rmse_deg")},
+        **finite(metrics.consistency_metrics(true, estimated, covariances)),
     }
 
 
@@ -37,8 +40,7 @@ def score(episode: Episode) -> dict[str, Any]:
     visible = metrics.visible_samples(episode.world, robot.radius, robot.reach)
     grid = snapshot.grid
     return {
-        **trajectory_scores(episode.true, episode.estimated, episode.odometry),
-        **metrics.consistency_metrics(episode.true, episode.estimated, episode.covariances),
+        **trajectory_scores(episode.true, episode.estimated, episode.odometry, episode.covariances),
         **metrics.wall_metrics(visible, episode.world.edges, segments, alignment),
         "doors_open": metrics.doors_open(episode.world.doors, segments),
         "coverage_true": float(episode.coverage[-1]),
@@ -60,18 +62,9 @@ def score(episode: Episode) -> dict[str, Any]:
 
 
 def cost(episode: Episode) -> dict[str, float]:
-    """What a run cost: wall clock and memory, never part of a comparison for identity."""
-    # Linux counts kilobytes, macOS bytes.
-    unit = 1e6 if sys.platform == "darwin" else 1e3
-    return {
-        "slam_ms_median": float(np.median(episode.slam_ms)),
-        "slam_ms_p99": float(np.percentile(episode.slam_ms, 99)),
-        "explore_ms_median": float(np.median(episode.decide_ms)),
-        "explore_ms_p99": float(np.percentile(episode.decide_ms, 99)),
-        "speed_x_real_time": float(episode.time[-1] / episode.wall_clock),
-        "wall_clock_s": episode.wall_clock,
-        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit,
-    }
+    """What a run cost, never part of a comparison for identity."""
+    duration = float(episode.time[-1])
+    return run_cost(duration, episode.wall_clock, slam=episode.slam_ms, explore=episode.decide_ms)
 
 
 def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
@@ -103,7 +96,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         "robot": asdict(robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
-        "metrics": _finite(score(episode)), "cost": cost(episode), "config": written_config,
+        "metrics": score(episode), "cost": cost(episode), "config": written_config,
         "versions": versions(), "seed": config.seed,
     }  # fmt: skip
     write_json(folder / "result.json", result)
@@ -116,11 +109,9 @@ def versions() -> dict[str, str]:
     return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
 
 
-def _finite(scores: dict[str, Any]) -> dict[str, Any]:
+def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
     """JSON knows no infinity: a NEES that no covariance allows is written as null."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in scores.items()
-    }
+    return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
 
 
 def _events(episode: Episode) -> list[metrics.AssociationEvent]:

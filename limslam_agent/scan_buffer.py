@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config import BufferConfig
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
 
@@ -58,7 +58,7 @@ class ScanBuffer:
         self._origins = robot.beam_origins[self._beams]
         self._directions = robot.beam_directions[self._beams]
         self._scan = _EMPTY
-        self._since_hit = 0.0
+        self._since_hit, self._missed = 0.0, False
         self._moved = self._turned = np.inf
 
     @property
@@ -66,8 +66,8 @@ class ScanBuffer:
         """What is in the buffer now."""
         return self._scan
 
-    def carry(self, increment: FloatArray) -> Scan | None:
-        """Move the points into the frame after a motion (3,). Gives them up if the wall has ended."""
+    def carry(self, increment: FloatArray) -> None:
+        """Move the points into the frame after a motion (3,)."""
         back = inverse(increment)
         scan = self._scan
         self._scan = Scan(transform_points(back, scan.points), transform_points(back, scan.origins), scan.readings)
@@ -75,16 +75,45 @@ class ScanBuffer:
         self._since_hit += distance
         self._moved += distance
         self._turned += abs(float(increment[2]))
-        return self._take() if len(self._scan) and self._since_hit > self._config.max_gap else None
 
-    def add(self, ranges: FloatArray, hit: np.ndarray[tuple[int], np.dtype[np.bool_]], step: int) -> Scan | None:
-        """Add this side's hits among all beams' readings (n_beams,), m. Gives the points up when full."""
+    def add(self, ranges: FloatArray, measured: BoolArray, hit: BoolArray, step: int) -> list[Scan]:
+        """Add this side's hits among all beams' readings.
+
+        Parameters
+        ----------
+        ranges
+            (n_beams,), m.
+        measured, hit
+            (n_beams,): which beams have measured in this step, and which of them saw a wall.
+        step
+            The step's number.
+
+        Returns
+        -------
+        scans
+            What is handed on: the points of a wall that has ended, and those of a full buffer.
+        """
         chosen = hit[self._beams]
-        if not chosen.any():
-            return None
-        self._since_hit = 0.0
+        self._missed |= bool(measured[self._beams].any()) and not chosen.any()
+        handed_on = []
+        # A long way between two measurements that both hit is no gap; one with a miss in it is.
+        if self._missed and self._since_hit > self._config.max_gap and len(self._scan):
+            handed_on.append(self.take())
+        if chosen.any():
+            self._since_hit, self._missed = 0.0, False
+            self._append(ranges, chosen, step)
+            if len(self._scan) >= self._config.size:
+                handed_on.append(self.take())
+        return handed_on
+
+    def take(self) -> Scan:
+        """Empty the buffer, and give back what was in it."""
+        scan, self._scan = self._scan, _EMPTY
+        return scan
+
+    def _append(self, ranges: FloatArray, chosen: BoolArray, step: int) -> None:
         if self._moved < self._config.min_distance and self._turned < self._config.min_turn:
-            return None
+            return
         self._moved = self._turned = 0.0
         beams, origins = self._beams[chosen], self._origins[chosen]
         points = origins + ranges[beams, None] * self._directions[chosen]
@@ -93,8 +122,3 @@ class ScanBuffer:
         self._scan = Scan(
             np.vstack((scan.points, points)), np.vstack((scan.origins, origins)), np.vstack((scan.readings, readings))
         )
-        return self._take() if len(self._scan) >= self._config.size else None
-
-    def _take(self) -> Scan:
-        scan, self._scan = self._scan, _EMPTY
-        return scan

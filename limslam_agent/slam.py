@@ -1,5 +1,6 @@
 """LineSlam: where the robot is and where the walls are, from a few beams and odometry."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,8 +54,8 @@ class LineSlam:
         The latest readings (n_beams,), m, and which of them are new and finite.
     refused_readings
         How many readings were not finite, since the start.
-    associations
-        What became of each observed line, in order.
+    on_association
+        Told what became of each observed line, for those who keep a record.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, start_pose: FloatArray | None = None) -> None:
@@ -66,7 +67,7 @@ class LineSlam:
         self.ranges: FloatArray = robot.max_ranges
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.refused_readings = 0
-        self.associations: list[AssociationRecord] = []
+        self.on_association: Callable[[AssociationRecord], None] | None = None
 
     def step(self, observation: Observation) -> None:
         """Take in one observation: predict, collect points, and use each buffer that is full.
@@ -82,11 +83,14 @@ class LineSlam:
         self._filter.predict(motion.increment, motion.covariance)
         hits = self._hits()
         for buffer in self._buffers:
-            ended = buffer.carry(motion.increment)
-            full = buffer.add(self.ranges, hits, self._step)
-            for scan in (ended, full):
-                if scan is not None:
-                    self._use(scan)
+            buffer.carry(motion.increment)
+            for scan in buffer.add(self.ranges, self.measured, hits, self._step):
+                self._use(scan)
+
+    def finish(self) -> None:
+        """Use the points that are left in the buffers: nothing more will come."""
+        for buffer in self._buffers:
+            self._use(buffer.take())
 
     @property
     def pose(self) -> FloatArray:
@@ -116,6 +120,9 @@ class LineSlam:
         ]  # fmt: skip
 
     def _accept(self, observation: Observation) -> None:
+        if "ranges" not in observation:
+            self.measured = np.zeros(len(self.robot.beams), dtype=bool)
+            return
         ranges = np.asarray(observation["ranges"], dtype=float)
         if ranges.shape != (len(self.robot.beams),):
             raise ValueError(f"ranges must be {len(self.robot.beams)} numbers, not of shape {ranges.shape}")
@@ -145,7 +152,10 @@ class LineSlam:
             if self.config.filter.correct:
                 self._filter.observe_line(fit.line, fit.covariance, landmark)
             self._map.grow(landmark, self._filter.lines[landmark], transform_points(self.pose, fit.ends))
+        elif fit.length < self.config.association.min_new_length:
+            return
         else:
             landmark = self._filter.augment(fit.line, fit.covariance)
             self._map.add(transform_points(self.pose, fit.ends))
-        self.associations.append(AssociationRecord(landmark, not matches, scan.readings))
+        if self.on_association is not None:
+            self.on_association(AssociationRecord(landmark, not matches, scan.readings))

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limslam_env.free_space import FreeSpace
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels import mark_rays
-from limslam_env.sensors import Rays, build_wall_index
+from limslam_env.sensors import build_wall_index
 from limslam_env.world import World
 
 CELL = 0.10
@@ -52,7 +53,14 @@ class CoverageGrid:
 
 
 @functools.lru_cache(maxsize=64)
-def _coverage_grid(world: World, robot: RobotSpec, starts: tuple[tuple[float, ...], ...]) -> CoverageGrid:
+def _free_space(world: World, radius: float) -> FreeSpace:
+    return world.free_space(radius)
+
+
+@functools.lru_cache(maxsize=64)
+def _coverage_grid(
+    world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
+) -> CoverageGrid:
     edges, reach = world.edges, robot.reach
     low = np.floor(np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0) / CELL) * CELL
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
@@ -60,7 +68,7 @@ def _coverage_grid(world: World, robot: RobotSpec, starts: tuple[tuple[float, ..
     coverable = np.zeros((rows, columns), dtype=bool)
     index = build_wall_index(edges, reach)
     lengths, owners, no_discs = np.full(len(_VIEWS), reach), np.zeros(len(_VIEWS), dtype=np.int64), np.zeros((0, 2))
-    for place in _reachable_places(world, robot.radius, np.array(starts)):
+    for place in np.vstack((_places(_free_space(world, robot.radius), regions), np.array(loose).reshape(-1, 2))):
         origins = np.tile(place, (len(_VIEWS), 1))
         distances, _ = index.cast(origins, _VIEWS, lengths, owners, no_discs, 0.0)
         mark_rays(coverable, origins, _VIEWS, distances, low, CELL)
@@ -69,25 +77,37 @@ def _coverage_grid(world: World, robot: RobotSpec, starts: tuple[tuple[float, ..
 
 def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> CoverageGrid:
     """What robots (all alike) that start at poses (n, 3) could cover; remembered for later calls."""
-    return _coverage_grid(world, robot, tuple((float(x), float(y)) for x, y, _ in starts))
+    space = _free_space(world, robot.radius)
+    labels = [space.label_of(start[:2]) for start in starts]
+    # A robot may stand where the grid of free space is too coarse to hold it.
+    loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)
+    return _coverage_grid(world, robot, frozenset(labels) - {0}, loose)
 
 
 def mark_seen(
-    seen: BoolArray, grid: CoverageGrid, poses: FloatArray, rays: Rays, distances: FloatArray, radius: float
+    seen: BoolArray,
+    grid: CoverageGrid,
+    poses: FloatArray,
+    origins: FloatArray,
+    directions: FloatArray,
+    distances: FloatArray,
+    radius: float,
 ) -> None:
-    """Set the cells that true beams cross and that bodies of ``radius`` (m) at poses (n, 3) stand on."""
-    mark_rays(seen, rays.origins, rays.directions, distances, grid.low, CELL)
+    """Set the cells that true beams cross and that bodies of ``radius`` (m) at poses (n, 3) stand on.
+
+    The beams start at ``origins`` (k, 2), m, along unit vectors (k, 2), and end after ``distances`` (k,), m.
+    """
+    mark_rays(seen, origins, directions, distances, grid.low, CELL)
     centres = np.repeat(poses[:, :2], len(_SPOKES), axis=0)
     spokes = np.tile(_SPOKES, (len(poses), 1))
     mark_rays(seen, centres, spokes, np.full(len(spokes), radius), grid.low, CELL)
 
 
-def _reachable_places(world: World, radius: float, starts: FloatArray) -> FloatArray:
-    space = world.free_space(radius)
-    region = np.zeros_like(space.free)
-    for start in starts:
-        region |= space.region_of(start)
+def _places(space: FreeSpace, regions: frozenset[int]) -> FloatArray:
+    """Places (n, 2), m, all over some regions of a world."""
     every = max(round(_PLACE_SPACING / space.cell), 1)
-    sparse = np.zeros_like(region)
-    sparse[::every, ::every] = region[::every, ::every]
-    return np.vstack((space.centres(sparse), starts))
+    sparse = np.zeros_like(space.free)
+    reachable = np.isin(space.labels, list(regions))
+    sparse[::every, ::every] = reachable[::every, ::every]
+    # The lattice can miss a room that is hardly larger than the robot.
+    return space.centres(sparse if sparse.any() else reachable)

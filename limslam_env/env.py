@@ -88,7 +88,7 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
 
     def __init__(
         self,
-        world: WorldSource = "env1",
+        world: WorldSource,
         *,
         robot: RobotSpec | None = None,
         sensor_noise: Setting | None = None,

@@ -1,5 +1,6 @@
 """Where a round robot fits, and where it can get to: masks on a grid, from wall segments alone."""
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ COARSEST = 0.6
 """Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a wall."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FreeSpace:
     """A grid over a world and the cells at whose centres a disc touches nothing.
 
@@ -41,19 +42,25 @@ class FreeSpace:
         rows, columns = np.nonzero(mask)
         return self.origin + (np.column_stack((columns, rows)) + 0.5) * self.cell
 
+    def label_of(self, point: FloatArray) -> int:
+        """The number of the region that a disc standing at a point (2,) can get to; 0 where it does not fit."""
+        column, row = np.floor((point - self.origin) / self.cell).astype(int)
+        if not (0 <= row < self.labels.shape[0] and 0 <= column < self.labels.shape[1]):
+            return 0
+        if self.labels[row, column]:
+            return int(self.labels[row, column])
+        # A start may stand a fraction of a cell from the nearest free centre.
+        near = self.labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        return int(near[near > 0][0]) if (near > 0).any() else 0
+
     def region_of(self, point: FloatArray) -> BoolArray:
         """The cells that a disc standing at a point (2,) can get to. Empty where it does not fit."""
-        labels = self._labels()
-        column, row = np.floor((point - self.origin) / self.cell).astype(int)
-        inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
-        near = labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] if inside else np.zeros(0, int)
-        # A start may stand a fraction of a cell from the nearest free centre.
-        found = near[near > 0]
-        return labels == (found[0] if labels[row, column] == 0 else labels[row, column]) if found.size else labels < 0
+        label = self.label_of(point)
+        return np.asarray((self.labels == label) & (label > 0))
 
     def largest_closed_region(self) -> BoolArray:
         """The largest connected region that does not reach the border of the grid; may be empty."""
-        labels = self._labels()
+        labels = self.labels
         sizes = np.bincount(labels.ravel())
         sizes[0] = 0
         border = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
@@ -64,7 +71,9 @@ class FreeSpace:
         """Whether a region touches the outermost cells, which lie beyond every wall."""
         return bool(region[0].any() or region[-1].any() or region[:, 0].any() or region[:, -1].any())
 
-    def _labels(self) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+    @functools.cached_property
+    def labels(self) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+        """The number of each cell's connected region, from 1; 0 where the disc does not fit."""
         # Diagonal steps cannot cross a wall: free centres keep a radius away from it on either side.
         labels, _ = ndimage.label(self.free, structure=np.ones((3, 3), dtype=int))
         return np.asarray(labels, dtype=np.int32)

@@ -26,12 +26,12 @@ class Observation(TypedDict):
     """One step's readings, float32 as the environments give them.
 
     ``ranges`` (n_beams,) in metres, a beam's maximum where it sees nothing; ``wheels`` (2,),
-    left and right wheel travel in metres since the last observation. Recorded logs that hold
-    poses instead of wheel travel give ``odometry`` (3,), the motion since the last
+    left and right wheel travel in metres since the last observation. Without ``ranges`` nothing was
+    measured. Recorded logs that hold poses instead of wheel travel give ``odometry`` (3,), the motion since the last
     observation in the robot's frame at that time (m, m, rad), and leave ``wheels`` out.
     """
 
-    ranges: NDArray[np.floating[Any]]
+    ranges: NotRequired[NDArray[np.floating[Any]]]
     wheels: NotRequired[NDArray[np.floating[Any]]]
     odometry: NotRequired[NDArray[np.floating[Any]]]
 
@@ -57,7 +57,8 @@ class SensorSpec:
         Shortest and longest reading, m. A reading at ``max_range`` means that nothing was
         seen, one at ``min_range`` that something may be nearer.
     side
-        The scan buffer that its points go to; ``"none"`` for beams that only avoid collisions.
+        The scan buffer that its points go to; ``"none"`` for beams that only avoid collisions. By
+        its angle (:func:`side_of`) if left out.
     period
         Steps between two measurements; the last reading is repeated in between.
     """
@@ -67,7 +68,7 @@ class SensorSpec:
     angle: float
     min_range: float = 0.05
     max_range: float = 1.5
-    side: Side = "none"
+    side: Side | None = None
     period: int = 1
 
     def __post_init__(self) -> None:
@@ -75,6 +76,10 @@ class SensorSpec:
             raise ValueError("a beam's place, angle and ranges must be finite")
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"a beam needs 0 <= min_range < max_range, not {self.min_range} and {self.max_range}")
+        if self.side is None:
+            object.__setattr__(self, "side", side_of(self.angle))
+        if self.side not in {"left", "right", "none"}:
+            raise ValueError(f"a beam's side is left, right or none, not {self.side!r}")
         if self.period < 1:
             raise ValueError(f"a beam's period must be at least one step, not {self.period}")
 
@@ -84,9 +89,7 @@ def beams_on_rim(
 ) -> tuple[SensorSpec, ...]:
     """Beams that start on a circle of ``radius`` (m) and point straight out, at the given angles (deg)."""
     angles = [math.radians(degree) for degree in degrees]
-    return tuple(
-        SensorSpec(radius * math.cos(a), radius * math.sin(a), a, min_range, max_range, side_of(a)) for a in angles
-    )
+    return tuple(SensorSpec(radius * math.cos(a), radius * math.sin(a), a, min_range, max_range) for a in angles)
 
 
 PAPER_BEAMS_DEG = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
@@ -122,6 +125,7 @@ class RobotSpec:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"a robot's {name} must be positive, not {value}")
+        object.__setattr__(self, "beams", tuple(self.beams))
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
 

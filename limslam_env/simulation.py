@@ -134,8 +134,11 @@ class Simulation:
         distances, hits = self._index.cast(
             rays.origins, rays.directions, lengths, rays.owners, poses[:, :2].copy(), self.robot.radius
         )
-        mark_seen(self._seen, self._grid, poses, rays, distances, self.robot.radius)
         measures = self.robot.measures(self._steps)
+        seen = np.tile(measures, self.num_robots)
+        mark_seen(
+            self._seen, self._grid, poses, rays.origins[seen], rays.directions[seen], distances[seen], self.robot.radius
+        )
         shape = (self.num_robots, -1)
         ideal, hits = (distances - rays.offsets).reshape(shape), hits.reshape(shape)
         for robot in range(self.num_robots):

@@ -107,6 +107,20 @@ def test_observe_and_decide_are_the_two_halves_of_act(recording: Recording) -> N
     np.testing.assert_array_equal(actions, recording[2][:200])
 
 
+def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
+    agent, records = fresh(recording), []
+    agent.slam.on_association = records.append
+    for number, observation in enumerate(recording[1]):
+        agent.act(observation)
+        if number > 100 and all(len(buffer.scan) > 12 for buffer in agent.slam._buffers):
+            break
+    before = len(records)
+    agent.finish()
+    assert len(records) > before
+    assert sum(landmark.observations for landmark in agent.slam.landmarks) == len(records)
+    assert all(len(buffer.scan) == 0 for buffer in agent.slam._buffers)
+
+
 WITHOUT_PHYSICS = """
 import sys
 blocked = ["pymunk", "numba", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymnasium.envs.box2d",

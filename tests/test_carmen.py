@@ -205,8 +205,11 @@ def test_observations_hold_the_motion_in_the_robots_own_frame(write: Any) -> Non
     observations = list(read_carmen(path, SIX, 3.0).observations())
     expected = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, half], [1, 0, 3 - math.pi]])
     np.testing.assert_allclose(np.array([o["odometry"] for o in observations]), expected, atol=1e-12)
-    assert all("wheels" not in o and o["ranges"].dtype == np.float32 for o in observations)
-    np.testing.assert_array_equal([o["ranges"][0] for o in observations], [3.0, 2.0, 2.0, 3.0])
+    assert all("wheels" not in o for o in observations)
+    # Events without a scan measured nothing, which is not the same as having seen nothing.
+    assert ["ranges" in o for o in observations] == [False, True, True, False]
+    assert all(o["ranges"].dtype == np.float32 for o in observations[1:3])
+    np.testing.assert_array_equal([o["ranges"][0] for o in observations[1:3]], [2.0, 2.0])
 
 
 def test_observations_are_fresh_arrays(write: Any) -> None:
@@ -494,6 +497,39 @@ def test_a_recorded_log_needs_wheels_or_odometry() -> None:
         RecordedLog(robot=robot, start_pose=np.zeros(3), odometry=np.zeros((1, 3)), wheels=np.zeros((1, 2)), **zeros)
     with pytest.raises(ValueError, match=r"odometry has shape \(1, 2\), not \(1, 3\)"):
         RecordedLog(robot=robot, start_pose=np.zeros(3), odometry=np.zeros((1, 2)), **zeros)
+
+
+def one_beam_log(**columns: Any) -> RecordedLog:
+    count = len(columns["has_scan"])
+    return RecordedLog(
+        robot=RobotSpec(beams=(SensorSpec(0.0, 0.0, 0.0),)),
+        time=np.arange(count, dtype=float),
+        ranges=np.ones((count, 1), np.float32),
+        start_pose=np.zeros(3),
+        **columns,
+    )
+
+
+@pytest.mark.parametrize("motion", ["odometry", "wheels"])
+def test_an_event_without_a_scan_has_no_ranges(motion: str) -> None:
+    moves = np.zeros((3, 3 if motion == "odometry" else 2))
+    log = one_beam_log(has_scan=np.array([True, False, True]), **{motion: moves})
+    assert ["ranges" in each for each in log.observations()] == [True, False, True]
+    assert all(motion in each for each in log.observations())
+
+
+@pytest.mark.parametrize("jump", [(50.1, 0.0), (-36.0, 36.0), (0.0, 1e9)])
+def test_odometry_that_jumps_is_refused(jump: tuple[float, float]) -> None:
+    odometry = np.zeros((4, 3))
+    odometry[2:, :2] = jump
+    with pytest.raises(ValueError, match=r"odometry jumps by \S+ m in row 2"):
+        one_beam_log(has_scan=np.ones(4, np.bool_), odometry=odometry)
+
+
+def test_odometry_may_be_far_out_and_go_far_in_one_event() -> None:
+    odometry = np.zeros((4, 3))
+    odometry[:, 0] = [1e6, 1e6 + 49.9, 1e6 + 99.8, 1e6 + 99.8]
+    assert len(one_beam_log(has_scan=np.ones(4, np.bool_), odometry=odometry)) == 4
 
 
 # Which reader

@@ -48,7 +48,7 @@ def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
 ) -> None:
     pose = np.array([x, y, yaw])
     target = ahead_of(pose, bearing)
-    for action in (steer(pose, target, CLEAR, ROBOT, CONFIG), turn_towards(pose, target, ROBOT, CONFIG)):
+    for action in (steer(pose, target, CLEAR, ROBOT, CONFIG, CONFIG.speed), turn_towards(pose, target, ROBOT, CONFIG)):
         if 1e-3 < abs(bearing) < math.pi - 1e-3:
             assert np.sign(action[1] - action[0]) == np.sign(bearing)
         assert np.abs(action).max() <= 1.0 + 1e-12
@@ -57,14 +57,14 @@ def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
 @pytest.mark.parametrize("bearing_deg", [41.0, 90.0, 179.0, -41.0, -120.0])
 def test_far_off_its_heading_it_turns_where_it_stands(bearing_deg: float) -> None:
     pose = np.array([1.0, 2.0, 3.0])
-    action = steer(pose, ahead_of(pose, math.radians(bearing_deg)), CLEAR, ROBOT, CONFIG)
+    action = steer(pose, ahead_of(pose, math.radians(bearing_deg)), CLEAR, ROBOT, CONFIG, CONFIG.speed)
     assert action.sum() == pytest.approx(0.0, abs=1e-12)
     assert np.abs(action).max() > 0.3
 
 
 def test_straight_ahead_it_cruises() -> None:
     pose = np.array([-1.0, 0.5, -2.0])
-    action = steer(pose, ahead_of(pose, 0.0), CLEAR, ROBOT, CONFIG)
+    action = steer(pose, ahead_of(pose, 0.0), CLEAR, ROBOT, CONFIG, CONFIG.speed)
     np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
 
 
@@ -76,7 +76,7 @@ def test_it_arrives(yaw: float, bearing: float, distance: float) -> None:
     for _ in range(400):
         if np.hypot(*(target - pose[:2])) < 0.05:
             break
-        pose = drive(pose, steer(pose, target, CLEAR, ROBOT, CONFIG))
+        pose = drive(pose, steer(pose, target, CLEAR, ROBOT, CONFIG, CONFIG.speed))
     assert np.hypot(*(target - pose[:2])) < 0.05
 
 
@@ -97,7 +97,7 @@ def test_it_stops_in_front_of_a_wall_that_its_front_beams_see(slant_deg: float) 
     pose = np.array([0.0, 0.0, 0.0])
     actions = []
     for _ in range(150):
-        action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG)
+        action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG, CONFIG.speed)
         actions.append(action)
         pose = drive(pose, action)
         clearance = line[0] - pose[0] * math.cos(line[1]) - pose[1] * math.sin(line[1]) - ROBOT.radius
@@ -112,21 +112,21 @@ def test_the_less_room_the_slower() -> None:
     pose, speeds = np.zeros(3), []
     for distance in (0.9, 0.30, 0.25, 0.20, 0.15, 0.12):
         readings = wall_ranges(pose, np.array([distance, 0.0]))
-        speeds.append(steer(pose, np.array([5.0, 0.0]), readings, ROBOT, CONFIG).sum())
+        speeds.append(steer(pose, np.array([5.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed).sum())
     assert speeds[0] > speeds[1] > speeds[2] > speeds[3] > speeds[4] >= speeds[5] == 0.0
 
 
 def test_in_front_of_a_wall_it_still_turns_away() -> None:
     pose = np.zeros(3)
     readings = wall_ranges(pose, np.array([0.13, 0.0]))
-    action = steer(pose, ahead_of(pose, math.radians(30.0)), readings, ROBOT, CONFIG)
+    action = steer(pose, ahead_of(pose, math.radians(30.0)), readings, ROBOT, CONFIG, CONFIG.speed)
     assert action.sum() == pytest.approx(0.0, abs=1e-12)
     assert action[1] > action[0]
 
 
 def test_walls_beside_the_robot_do_not_stop_it() -> None:
     readings = np.array([0.06, 1.5, 1.5, 1.5, 1.5, 0.06])
-    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG)
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
     np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
 
 
@@ -147,12 +147,43 @@ def test_free_ahead_is_the_way_to_the_nearest_point_in_the_bodys_strip() -> None
     assert free_ahead(readings, ROBOT) == math.inf
 
 
-@pytest.mark.parametrize("reading", [math.nan, math.inf, -math.inf])
-def test_a_front_beam_that_reads_nonsense_counts_as_blocked(reading: float) -> None:
+NONSENSE = pytest.mark.parametrize("reading", [math.nan, math.inf, -math.inf])
+
+
+@NONSENSE
+def test_a_front_beam_that_reads_nonsense_is_left_out(reading: float) -> None:
     readings = CLEAR.copy()
     readings[3] = reading
-    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG)
+    assert free_ahead(readings, ROBOT) == math.inf
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
+    # What the others see still counts, as if that one saw nothing.
+    readings[2] = 0.1
+    without = readings.copy()
+    without[3] = 1.5
+    assert free_ahead(readings, ROBOT) == free_ahead(without, ROBOT) < 0.15
+
+
+@NONSENSE
+def test_when_no_front_beam_gives_a_number_there_is_no_room(reading: float) -> None:
+    # Those at 45 and 15 degrees look ahead; what the side beams read says nothing about the way on.
+    readings = CLEAR.copy()
+    readings[1:5] = reading
+    assert free_ahead(readings, ROBOT) == 0.0
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
     np.testing.assert_allclose(action, 0.0, atol=1e-12)
+    # It may still turn, and one beam that gives a number is enough.
+    turning = steer(np.zeros(3), np.array([0.0, 1.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    assert turning[1] > 0.3
+    readings[1] = 1.5
+    assert free_ahead(readings, ROBOT) == math.inf
+
+
+@NONSENSE
+def test_a_side_beam_that_reads_nonsense_changes_nothing(reading: float) -> None:
+    readings = CLEAR.copy()
+    readings[[0, 5]] = reading
+    assert free_ahead(readings, ROBOT) == math.inf
 
 
 def test_a_maximum_rounded_to_float32_is_still_nothing_seen() -> None:

@@ -1,6 +1,7 @@
 """Coverage: which cells count, and which have been seen."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CELL, coverage_grid, mark_seen
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.sensors import beam_rays, build_wall_index
 from limslam_env.simulation import Simulation
 from limslam_env.world import World, load_world
@@ -30,7 +31,7 @@ def seen_from(world: World, poses: FloatArray) -> np.ndarray:
         rays = beam_rays(pose, ROBOT)
         lengths = rays.offsets + ROBOT.max_ranges
         found, _ = index.cast(rays.origins, rays.directions, lengths, rays.owners, pose[:, :2].copy(), ROBOT.radius)
-        mark_seen(seen, grid, pose, rays, found, ROBOT.radius)
+        mark_seen(seen, grid, pose, rays.origins, rays.directions, found, ROBOT.radius)
     return seen
 
 
@@ -146,3 +147,57 @@ def test_what_can_be_seen_in_a_drive_was_coverable():
         for _ in range(25):
             simulation.step(action)
     assert not (simulation._seen & ~simulation.coverage_grid.coverable).any()
+
+
+def test_only_beams_that_measured_in_a_step_count():
+    slow = RobotSpec(beams=[replace(beam, period=10) for beam in beams_on_rim((90.0, 45.0), ROBOT.radius)])
+    simulation = Simulation(load_world("env1"), slow)
+    _, truth = simulation.reset(np.random.SeedSequence(0), NoiseConfig())
+    assert truth.coverage > 0.0
+    # Turning on the spot, the body covers nothing new, and the beams look elsewhere at every step.
+    areas = [simulation.step(np.array([[-0.5, 0.5]]))[1].new_area for _ in range(30)]
+    assert [step for step, area in enumerate(areas, start=1) if area > 0.0] == [10, 20, 30]
+
+
+def test_starts_in_one_region_share_one_grid():
+    world = box_world([2.0, 0.0, 2.0, 2.0])
+    left, right = np.array([[0.5, 1.0, 0.0]]), np.array([[3.0, 1.0, 0.0]])
+    grid = coverage_grid(world, ROBOT, left)
+    assert coverage_grid(world, ROBOT, np.array([[1.5, 0.4, 2.0], [0.7, 1.3, -1.0]])) is grid
+    other = coverage_grid(world, ROBOT, right)
+    assert other is not grid
+    assert not (other.coverable & grid.coverable).any()
+    both = coverage_grid(world, ROBOT, np.vstack((left, right)))
+    np.testing.assert_array_equal(both.coverable, grid.coverable | other.coverable)
+    assert coverage_grid(world, replace(ROBOT, radius=0.2), left) is not grid
+
+
+@pytest.mark.parametrize("side", [0.22, 0.25, 0.30, 0.35, 0.50])
+def test_a_room_hardly_larger_than_the_robot_can_be_covered(side):
+    walls = np.array([[0.0, 0.0, side, 0.0], [side, 0.0, side, side], [side, side, 0.0, side], [0.0, side, 0.0, 0.0]])
+    world = World("closet", (side, side), walls, starts=np.array([[0.5 * side, 0.5 * side, 0.0]]))
+    assert coverage_grid(world, ROBOT, world.starts).total >= (side / CELL - 1.0) ** 2
+
+
+def test_labels_tell_the_regions_apart():
+    space = box_world([2.0, 0.0, 2.0, 2.0]).free_space(ROBOT.radius)
+    left, right = space.label_of(np.array([0.5, 1.0])), space.label_of(np.array([3.0, 1.0]))
+    assert left > 0
+    assert right > 0
+    assert left != right
+    assert space.label_of(np.array([1.8, 1.9])) == left
+    # In the wall, and outside of the grid, the disc fits nowhere; all round the box it does.
+    assert space.label_of(np.array([2.0, 1.0])) == space.label_of(np.array([50.0, 1.0])) == 0
+    assert space.label_of(np.array([-50.0, -50.0])) == 0
+    assert not space.region_of(np.array([2.0, 1.0])).any()
+    np.testing.assert_array_equal(space.region_of(np.array([0.5, 1.0])), space.labels == left)
+    np.testing.assert_array_equal(space.labels > 0, space.free)
+    assert space.labels is space.labels
+
+
+def test_a_start_a_fraction_of_a_cell_off_the_free_ground_is_in_its_region():
+    space = box_world().free_space(ROBOT.radius)
+    inside = space.label_of(np.array([0.5, 1.0]))
+    # Touching the wall, the centre's own cell may count as blocked.
+    for y in np.linspace(0.3, 1.7, 15):
+        assert space.label_of(np.array([ROBOT.radius + 1e-6, y])) == inside

@@ -185,12 +185,12 @@ def small_room():
 @pytest.mark.parametrize("goal", [0.0, -0.1, 1.1, float("nan")])
 def test_a_goal_that_cannot_be_is_refused(goal):
     with pytest.raises(ValueError, match="coverage_goal"):
-        LimSlamEnv(coverage_goal=goal)
+        LimSlamEnv("env1", coverage_goal=goal)
 
 
 def test_the_reward_is_the_sum_of_its_pieces():
     rewards = RewardConfig(new_area=2.0, step=-0.5, collision=-10.0)
-    env = LimSlamEnv(rewards=rewards)
+    env = LimSlamEnv("env1", rewards=rewards)
     _, info = env.reset(seed=0, options={"start": (1.0, 3.0, np.pi)})
     before, collisions = info["coverage"], set()
     for _ in range(60):
@@ -235,13 +235,13 @@ def test_reset_moves_to_another_world_and_stays_there():
     ],
 )
 def test_a_reset_option_that_cannot_be_is_refused(options, error, reason):
-    env = LimSlamEnv()
+    env = LimSlamEnv("env1")
     with pytest.raises(error, match=reason):
         env.reset(seed=0, options=options)
 
 
 def test_after_a_refused_reset_a_step_says_so_or_goes_on():
-    env = LimSlamEnv()
+    env = LimSlamEnv("env1")
     env.reset(seed=0)
     with pytest.raises(WorldError):
         env.reset(options={"world": "square", "start": (3.5, 3.5, 0.0)})
@@ -257,7 +257,7 @@ def test_after_a_refused_reset_a_step_says_so_or_goes_on():
     [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go", [[0.0], [0.0, 1.0]]],
 )
 def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
-    env = LimSlamEnv()
+    env = LimSlamEnv("env1")
     env.reset(seed=0)
     with pytest.raises(ValueError):
         env.step(action)
@@ -266,7 +266,7 @@ def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
 
 
 def test_actions_out_of_range_are_clipped():
-    wild, clipped = LimSlamEnv(), LimSlamEnv()
+    wild, clipped = LimSlamEnv("env1"), LimSlamEnv("env1")
     actions = 4.0 * random_actions(60)
     assert (np.abs(actions) > 1.0).any()
     for one, other in zip(follow(wild, actions, 3), follow(clipped, np.clip(actions, -1.0, 1.0), 3), strict=True):
@@ -274,17 +274,19 @@ def test_actions_out_of_range_are_clipped():
 
 
 def test_actions_may_be_plain_lists():
-    lists, arrays = (follow(LimSlamEnv(), actions, 3) for actions in ([[0.5, 1.0]] * 5, np.tile([0.5, 1.0], (5, 1))))
+    lists, arrays = (
+        follow(LimSlamEnv("env1"), actions, 3) for actions in ([[0.5, 1.0]] * 5, np.tile([0.5, 1.0], (5, 1)))
+    )
     np.testing.assert_array_equal(lists, arrays)
 
 
 def test_a_step_before_reset_is_refused():
     with pytest.raises(gym.error.ResetNeeded):
-        LimSlamEnv().step(AHEAD)
+        LimSlamEnv("env1").step(AHEAD)
 
 
 def test_close_may_be_called_twice_and_before_reset():
-    env = LimSlamEnv(render_mode="rgb_array")
+    env = LimSlamEnv("env1", render_mode="rgb_array")
     env.close()
     env.close()
     made = gym.make(ID)
@@ -294,7 +296,7 @@ def test_close_may_be_called_twice_and_before_reset():
 
 
 def test_spaces_are_the_same_objects_at_each_call():
-    env = LimSlamEnv()
+    env = LimSlamEnv("env1")
     spaces = env.action_space, env.observation_space
     env.reset(seed=0)
     env.step(AHEAD)
@@ -304,7 +306,7 @@ def test_spaces_are_the_same_objects_at_each_call():
 
 def test_space_bounds_are_finite_and_those_of_the_robot():
     env = LimSlamEnv(
-        robot=RobotSpec(beams=beams_on_rim((0.0, 90.0), 0.1, min_range=0.1, max_range=3.0), max_wheel_speed=0.5)
+        "env1", robot=RobotSpec(beams=beams_on_rim((0.0, 90.0), 0.1, min_range=0.1, max_range=3.0), max_wheel_speed=0.5)
     )
     ranges, wheels = env.observation_space["ranges"], env.observation_space["wheels"]
     np.testing.assert_allclose([ranges.low, ranges.high], [[0.1, 0.1], [3.0, 3.0]])
@@ -324,32 +326,37 @@ def test_a_seed_gives_the_same_episode_again():
 def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
     runs = []
     for _ in range(2):
-        env = LimSlamEnv(sensor_noise=0.04)
+        env = LimSlamEnv("env1", sensor_noise=0.04)
         runs.append([env.reset(seed=1)[0]["ranges"], env.reset()[0]["ranges"], env.reset()[0]["ranges"]])
     np.testing.assert_array_equal(*runs)
     assert (runs[0][1] != runs[0][2]).any()
 
 
+def test_the_world_must_be_named():
+    with pytest.raises(TypeError, match="world"):
+        LimSlamEnv(sensor_noise=0.02)
+
+
 def test_sensor_noise_overrides_that_of_noise_and_nothing_else():
-    env = LimSlamEnv(sensor_noise=0.04, noise=NoiseConfig(sensor_noise=0.02, wheel_variance=1e-4))
+    env = LimSlamEnv("env1", sensor_noise=0.04, noise=NoiseConfig(sensor_noise=0.02, wheel_variance=1e-4))
     assert (env.noise.sensor_noise, env.noise.wheel_variance) == (0.04, 1e-4)
-    assert LimSlamEnv(noise=NoiseConfig(sensor_noise=0.02)).noise.sensor_noise == 0.02
-    assert LimSlamEnv(sensor_noise=(0.0, 0.04)).noise.sensor_noise == (0.0, 0.04)
+    assert LimSlamEnv("env1", noise=NoiseConfig(sensor_noise=0.02)).noise.sensor_noise == 0.02
+    assert LimSlamEnv("env1", sensor_noise=(0.0, 0.04)).noise.sensor_noise == (0.0, 0.04)
 
 
 @pytest.mark.parametrize("noise", [-0.01, float("nan"), float("inf"), (0.04, 0.02), (-0.1, 0.1)])
 def test_a_noise_that_cannot_be_is_refused(noise):
     with pytest.raises(ValueError, match="sensor_noise"):
-        LimSlamEnv(sensor_noise=noise)
+        LimSlamEnv("env1", sensor_noise=noise)
 
 
 def test_an_unknown_render_mode_is_refused():
     with pytest.raises(ValueError, match="render_mode"):
-        LimSlamEnv(render_mode="human")
+        LimSlamEnv("env1", render_mode="human")
 
 
 def test_the_table_of_actions_agrees_with_the_space():
-    space = LimSlamEnv().action_space
+    space = LimSlamEnv("env1").action_space
     assert f"`{space!r}`" in inspect.getdoc(LimSlamEnv)
     rows = table("Action Space")
     assert [int(row["Num"]) for row in rows] == list(range(space.shape[0]))
@@ -359,7 +366,7 @@ def test_the_table_of_actions_agrees_with_the_space():
 
 
 def test_the_first_action_is_the_left_wheel():
-    env = LimSlamEnv(noise=NoiseConfig(wheel_variance=0.0))
+    env = LimSlamEnv("env1", noise=NoiseConfig(wheel_variance=0.0))
     env.reset(seed=0)
     observation, _, _, _, info = env.step([0.0, 1.0])
     np.testing.assert_allclose(observation["wheels"], [0.0, 0.03])
@@ -367,7 +374,7 @@ def test_the_first_action_is_the_left_wheel():
 
 
 def test_the_table_of_observations_agrees_with_the_space():
-    env = LimSlamEnv()
+    env = LimSlamEnv("env1")
     rows = {row["Key"]: row for row in table("Observation Space")}
     assert set(rows) == set(env.observation_space.keys())
     robot = env.robot

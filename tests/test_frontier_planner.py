@@ -83,6 +83,18 @@ def test_what_lies_past_the_grids_edge_is_unknown() -> None:
     assert drawn(frontier_cells(grid_of("..#", "..#", "..#"), 3)) == ["xx-", "x--", "xx-"]
 
 
+def test_ignored_cells_are_no_frontier_and_what_they_leave_counts_by_itself() -> None:
+    # A frontier of seven cells in a row; what is ignored parts it into three and two.
+    grid = grid_of("#########", "#.......#", "?????????")
+    ignored = np.zeros(grid.values.shape, dtype=bool)
+    assert drawn(frontier_cells(grid, 3, ignored)) == drawn(frontier_cells(grid, 3)) == ["-" * 9, "-xxxxxxx-", "-" * 9]
+    ignored[:, 4:6] = True
+    assert drawn(frontier_cells(grid, 1, ignored)) == ["-" * 9, "-xxx--xx-", "-" * 9]
+    assert drawn(frontier_cells(grid, 3, ignored)) == ["-" * 9, "-xxx-----", "-" * 9]
+    assert not frontier_cells(grid, 4, ignored).any()
+    assert not frontier_cells(grid, 1, np.ones_like(ignored)).any()
+
+
 # A plain Dijkstra, cell by cell.
 
 
@@ -97,18 +109,18 @@ def plain_distances(grid: GridView) -> FloatArray:
 
 
 def plain_dijkstra(grid: GridView, start: tuple[int, int], radius: float) -> FloatArray:
-    """Costs (m) over cells that keep the radius; near the start too close ones count threefold."""
+    """Costs (m) over free cells; a cell within the radius of an occupied one costs 22 m more a metre.
+
+    Of these, 20 are for the tightness, and two for all the comfort that it lacks.
+    """
     distances = plain_distances(grid)
     rows, columns = grid.values.shape
 
     def passable(row: int, column: int) -> bool:
-        if (row, column) == start:
-            return True
-        under = math.hypot(row - start[0], column - start[1]) <= radius / CELL
-        return bool(grid.free[row, column] and (under or distances[row, column] >= radius))
+        return (row, column) == start or bool(grid.free[row, column])
 
     def toll(row: int, column: int) -> float:
-        return 3.0 if distances[row, column] < radius else 1.0
+        return 23.0 if distances[row, column] < radius else 1.0
 
     cost = np.full(grid.values.shape, math.inf)
     queue = [(0.0, start)]
@@ -120,7 +132,9 @@ def plain_dijkstra(grid: GridView, start: tuple[int, int], radius: float) -> Flo
         for down in (-1, 0, 1):
             for right in (-1, 0, 1):
                 row, column = cell[0] + down, cell[1] + right
-                if (down or right) and 0 <= row < rows and 0 <= column < columns and passable(row, column):
+                inside = (down or right) and 0 <= row < rows and 0 <= column < columns
+                # A diagonal step needs both cells beside it; for a straight one these are the step's own ends.
+                if inside and passable(row, column) and passable(cell[0], column) and passable(row, cell[1]):
                     step = CELL * math.hypot(down, right) * 0.5 * (toll(*cell) + toll(row, column))
                     heapq.heappush(queue, (so_far + step, (row, column)))
     return cost
@@ -147,19 +161,19 @@ def test_costs_equal_a_plain_dijkstras(radius: float, walls: float, seed: int) -
 
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 100_000))
-def test_paths_lead_cell_by_cell_over_free_ground_and_keep_the_radius(seed: int) -> None:
+def test_paths_lead_cell_by_cell_over_free_ground_and_cut_no_corners(seed: int) -> None:
     radius = 0.12
     grid, start = random_grid(seed, 0.06)
-    distances = plain_distances(grid)
     ways = routes(grid, place(*start), radius, 0.15)
     for cell in np.argwhere(np.isfinite(ways.cost)).tolist():
         path = ways.path_to((cell[0], cell[1]))
         assert path[0].tolist() == list(start)
         assert path[-1].tolist() == cell
         assert (np.abs(np.diff(path, axis=0)).max(axis=1) == 1).all() if len(path) > 1 else cell == list(start)
-        away = np.hypot(*(path - start).T) > radius / CELL
         assert grid.free[path[:, 0], path[:, 1]].all()
-        assert (distances[path[away, 0], path[away, 1]] >= radius).all()
+        # The two cells that a diagonal step passes between are free as well.
+        assert grid.free[path[1:, 0], path[:-1, 1]].all()
+        assert grid.free[path[:-1, 0], path[1:, 1]].all()
         # Costs add up along the path, and only ever grow.
         assert (np.diff(ways.cost[path[:, 0], path[:, 1]]) > 0.0).all()
 
@@ -191,13 +205,75 @@ def test_unknown_ground_is_not_driven_over() -> None:
     assert np.isinf(cost[:, 2:]).all()
 
 
-def test_a_door_narrower_than_the_robot_is_closed_and_a_wider_one_open() -> None:
+def walled(*openings: str) -> GridView:
+    """Two halves of a room with one wall between them, in row 5, that is drawn."""
+    return grid_of(*["." * len(openings[0])] * 5, *openings, *["." * len(openings[0])] * 5)
+
+
+def test_a_way_round_is_preferred_to_a_tight_passage() -> None:
     # An opening of 3 cells leaves 0.15 m from the middle to the posts, one of 5 leaves 0.25 m.
-    for opening, passes in ((3, False), (5, True)):
-        side = (9 - opening) // 2
-        wall = "#" * side + "." * opening + "#" * (9 - side - opening)
-        grid = grid_of(*["." * 9] * 5, wall, *["." * 9] * 5)
-        assert np.isfinite(routes(grid, place(1, 4), 0.18, NO_COMFORT).cost[9, 4]) == passes
+    grid = walled("##...############.....##")
+    path = routes(grid, place(1, 3), 0.18, NO_COMFORT).path_to((9, 3))
+    through = path[path[:, 0] == 5, 1]
+    assert ((through >= 17) & (through <= 21)).all()
+    # For a robot that fits, the near door is the shorter way.
+    path = routes(grid, place(1, 3), 0.1, NO_COMFORT).path_to((9, 3))
+    assert path[path[:, 0] == 5, 1].tolist() == [3]
+
+
+@pytest.mark.parametrize(("opening", "tight"), [(1, True), (3, True), (5, False)])
+def test_a_tight_passage_is_taken_when_there_is_no_other(opening: int, tight: bool) -> None:
+    side = (9 - opening) // 2
+    ways = routes(walled("#" * side + "." * opening + "#" * side), place(1, 4), 0.18, NO_COMFORT)
+    # Straight through the middle of the opening, as far from both posts as can be.
+    path = ways.path_to((9, 4))
+    assert path[path[:, 0] == 5].tolist() == [[5, 4]]
+    if tight:
+        assert ways.cost[9, 4] > 0.8 + 0.1 * 20.0
+    else:
+        assert ways.cost[9, 4] == pytest.approx(0.8)
+
+
+def test_each_metre_too_near_a_wall_costs_twenty_more_at_least() -> None:
+    # A corridor of one cell, 0.05 m to the wall on both sides.
+    grid = grid_of("#" * 12, "." * 12, "#" * 12)
+    assert routes(grid, place(1, 0), 0.0, NO_COMFORT).cost[1, 10] == pytest.approx(1.0)
+    assert routes(grid, place(1, 0), 0.12, NO_COMFORT).cost[1, 10] == pytest.approx(1.0 + 2.0 + 20.0)
+    # Comfort is two at most, and clipped: half of it is missing, and all of it within the radius.
+    assert routes(grid, place(1, 0), 0.0, 0.1).cost[1, 10] == pytest.approx(1.0 + 1.0)
+    assert routes(grid, place(1, 0), 0.12, 0.05).cost[1, 10] == pytest.approx(1.0 + 2.0 + 20.0)
+
+
+def test_a_hundred_tight_cells_are_still_open() -> None:
+    cost = routes(grid_of("#" * 101, "." * 101, "#" * 101), place(1, 0), 0.3, 0.15).cost
+    assert cost[1, 100] == pytest.approx(10.0 * 23.0)
+    assert np.isinf(cost[[0, 2]]).all()
+
+
+def test_corners_are_not_cut() -> None:
+    # Between two occupied cells that touch at a corner the wall goes on.
+    shut = routes(grid_of(".#", "#."), place(0, 0), 0.0, NO_COMFORT)
+    assert np.isinf(shut.cost[1, 1])
+    # Round one occupied or unknown cell the way is two straight steps.
+    for corner in ("#", "?"):
+        ways = routes(grid_of("..", corner + "."), place(0, 0), 0.0, NO_COMFORT)
+        assert ways.cost[1, 1] == pytest.approx(0.2)
+        assert ways.path_to((1, 1)).tolist() == [[0, 0], [0, 1], [1, 1]]
+        ways = routes(grid_of("." + corner, ".."), place(0, 0), 0.0, NO_COMFORT)
+        assert ways.path_to((1, 1)).tolist() == [[0, 0], [1, 0], [1, 1]]
+        # The other diagonal.
+        ways = routes(grid_of("..", "." + corner), place(0, 1), 0.0, NO_COMFORT)
+        assert ways.path_to((1, 0)).tolist() == [[0, 1], [0, 0], [1, 0]]
+    open_ways = routes(grid_of("..", ".."), place(0, 0), 0.0, NO_COMFORT)
+    assert open_ways.cost[1, 1] == pytest.approx(0.1 * math.sqrt(2.0))
+
+
+@pytest.mark.parametrize(("row", "column"), [(-1, 2), (5, 2), (2, -1), (2, 5), (-40, -40)])
+def test_from_outside_of_the_grid_nothing_can_be_reached(row: int, column: int) -> None:
+    ways = routes(grid_of(*["....."] * 5), place(row, column), 0.1, 0.1)
+    assert ways.cost.shape == (5, 5)
+    assert np.isinf(ways.cost).all()
+    assert (ways.predecessors < 0).all()
 
 
 @pytest.mark.parametrize("row", [1, 2])
@@ -208,8 +284,10 @@ def test_a_robot_that_stands_too_near_a_wall_still_gets_out(row: int) -> None:
     path = ways.path_to((7, 4))
     assert np.isfinite(ways.cost[7, 4])
     assert path[0].tolist() == [row, 4]
-    # But it cannot run along the wall for long: a cell as near the wall and far from the robot stays shut.
-    assert np.isinf(ways.cost[1, 8])
+    # It leaves the zone by the shortest way, and does not run along the wall to a cell that is near it too.
+    assert path[:4, 0].tolist() == [row, row + 1, row + 2, row + 3]
+    along = ways.path_to((1, 8))
+    assert along[:, 0].max() >= 3
 
 
 def test_a_robot_whose_own_cell_seems_occupied_still_gets_out() -> None:

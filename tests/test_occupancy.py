@@ -76,11 +76,56 @@ def test_nothing_seen_clears_all_the_way_and_occupies_nothing() -> None:
     assert not grid.view.occupied.any()
 
 
-def test_a_reading_at_the_minimum_clears_nothing() -> None:
-    grid = OccupancyGrid(CONFIG)
+@pytest.mark.parametrize("reading", [0.2, float(np.float32(0.2)), 0.1])
+def test_a_reading_at_the_minimum_marks_nothing(reading: float) -> None:
+    with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
     beam = RobotSpec(radius=0.05, beams=(SensorSpec(0.3, 0.0, 0.0, 0.2, 1.5),))
-    grid.update(at_centre(0, 0), beam, np.array([0.2]), YES)
-    assert all(value(grid, column, 0) <= 0 for column in range(2, 8))
+    with_it.update(at_centre(0, 0), beam, np.array([reading]), YES)
+    without.update(at_centre(0, 0), beam, np.array([reading]), NO)
+    # Neither its way nor its end, not even where it begins: the body is all that is known.
+    assert known(with_it) == known(without)
+    assert value(with_it, 3, 0) == value(with_it, 5, 0) == 0
+    # A little more is a reading like any other.
+    with_it.update(at_centre(0, 0), beam, np.array([0.21]), YES)
+    assert value(with_it, 5, 0) == -4
+
+
+def test_the_view_ends_where_knowledge_ends() -> None:
+    grid = OccupancyGrid(CONFIG)
+    grid.update(at_centre(3, 5), ONE, np.array([1.0]), YES)
+    assert grid.view.values.shape == (1, 11)
+    np.testing.assert_allclose(grid.view.low, [0.3, 0.5])
+    grid.update(at_centre(2, 8, 0.5 * math.pi), ONE, np.array([0.5]), YES)
+    assert grid.view.values.shape == (9, 12)
+    np.testing.assert_allclose(grid.view.low, [0.2, 0.5])
+    # The outermost rows and columns all hold something.
+    unknown = grid.view.unknown
+    for edge in (unknown[0], unknown[-1], unknown[:, 0], unknown[:, -1]):
+        assert not edge.all()
+
+
+@pytest.mark.parametrize("far", [(20_100, 0), (0, -20_100), (-20_100, 20_100)])
+def test_a_map_without_bounds_is_refused(far: tuple[int, int]) -> None:
+    grid = OccupancyGrid(CONFIG)
+    grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
+    with pytest.raises(ValueError, match="the map has grown past 2000 m"):
+        grid.update(at_centre(*far), ONE, np.array([1.0]), YES)
+
+
+def test_a_map_of_nearly_two_kilometres_is_not_refused() -> None:
+    grid = OccupancyGrid(CONFIG)
+    for column in (0, 19_800):
+        grid.update(at_centre(column, 0), ONE, np.array([1.0]), YES)
+    assert grid.view.values.shape == (1, 19_811)
+
+
+def test_after_a_refusal_the_map_is_as_it_was() -> None:
+    grid = OccupancyGrid(CONFIG)
+    grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
+    before = known(grid)
+    with pytest.raises(ValueError, match="the map has grown"):
+        grid.update(at_centre(-30_000, 0), ONE, np.array([1.0]), YES)
+    assert known(grid) == before
 
 
 def test_the_body_stands_on_free_ground() -> None:

@@ -73,7 +73,7 @@ def test_y_points_up():
 
 
 def test_the_picture_follows_the_robot_and_draws_its_path():
-    env = LimSlamEnv(render_mode="rgb_array")
+    env = LimSlamEnv("env1", render_mode="rgb_array")
     env.reset(seed=0)
     before = env.render()
     for _ in range(30):
@@ -93,7 +93,7 @@ def test_the_picture_follows_the_robot_and_draws_its_path():
 
 
 def test_a_new_episode_forgets_the_old_path():
-    env = LimSlamEnv(render_mode="rgb_array")
+    env = LimSlamEnv("env1", render_mode="rgb_array")
     env.reset(seed=0)
     before = env.render()
     for _ in range(20):
@@ -103,7 +103,7 @@ def test_a_new_episode_forgets_the_old_path():
 
 
 def test_rendering_changes_nothing_in_the_episode_nor_in_earlier_pictures():
-    drawn, plain = LimSlamEnv(sensor_noise=0.02, render_mode="rgb_array"), LimSlamEnv(sensor_noise=0.02)
+    drawn, plain = LimSlamEnv("env1", sensor_noise=0.02, render_mode="rgb_array"), LimSlamEnv("env1", sensor_noise=0.02)
     drawn.reset(seed=0)
     plain.reset(seed=0)
     first = drawn.render()
@@ -117,7 +117,7 @@ def test_rendering_changes_nothing_in_the_episode_nor_in_earlier_pictures():
 
 
 def test_without_a_render_mode_there_is_no_picture():
-    env = LimSlamEnv()
+    env = LimSlamEnv("env1")
     env.reset(seed=0)
     assert env.render() is None
 

@@ -1,0 +1,70 @@
+"""The robot's description: beams find their sides, arrays stay as they are, and nonsense is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim, side_of
+
+
+@pytest.mark.parametrize(
+    ("degrees", "side"),
+    [
+        (0, "none"),
+        (15, "none"),
+        (45, "left"),
+        (90, "left"),
+        (180, "none"),
+        (-45, "right"),
+        (-90, "right"),
+        (270, "right"),
+    ],
+)
+def test_a_beam_without_a_side_gets_that_of_its_angle(degrees, side):
+    angle = math.radians(degrees)
+    assert SensorSpec(0.0, 0.0, angle).side == side_of(angle) == side
+    assert SensorSpec(0.0, 0.0, angle, side=None).side == side
+    assert beams_on_rim((degrees,), 0.1)[0].side == side
+
+
+@pytest.mark.parametrize("side", ["left", "right", "none"])
+def test_a_side_that_is_given_is_kept(side):
+    assert SensorSpec(0.0, 0.0, math.radians(90.0), side=side).side == side
+
+
+@pytest.mark.parametrize("side", ["Left", "", "front", 1, True, "None"])
+def test_an_unknown_side_is_refused(side):
+    with pytest.raises(ValueError, match="side is left, right or none"):
+        SensorSpec(0.0, 0.0, 0.0, side=side)
+
+
+def test_an_unknown_side_in_a_file_is_refused():
+    text = RobotSpec().to_json()
+    assert '"left"' in text
+    with pytest.raises(ValueError, match="side is left, right or none"):
+        RobotSpec.from_json(text.replace('"left"', '"up"'))
+
+
+def test_beams_given_as_a_list_are_as_good_as_a_tuple():
+    beams = list(beams_on_rim((90.0, 0.0, -90.0), 0.1))
+    robot = RobotSpec(beams=beams)
+    assert robot.beams == tuple(beams)
+    assert robot == RobotSpec(beams=tuple(beams))
+    assert hash(robot) == hash(RobotSpec(beams=tuple(beams)))
+    # What becomes of the list afterwards is none of the robot's business.
+    beams.clear()
+    assert len(robot.beams) == 3
+    assert RobotSpec.from_json(robot.to_json()) == robot
+    with pytest.raises(ValueError, match="at least one beam"):
+        RobotSpec(beams=[])
+
+
+@pytest.mark.parametrize("name", ["beam_origins", "beam_angles", "beam_directions", "min_ranges", "max_ranges"])
+def test_the_arrays_of_a_robot_cannot_be_written_to(name):
+    robot = RobotSpec()
+    array = getattr(robot, name)
+    before = array.copy()
+    with pytest.raises(ValueError, match="read-only"):
+        array[0] = 7.0
+    np.testing.assert_array_equal(getattr(robot, name), before)
