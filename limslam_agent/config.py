@@ -109,6 +109,8 @@ class AssociationConfig:
     min_new_length
         An observation that is no known landmark becomes a new one when it is at least this long. Ours:
         the direction of a short stretch is poorly known, and everything later leans on it.
+    min_new_share
+        The same as a share of the sensors' reach: those who see farther take their points farther apart. Ours.
     """
 
     gate: float = 100.0
@@ -117,6 +119,7 @@ class AssociationConfig:
     max_distance: float = 0.35
     range_slack: float = 0.25
     min_new_length: float = 0.30
+    min_new_share: float = 0.14
 
 
 @dataclass(frozen=True)

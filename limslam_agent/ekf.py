@@ -1,7 +1,7 @@
 """The extended Kalman filter over pose and lines, without dense work.
 
 State (the paper's eq. 1): x = [x, y, theta, r_1, theta_1, ..., r_N, theta_N], covariance P.
-Letters x, P, F, Q, H, R, S, K are the literature's and appear in this module only.
+Letters x, P, F, Q, H, R, S are the literature's and appear in this module only.
 """
 
 import math

@@ -63,6 +63,8 @@ class LineSlam:
         self._filter = LineEKF(np.zeros(3) if start_pose is None else start_pose)
         self._map = LineMap()
         self._buffers = [ScanBuffer(robot, "left", config.buffer), ScanBuffer(robot, "right", config.buffer)]
+        association = config.association
+        self._min_new_length = max(association.min_new_length, association.min_new_share * robot.reach)
         self._step = -1
         self.ranges: FloatArray = robot.max_ranges
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
@@ -152,7 +154,7 @@ class LineSlam:
             if self.config.filter.correct:
                 self._filter.observe_line(fit.line, fit.covariance, landmark)
             self._map.grow(landmark, self._filter.lines[landmark], transform_points(self.pose, fit.ends))
-        elif fit.length < self.config.association.min_new_length:
+        elif fit.length < self._min_new_length:
             return
         else:
             landmark = self._filter.augment(fit.line, fit.covariance)

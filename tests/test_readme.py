@@ -58,3 +58,9 @@ def test_every_link_to_a_file_leads_somewhere():
     # Only what travels with the tests can be looked for outside of a checkout.
     present = [link for link in links if link.startswith("docs/")]
     assert [link for link in present if not (ROOT / link).is_file()] == []
+
+
+def test_nothing_was_left_to_be_filled_in():
+    documents = [README, *(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))]
+    assert len(documents) > 3
+    assert [re.findall(r"\b[A-Z]{3,}_[A-Z0-9]+\b", text) for text in documents] == [[]] * len(documents)
