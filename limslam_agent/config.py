@@ -179,7 +179,10 @@ class PolicyConfig:
     stop_distance
         Free distance ahead of the rim below which the robot only turns.
     min_frontier
-        Cells; smaller frontiers are gaps between beams.
+        Cells; smaller frontiers are mostly gaps between beams.
+    min_last_frontier
+        Cells; the smallest frontiers that are gone to when no others are left. Across a corridor of twice
+        the robot's width lie but two.
     view_distance
         A frontier cell counts as reached when the way to it is this short.
     replan_period
@@ -194,6 +197,7 @@ class PolicyConfig:
     margin: float = 0.05
     stop_distance: float = 0.06
     min_frontier: int = 3
+    min_last_frontier: int = 2
     view_distance: float = 0.35
     replan_period: int = 5
 

@@ -105,11 +105,14 @@ class FrontierPolicy:
     def _replan(self, belief: Belief) -> None:
         grid = belief.grid
         faced = _around(grid, self._faced)
-        frontier = frontier_cells(grid, self._config.min_frontier, faced | _around(grid, self._missed))
+        tried = faced | _around(grid, self._missed)
         ways = routes(grid, belief.pose[:2], self._robot.radius + self._config.margin, self._config.clearance)
-        cost = np.where(frontier, ways.cost, np.inf)
-        if not np.isfinite(cost).any():
-            self._run_out(frontier_cells(grid, self._config.min_frontier, faced))
+        for size in (self._config.min_frontier, self._config.min_last_frontier):
+            cost = np.where(frontier_cells(grid, size, tried), ways.cost, np.inf)
+            if np.isfinite(cost).any():
+                break
+        else:
+            self._run_out(frontier_cells(grid, self._config.min_last_frontier, faced))
             return
         goal = self._kept_goal(grid, cost)
         if goal is None:
