@@ -47,14 +47,15 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--preset", default="paper")
     parser.add_argument("--laps", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=10, help="seeds 0 to this, less one")
+    parser.add_argument("--seeds", type=int, default=10, help="how many")
+    parser.add_argument("--first-seed", type=int, default=0)
     options = parser.parse_args()
     # The first run compiles and imports; its cost is nobody's but the start-up's.
     run_episode(RunConfig(options.world, options.noise, options.preset, max_time=5.0))
     print("| seed | " + " | ".join(COLUMNS.values()) + " |")
     print("|---" * (len(COLUMNS) + 1) + "|")
     rows = []
-    for seed in range(options.seeds):
+    for seed in range(options.first_seed, options.first_seed + options.seeds):
         row = run_one(options.world, options.noise, options.preset, seed, options.laps)
         rows.append(row)
         cells = ("-" if row[name] is None else f"{row[name]:.3g}" for name in COLUMNS)
