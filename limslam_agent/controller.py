@@ -50,7 +50,7 @@ def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
     if ahead.any() and not front.any():
         return 0.0
     reading = np.where(front, ranges, 0.0)
-    seen = front & (reading < robot.max_ranges * (1.0 - 1e-6))
+    seen = front & (reading < robot.too_far)
     x, y = (robot.beam_origins + reading[:, None] * robot.beam_directions).T
     in_the_way = seen & (np.abs(y) < robot.radius + _BODY_MARGIN) & (x > 0.0)
     if not in_the_way.any():

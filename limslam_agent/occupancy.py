@@ -80,9 +80,9 @@ class OccupancyGrid:
     def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
         """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
         # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
-        beams = np.nonzero(usable & (ranges > robot.min_ranges * (1.0 + 1e-6)))[0]
+        beams = np.nonzero(usable & (ranges > robot.too_near))[0]
         origins, directions = robot.beam_origins[beams], robot.beam_directions[beams]
-        hit = ranges[beams] < robot.max_ranges[beams] * (1.0 - 1e-6)
+        hit = ranges[beams] < robot.too_far[beams]
         length = ranges[beams]
         ends = transform_points(pose, origins + length[:, None] * directions)
         passed = transform_points(pose, self._samples(origins, directions, length))

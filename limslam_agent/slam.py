@@ -134,9 +134,7 @@ class LineSlam:
 
     def _hits(self) -> BoolArray:
         """Readings that show a wall: neither nothing seen, nor too near to be measured."""
-        # Readings are float32: a maximum need not survive the rounding exactly.
-        low, high = self.robot.min_ranges * (1.0 + 1e-6), self.robot.max_ranges * (1.0 - 1e-6)
-        return np.asarray(self.measured & (self.ranges > low) & (self.ranges < high))
+        return np.asarray(self.measured & (self.ranges > self.robot.too_near) & (self.ranges < self.robot.too_far))
 
     def _use(self, scan: Scan) -> None:
         for line in extract_lines(scan.points, self.config.hough, self.config.range_std):

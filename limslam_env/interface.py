@@ -21,6 +21,9 @@ Side = Literal["left", "right", "none"]
 SMALLEST_SIDE_ANGLE = math.radians(20.0)
 LARGEST_SIDE_ANGLE = math.radians(160.0)
 
+# Readings are float32: a beam's limits need not survive the rounding exactly.
+_ROUNDING = 1e-6
+
 
 class Observation(TypedDict):
     """One step's readings, float32 as the environments give them.
@@ -153,6 +156,16 @@ class RobotSpec:
     def max_ranges(self) -> FloatArray:
         """Longest readings, (n_beams,), m."""
         return _read_only([beam.max_range for beam in self.beams])
+
+    @cached_property
+    def too_near(self) -> FloatArray:
+        """Readings (n_beams,), m, up to which something is near, but not measured: the shortest, rounding allowed."""
+        return _read_only(list(self.min_ranges * (1.0 + _ROUNDING)))
+
+    @cached_property
+    def too_far(self) -> FloatArray:
+        """Readings (n_beams,), m, from which on nothing was seen: the longest, rounding allowed."""
+        return _read_only(list(self.max_ranges * (1.0 - _ROUNDING)))
 
     @cached_property
     def reach(self) -> float:
