@@ -1,4 +1,4 @@
-"""The command line: ``limslam run`` and ``limslam replay``.
+"""The command line: ``limslam run``, ``replay``, ``play`` and ``worlds``.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -17,6 +17,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from limslam_agent.world_commands import worlds
+
 if TYPE_CHECKING:
     from limslam_agent.config import OdometryConfig
 
@@ -26,6 +28,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Exploration and SLAM with almost no sensing.",
 )
+
+app.add_typer(worlds)
 
 _console = Console(stderr=True, highlight=False)
 
@@ -127,6 +131,24 @@ def replay(
         write_replay(folder, result, source, scores, versions())
     _report_replay(scores, len(result.landmarks))
     typer.echo(f"results     {target}")
+
+
+@app.command()
+def play(
+    world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
+    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
+) -> None:
+    """Drive a robot by keyboard, in a window."""
+    from gymnasium.error import Error
+
+    from limslam_env.play import play as drive_by_keyboard
+
+    try:
+        drive = drive_by_keyboard(world, sensor_noise=noise, seed=seed)
+    except Error as error:  # no pygame, no display, or no such seed
+        raise ValueError(str(error)) from error
+    typer.echo(f"drove for   {drive.time:.1f} s and covered {drive.coverage:.1%} of what can be seen")
 
 
 def _odometry(noise: str | None, bias: str | None) -> "OdometryConfig":

@@ -4,32 +4,68 @@ Importing this package registers the environments with Gymnasium, by name only: 
 and the compiled kernels are loaded when the first environment is made.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import gymnasium as gym
+import pettingzoo
 
 from limslam_env.config import NOISE_PRESETS_M, NoiseConfig, RewardConfig
 from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSpec
+
+if TYPE_CHECKING:
+    from limslam_env.parallel import LimSlamParallelEnv, aec_env, parallel_env
 
 __version__ = "0.1.0"
 
 __all__ = [
     "NOISE_PRESETS_M",
+    "LimSlamParallelEnv",
     "NoiseConfig",
     "NominalNoise",
     "Observation",
     "RewardConfig",
     "RobotSpec",
     "SensorSpec",
+    "aec_env",
+    "parallel_env",
 ]
 
 MAX_EPISODE_STEPS = 18_000
 
+_PLACES = {
+    "Env1": {"world": "env1"},
+    "Env2": {"world": "env2"},
+    "Env3": {"world": "env3"},
+    "World": {},
+    "Random": {"world": "random"},
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Physics and kernels are loaded when somebody asks for an environment.
+    if name in {"LimSlamParallelEnv", "aec_env", "parallel_env"}:
+        from limslam_env import parallel
+
+        return getattr(parallel, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 def _register() -> None:
-    worlds = {"LimSlam-Env1-v0": {"world": "env1"}, "LimSlam-World-v0": {}}
-    for name, arguments in worlds.items():
+    for place, arguments in _PLACES.items():
         gym.register(
-            name, entry_point="limslam_env.env:LimSlamEnv", max_episode_steps=MAX_EPISODE_STEPS, kwargs=arguments
+            f"LimSlam-{place}-v0",
+            entry_point="limslam_env.env:LimSlamEnv",
+            max_episode_steps=MAX_EPISODE_STEPS,
+            kwargs=arguments,
         )
+        for kind in ("parallel", "aec"):
+            pettingzoo.register(
+                kind,
+                f"limslam/{place}-v0",
+                f"limslam_env.parallel:{kind}_env",
+                max_cycles=MAX_EPISODE_STEPS,
+                kwargs=arguments,
+            )
 
 
 _register()

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,22 @@ NOISE_PRESETS_M = {"none": 0.0, "low": 0.02, "high": 0.04}
 """Standard deviations of the ranges in the paper's experiments, m."""
 
 
+_BOUNDS = {
+    "sensor_noise": (0.0, 1e3),
+    "range_noise_growth": (0.0, 1e3),
+    "range_resolution": (0.0, 1e3),
+    "dropout": (0.0, 1.0),
+    "fold_back": (0.0, 1e3),
+    "cone": (0.0, 0.5 * math.pi),
+    "wheel_variance": (0.0, 1e3),
+    "encoder_resolution": (0.0, 1e3),
+    "wheel_mismatch": (-0.5, 0.5),
+    "axle_mismatch": (-0.5, 0.5),
+    "slip_rate": (0.0, 1e6),
+    "slip_share": (0.0, 1.0),
+}
+
+
 @dataclass(frozen=True)
 class NoiseConfig:
     """The true noise of ranges and wheels. Every number may be a range that is drawn from at reset.
@@ -21,35 +37,72 @@ class NoiseConfig:
     ----------
     sensor_noise
         Standard deviation of a range, m.
+    range_noise_growth
+        Further noise that grows with the square of the range, 1/m: a sensor that finds distance by
+        triangulation has a standard deviation of this times the squared range.
+    range_resolution
+        Step in which ranges are given, m; 0 is exact.
     dropout
         Chance that a beam misses what it should have seen, per measurement.
+    fold_back
+        By how much a reading rises per metre that a wall is nearer than ``min_range``, as that of a
+        triangulating sensor does; 0 reads ``min_range`` there.
+    cone
+        Half the opening of a beam, rad: it reads the nearest thing within. 0 is a ray.
     wheel_variance
         Variance of a wheel's reported travel, m^2 per metre of travel.
     encoder_resolution
         Smallest travel that an encoder tells apart, m; what is left over counts next time. 0 is exact.
     wheel_mismatch
         Share by which the left encoder reports too much and the right one too little (unequal wheels).
+    axle_mismatch
+        Share by which the wheels are farther apart than the data sheet says.
+    slip_rate
+        How often a wheel slips, times per metre of its travel.
+    slip_share
+        Part of a step's travel that is lost when it does; the encoder counts it none the less.
     """
 
     sensor_noise: Setting = 0.0
+    range_noise_growth: Setting = 0.0
+    range_resolution: Setting = 0.0
     dropout: Setting = 0.0
+    fold_back: Setting = 0.0
+    cone: Setting = 0.0
     wheel_variance: Setting = 2e-5
     encoder_resolution: Setting = 0.0
     wheel_mismatch: Setting = 0.0
+    axle_mismatch: Setting = 0.0
+    slip_rate: Setting = 0.0
+    slip_share: Setting = 0.5
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if isinstance(value, list):
                 object.__setattr__(self, name, tuple(value))
-        for name in ("sensor_noise", "dropout", "wheel_variance", "encoder_resolution"):
-            low, high = bounds_of(getattr(self, name))
-            if not (math.isfinite(high) and 0.0 <= low <= high):
-                raise ValueError(f"{name} must be 0 or more, or a range of such numbers, not {getattr(self, name)}")
-        if bounds_of(self.dropout)[1] > 1.0:
-            raise ValueError(f"dropout is a chance, at most 1, not {self.dropout}")
-        low, high = bounds_of(self.wheel_mismatch)
-        if not -0.5 <= low <= high <= 0.5:
-            raise ValueError(f"wheel_mismatch must lie between -0.5 and 0.5, not {self.wheel_mismatch}")
+        for name, value in vars(self).items():
+            lowest, highest = _BOUNDS[name]
+            low, high = bounds_of(value)
+            if not lowest <= low <= high <= highest:
+                raise ValueError(
+                    f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such numbers, not {value}"
+                )
+
+    @classmethod
+    def sharp(cls, **changes: Setting) -> Self:
+        """Infrared sensors of the Sharp kind: noise that grows with range, dropouts, steps, fold-back and a cone.
+
+        ``changes`` are further settings, or other ones; numbers of the order of a GP2Y0A02's data sheet.
+        """
+        typical: dict[str, Setting] = {
+            "sensor_noise": 0.005,
+            "range_noise_growth": 0.015,
+            "range_resolution": 0.005,
+            "dropout": 0.005,
+            "fold_back": 3.0,
+            "cone": math.radians(2.0),
+        }
+        return cls(**{**typical, **changes})
 
     def drawn(self, generator: np.random.Generator) -> "DrawnNoise":
         """The same settings with a value drawn from each range.
@@ -68,10 +121,17 @@ class DrawnNoise(NoiseConfig):
     """Noise of one episode: every number is one number."""
 
     sensor_noise: float = 0.0
+    range_noise_growth: float = 0.0
+    range_resolution: float = 0.0
     dropout: float = 0.0
+    fold_back: float = 0.0
+    cone: float = 0.0
     wheel_variance: float = 2e-5
     encoder_resolution: float = 0.0
     wheel_mismatch: float = 0.0
+    axle_mismatch: float = 0.0
+    slip_rate: float = 0.0
+    slip_share: float = 0.5
 
 
 @dataclass(frozen=True)

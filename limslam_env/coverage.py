@@ -4,27 +4,19 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from limslam_env.free_space import FreeSpace
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels import mark_rays
+from limslam_env.kernels import look_out
 from limslam_env.sensors import build_wall_index
 from limslam_env.world import World
 
 CELL = 0.10
 """Side of a cell of the coverage grid, m."""
 
-_PLACE_SPACING = 0.10
-
-
-def _fan(count: int) -> FloatArray:
-    angles = np.arange(count) * (2.0 * np.pi / count)
-    return np.column_stack((np.cos(angles), np.sin(angles)))
-
-
-_VIEWS = _fan(240)
-_SPOKES = _fan(16)
+_VIEWS = 240
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +34,10 @@ class CoverageGrid:
     low: FloatArray
     coverable: BoolArray
 
-    def count(self, seen: BoolArray) -> int:
-        """How many coverable cells a mask holds."""
-        return int(np.count_nonzero(seen & self.coverable))
+    @property
+    def area(self) -> FloatArray:
+        """Corner and cell side (3,), m, as the kernels take them."""
+        return np.array([*self.low, CELL])
 
     @functools.cached_property
     def total(self) -> int:
@@ -52,12 +45,14 @@ class CoverageGrid:
         return int(np.count_nonzero(self.coverable))
 
 
-@functools.lru_cache(maxsize=64)
-def _free_space(world: World, radius: float) -> FreeSpace:
+# The largest floor plans have grids of tens of megabytes.
+@functools.lru_cache(maxsize=8)
+def remembered_free_space(world: World, radius: float) -> FreeSpace:
+    """Where a disc of ``radius`` (m) fits; remembered for later calls."""
     return world.free_space(radius)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _coverage_grid(
     world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
 ) -> CoverageGrid:
@@ -66,48 +61,41 @@ def _coverage_grid(
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
     columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)
     coverable = np.zeros((rows, columns), dtype=bool)
-    index = build_wall_index(edges, reach)
-    lengths, owners, no_discs = np.full(len(_VIEWS), reach), np.zeros(len(_VIEWS), dtype=np.int64), np.zeros((0, 2))
-    for place in np.vstack((_places(_free_space(world, robot.radius), regions), np.array(loose).reshape(-1, 2))):
-        origins = np.tile(place, (len(_VIEWS), 1))
-        distances, _ = index.cast(origins, _VIEWS, lengths, owners, no_discs, 0.0)
-        mark_rays(coverable, origins, _VIEWS, distances, low, CELL)
-    return CoverageGrid(low, coverable)
+    space = remembered_free_space(world, robot.radius)
+    reachable = np.isin(space.labels, list(regions))
+    # Whoever stands in a cell has seen it. Found by row and by column: in a large building places are millions.
+    standing_columns, standing_rows = (
+        np.floor((space.origin[axis] + (np.arange(count) + 0.5) * space.cell - low[axis]) / CELL).astype(int)
+        for axis, count in enumerate(reachable.shape[::-1])
+    )
+    at_rows, at_columns = np.nonzero(reachable)
+    coverable[standing_rows[at_rows], standing_columns[at_columns]] = True
+    angles = np.arange(_VIEWS) * (2.0 * np.pi / _VIEWS)
+    views = np.column_stack((np.cos(angles), np.sin(angles)))
+    index = build_wall_index(edges)
+    lookouts = np.vstack((_lookouts(space, reachable), np.array(loose).reshape(-1, 2)))
+    grid = CoverageGrid(low, coverable)
+    space_area = np.array([*space.origin, space.cell])
+    look_out(lookouts, views, reach, *index.scene, coverable, grid.area, reachable, space_area)
+    return grid
 
 
 def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> CoverageGrid:
     """What robots (all alike) that start at poses (n, 3) could cover; remembered for later calls."""
-    space = _free_space(world, robot.radius)
+    space = remembered_free_space(world, robot.radius)
     labels = [space.label_of(start[:2]) for start in starts]
     # A robot may stand where the grid of free space is too coarse to hold it.
     loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)
     return _coverage_grid(world, robot, frozenset(labels) - {0}, loose)
 
 
-def mark_seen(
-    seen: BoolArray,
-    grid: CoverageGrid,
-    poses: FloatArray,
-    origins: FloatArray,
-    directions: FloatArray,
-    distances: FloatArray,
-    radius: float,
-) -> None:
-    """Set the cells that true beams cross and that bodies of ``radius`` (m) at poses (n, 3) stand on.
+def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
+    """Places (n, 2), m, from which all that can be seen of what cannot be reached is seen.
 
-    The beams start at ``origins`` (k, 2), m, along unit vectors (k, 2), and end after ``distances`` (k,), m.
+    Whoever sees such a cell sees it across the border of where the robot can get to, and from there even better.
     """
-    mark_rays(seen, origins, directions, distances, grid.low, CELL)
-    centres = np.repeat(poses[:, :2], len(_SPOKES), axis=0)
-    spokes = np.tile(_SPOKES, (len(poses), 1))
-    mark_rays(seen, centres, spokes, np.full(len(spokes), radius), grid.low, CELL)
-
-
-def _places(space: FreeSpace, regions: frozenset[int]) -> FloatArray:
-    """Places (n, 2), m, all over some regions of a world."""
-    every = max(round(_PLACE_SPACING / space.cell), 1)
-    sparse = np.zeros_like(space.free)
-    reachable = np.isin(space.labels, list(regions))
-    sparse[::every, ::every] = reachable[::every, ::every]
-    # The lattice can miss a room that is hardly larger than the robot.
-    return space.centres(sparse if sparse.any() else reachable)
+    inner = ndimage.binary_erosion(reachable, np.ones((3, 3), dtype=bool))
+    places = space.centres(reachable & ~inner)
+    # One place a coverage cell is enough.
+    _, first = np.unique(np.floor(places / CELL).astype(int), axis=0, return_index=True)
+    return places[np.sort(first)]

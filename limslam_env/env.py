@@ -1,21 +1,34 @@
 """The single-robot environment of Gymnasium: a thin adapter over the simulation."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
+from limslam_env.adapter import (
+    Action,
+    PlaceSource,
+    Stage,
+    action_space,
+    info_of,
+    observation_of,
+    observation_space,
+    wheel_speeds,
+    with_sensor_noise,
+)
 from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
 from limslam_env.coverage import CoverageGrid
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import BoolArray
 from limslam_env.interface import Observation, RobotSpec
-from limslam_env.simulation import Simulation, Truth
+from limslam_env.overlay import Overlay
+from limslam_env.painter import RENDER_FPS, RENDER_MODES, Painter
 from limslam_env.task import is_done, reward
-from limslam_env.world import World, WorldSource, load_world
+from limslam_env.world import World
+
+if TYPE_CHECKING:
+    from limslam_env.window import Window
 
 
 class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
@@ -49,7 +62,8 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
 
     ## Info
     The truth, for scoring only: `pose` (3,) m, m, rad; `time` s; `coverage` 0 to 1; `collision` bool;
-    `wall_seen` (n_beams,) int, the wall that each beam hit, -1 for nothing. The `pose` that `reset`
+    `wall_seen` (n_beams,) int, the wall that each beam hit, -1 for nothing
+    (-2 for another robot, where there are several). The `pose` that `reset`
     gives is the start pose, the only truth that an agent may be told.
 
     ## Rewards
@@ -67,28 +81,28 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
     ## Arguments
     | Argument      | Default           | Meaning                                                       |
     |---------------|-------------------|---------------------------------------------------------------|
-    | world         | the id's world    | name of a shipped world, path of a world file, or a `World`   |
+    | world         | the id's world    | name of a shipped world, path of a world file, a `World`, or a `FloorPlanConfig` (`"random"` for the default one) that draws a floor plan at each reset |
     | robot         | `RobotSpec()`     | body, wheels and beams                                        |
     | sensor_noise  | None              | std of the ranges, m, or a range (low, high) drawn at reset; overrides `noise` |
     | noise         | `NoiseConfig()`   | all the noise there is                                        |
     | coverage_goal | 0.99              | see Episode End                                               |
     | rewards       | `RewardConfig()`  | see Rewards                                                   |
-    | render_mode   | None              | `"rgb_array"` draws pictures                                  |
+    | render_mode   | None              | `"rgb_array"` draws pictures, `"human"` shows them in a window (extra `play`) |
 
-    `reset(options={"world": ...})` moves to another world.
+    `reset(options={"world": ...})` takes another world for one episode; the next reset is back in the env's own.
 
     ## Version History
     * v0: first release.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)
-        "render_modes": ["rgb_array"],
-        "render_fps": 10,
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
     }
 
     def __init__(
         self,
-        world: WorldSource,
+        world: PlaceSource,
         *,
         robot: RobotSpec | None = None,
         sensor_noise: Setting | None = None,
@@ -97,34 +111,43 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
         rewards: RewardConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be one of {self.metadata['render_modes']} or None, not {render_mode!r}")
         self.render_mode = render_mode
+        self._painter = Painter(render_mode)
         self.robot = robot or RobotSpec()
         self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
-        self.noise = _with_sensor_noise(noise or NoiseConfig(), sensor_noise)
-        self._simulation = Simulation(load_world(world), self.robot)
-        beams = self.robot
-        limit = np.full(2, beams.max_wheel_travel, dtype=np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.observation_space: spaces.Dict = spaces.Dict(  # type: ignore[assignment]
-            {
-                "ranges": spaces.Box(beams.min_ranges.astype(np.float32), beams.max_ranges.astype(np.float32)),
-                "wheels": spaces.Box(-limit, limit),
-            }
-        )
-        self._truth: Truth | None = None
-        self._path: list[FloatArray] = []
+        self.noise = with_sensor_noise(noise, sensor_noise)
+        self._stage = Stage(world, self.robot, 1, self.noise)
+        self.action_space = action_space()  # type: ignore[assignment]
+        self.observation_space = observation_space(self.robot)  # type: ignore[assignment]
 
     @property
     def world(self) -> World:
         """The world that the robot is in."""
-        return self._simulation.world
+        return self._stage.simulation.world
 
     @property
     def coverage_grid(self) -> CoverageGrid:
         """The cells that count for coverage. Known after the first reset."""
-        return self._simulation.coverage_grid
+        return self._stage.simulation.coverage_grid
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
+        return self._stage.simulation.seen
+
+    @property
+    def overlay(self) -> Sequence[Overlay]:
+        """What an agent believes, drawn over later pictures. Set it at any time; an empty one draws nothing."""
+        return self._painter.overlay
+
+    @overlay.setter
+    def overlay(self, overlay: Overlay | Sequence[Overlay]) -> None:
+        self._painter.overlay = (overlay,) if isinstance(overlay, Overlay) else tuple(overlay)
+
+    @property
+    def window(self) -> "Window | None":
+        """The window of the human mode, once it is open."""
+        return self._painter.window
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -139,75 +162,33 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
             If the world or the start cannot be used.
         """
         super().reset(seed=seed)
-        options = options or {}
-        unknown = sorted(set(options) - {"start", "world"})
-        if unknown:
-            raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'world'")
-        start = _start(options.get("start"))
-        simulation = Simulation(load_world(options["world"]), self.robot) if "world" in options else self._simulation
-        seeds = np.random.SeedSequence(int(self.np_random.integers(2**63)))
-        observations, truth = simulation.reset(seeds, self.noise, start)
-        # A refused reset leaves the episode as it was.
-        self._simulation, self._path = simulation, []
-        return self._result(observations[0], truth)
+        readings, truth = self._stage.reset(self.np_random, options)
+        self._painter.follow(self._stage.simulation, readings, truth)
+        return observation_of(readings, 0), info_of(truth, 0)
 
-    def step(
-        self, action: NDArray[np.floating[Any]] | Sequence[float]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for one control period.
 
         Raises
         ------
         ValueError
             If the action is not two finite numbers.
+        gymnasium.error.ResetNeeded
+            If there was no reset yet.
         """
-        wheels = np.asarray(action, dtype=float)
-        if wheels.shape != (2,) or not np.isfinite(wheels).all():
-            raise ValueError(f"an action is two finite numbers, left and right wheel speed, not {action!r}")
-        if self._truth is None:
-            raise gym.error.ResetNeeded("call reset before step")
-        observations, truth = self._simulation.step(wheels[None])
-        observation, info = self._result(observations[0], truth)
-        value = reward(self.task.reward, truth.new_area, bool(truth.contact[0]))
-        return observation, float(value), is_done(self.task, truth.coverage), False, info
+        readings, truth = self._stage.step((wheel_speeds(action),))
+        if self.render_mode is not None:
+            self._painter.follow(self._stage.simulation, readings, truth)
+        value = reward(self.task.reward, truth.new_area[0], truth.contact[0])
+        is_over = is_done(self.task, truth.coverage)
+        return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture (height, width, 3) of world, robot, beams and path; None without a render mode."""
-        if self.render_mode is None or self._truth is None:
+        """A picture (height, width, 3) of world, robot, beams and path; None without a render mode or in a window."""
+        if self.render_mode is None:
             return None
-        from limslam_env.rendering import RenderState, render
+        return self._painter.paint(self._stage.simulation)
 
-        state = RenderState(
-            self.world, self.robot, self._truth.poses, self._truth.wall_seen, self._ranges, [np.array(self._path)],
-            self._truth.time, self._truth.coverage,
-        )  # fmt: skip
-        return render(state)
-
-    def _result(self, observation: Observation, truth: Truth) -> tuple[Observation, dict[str, Any]]:
-        self._truth = truth
-        if self.render_mode is not None:
-            self._path.append(truth.poses[0, :2])
-            self._ranges = observation["ranges"][None].copy()
-        info = {
-            "pose": truth.poses[0].copy(),
-            "time": truth.time,
-            "coverage": truth.coverage,
-            "collision": bool(truth.contact[0]),
-            "wall_seen": truth.wall_seen[0].copy(),
-        }
-        return observation, info
-
-
-def _with_sensor_noise(noise: NoiseConfig, sensor_noise: Setting | None) -> NoiseConfig:
-    if sensor_noise is None:
-        return noise
-    return replace(noise, sensor_noise=sensor_noise)
-
-
-def _start(option: Any) -> FloatArray | None:
-    if option is None:
-        return None
-    start = np.asarray(option, dtype=float)
-    if start.shape != (3,):
-        raise ValueError(f"the start is (x, y, theta), not {option!r}")
-    return start
+    def close(self) -> None:
+        """Close the window, if there is one. May be called again."""
+        self._painter.close()

@@ -2,13 +2,14 @@
 
 import functools
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
-from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.segment import distances
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.segment import lengths, polygon_edges
 
 CELL = 0.025
 """Side of a cell of the reachability grid, m; coarser in worlds that would have more than MAX_CELLS of them."""
@@ -17,6 +18,9 @@ MAX_CELLS = 4_000_000
 
 COARSEST = 0.6
 """Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a wall."""
+
+_BATCH = 200_000  # cells looked at in one go: enough for numpy, little enough for the processor's cache
+_COUNTED = 1_000_000  # cells counted in one go, for each of which bincount makes a number of eight bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,13 @@ class FreeSpace:
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres (n, 2) of the cells of a mask over this grid, m, row by row."""
         rows, columns = np.nonzero(mask)
-        return self.origin + (np.column_stack((columns, rows)) + 0.5) * self.cell
+        return _centres(self.origin, self.cell, columns, rows)
+
+    def first_centre(self, mask: BoolArray) -> FloatArray:
+        """Centre (2,) of the first cell of a mask that is not empty, m: ``centres(mask)[0]`` without all the others."""
+        row, column = divmod(int(np.argmax(mask)), mask.shape[1])
+        centre: FloatArray = _centres(self.origin, self.cell, np.array([column]), np.array([row]))[0]
+        return centre
 
     def label_of(self, point: FloatArray) -> int:
         """The number of the region that a disc standing at a point (2,) can get to; 0 where it does not fit."""
@@ -61,7 +71,9 @@ class FreeSpace:
     def largest_closed_region(self) -> BoolArray:
         """The largest connected region that does not reach the border of the grid; may be empty."""
         labels = self.labels
-        sizes = np.bincount(labels.ravel())
+        sizes = np.zeros(int(labels.max()) + 1, dtype=np.int64)
+        for part in np.array_split(labels, labels.size // _COUNTED + 1):
+            sizes += np.bincount(part.ravel(), minlength=len(sizes))
         sizes[0] = 0
         border = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
         sizes[np.unique(border)] = 0
@@ -85,8 +97,20 @@ def cell_for(edges: FloatArray, radius: float) -> float:
     return min(max(CELL, math.sqrt(float(np.prod(extent)) / MAX_CELLS)), COARSEST * radius)
 
 
-def free_space(edges: FloatArray, radius: float, cell: float) -> FreeSpace:
-    """Mark in cells of ``cell`` (m) where a disc of ``radius`` (m) fits between edges (k, 4)."""
+def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence[FloatArray] = ()) -> FreeSpace:
+    """Mark where a disc fits: far enough from every edge, and inside of no polygon.
+
+    Parameters
+    ----------
+    edges
+        (k, 4), m: all that the disc must not touch, the polygons' edges among them.
+    radius
+        The disc's, m.
+    cell
+        Side of a cell of the grid, m.
+    polygons
+        Simple ones, each (k, 2), m.
+    """
     low = np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0)
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
     margin = max(2.0 * radius, 3.0 * cell)
@@ -94,16 +118,90 @@ def free_space(edges: FloatArray, radius: float, cell: float) -> FreeSpace:
     origin = low - margin - 0.5 * cell
     columns, rows = (np.ceil((high + margin - origin) / cell)).astype(int) + 1
     free = np.ones((rows, columns), dtype=bool)
-    for edge in edges:
-        _block(free, edge, origin, cell, radius)
+    for batch in _batches(edges, radius, cell):
+        _block_near(free, batch, origin, cell, radius)
+    for polygon in polygons:
+        block_inside(free, polygon, origin, cell)
     return FreeSpace(origin, cell, free)
 
 
-def _block(free: BoolArray, edge: FloatArray, origin: FloatArray, cell: float, radius: float) -> None:
-    first = np.floor((np.minimum(edge[:2], edge[2:]) - radius - origin) / cell).astype(int)
-    last = np.ceil((np.maximum(edge[:2], edge[2:]) + radius - origin) / cell).astype(int) + 1
-    (column0, row0), (column1, row1) = np.maximum(first, 0), last
+def _batches(edges: FloatArray, radius: float, cell: float) -> Iterator[FloatArray]:
+    """Edges (k, 4) in parts with about ``_BATCH`` cells near them, so that no part needs much memory."""
+    cells_around = (lengths(edges) / cell + 2.0 * radius / cell + 4.0) * (2.0 * radius / cell + 4.0)
+    batch = np.cumsum(cells_around) // _BATCH
+    yield from np.split(edges, np.nonzero(np.diff(batch))[0] + 1)
+
+
+def _block_near(free: BoolArray, edges: FloatArray, origin: FloatArray, cell: float, radius: float) -> None:
+    """Clear the cells whose centres lie less than ``radius`` (m) from any of the edges (k, 4)."""
+    owner, rows, columns = _cells_near(edges, origin, cell, radius, free.shape)
+    offset = _centres(origin, cell, columns, rows) - edges[owner, :2]
+    span = (edges[:, 2:] - edges[:, :2])[owner]
+    squared = np.maximum(np.einsum("nd,nd->n", span, span), 1e-300)
+    fraction = np.clip(np.einsum("nd,nd->n", offset, span) / squared, 0.0, 1.0)
+    near = np.linalg.norm(offset - fraction[:, None] * span, axis=-1) < radius
+    free[rows[near], columns[near]] = False
+
+
+def _cells_near(
+    edges: FloatArray, origin: FloatArray, cell: float, radius: float, shape: tuple[int, ...]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """All cells that may lie within ``radius`` (m) of edges (k, 4): each pair as the edge's number, row and column.
+
+    A row of cells gets near an edge only between the places where the edge is a radius below and above the row, so
+    that a long slanting wall does not have all of the rectangle around it looked at.
+    """
+    reach = radius + cell  # what rounding could cost
+    x1, y1, x2, y2 = edges.T
+    low, high = np.minimum(y1, y2) - reach, np.maximum(y1, y2) + reach
+    owner, rows = _ranges(*_clipped(low, high, origin[1], cell, shape[0]))
+    y = origin[1] + (rows + 0.5) * cell - y1[owner]
+    level = np.abs(y2 - y1) < 1e-12
+    rise = np.where(level, 1.0, y2 - y1)[owner]
+    ends = np.clip(np.array([(y - reach) / rise, (y + reach) / rise]), 0.0, 1.0)
+    ends[:, level[owner]] = [[0.0], [1.0]]
+    x = x1[owner] + ends * (x2 - x1)[owner]
+    row, columns = _ranges(*_clipped(x.min(axis=0) - reach, x.max(axis=0) + reach, origin[0], cell, shape[1]))
+    return owner[row], rows[row], columns
+
+
+def _clipped(low: FloatArray, high: FloatArray, origin: float, cell: float, count: int) -> tuple[IntArray, IntArray]:
+    """First cell, and the one after the last, of stretches of one axis (m) on a grid of ``count`` cells."""
+    first = np.clip(np.floor((low - origin) / cell), 0, count).astype(np.intp)
+    return first, np.clip(np.ceil((high - origin) / cell), 0, count).astype(np.intp)
+
+
+def block_inside(free: BoolArray, polygon: FloatArray, origin: FloatArray, cell: float) -> None:
+    """Clear the cells whose centres lie inside a polygon (k, 2), by the crossing-number rule, row by row."""
+    (column0, row0) = np.maximum(np.floor((polygon.min(axis=0) - origin) / cell).astype(int), 0)
+    (column1, row1) = np.ceil((polygon.max(axis=0) - origin) / cell).astype(int)
     window = free[row0:row1, column0:column1]
-    rows, columns = np.mgrid[0 : window.shape[0], 0 : window.shape[1]]
-    centres = origin + (np.column_stack((columns.ravel() + column0, rows.ravel() + row0)) + 0.5) * cell
-    window &= (distances(centres, edge[None])[:, 0] >= radius).reshape(window.shape)
+    xs = origin[0] + (np.arange(column0, column0 + window.shape[1]) + 0.5) * cell
+    ys = origin[1] + (np.arange(row0, row0 + window.shape[0]) + 0.5) * cell
+    x1, y1, x2, y2 = polygon_edges(polygon).T
+    # An edge crosses the rows between its ends, the lower one counted in and the upper one out.
+    first, last = np.searchsorted(ys, y1), np.searchsorted(ys, y2)
+    owner, rows = _ranges(np.minimum(first, last), np.maximum(first, last))
+    slope = ((x2 - x1)[owner] * (ys[rows] - y1[owner])) / (y2 - y1)[owner]
+    crossed = np.searchsorted(xs, slope + x1[owner])
+    # Each crossing turns the cells left of it from outside to inside, or back.
+    turns = np.zeros((window.shape[0], window.shape[1] + 1), dtype=np.int32)
+    np.add.at(turns, (rows, crossed), 1)
+    right_of = np.cumsum(turns[:, ::-1], axis=1)[:, ::-1]
+    window &= right_of[:, 1:] % 2 == 0
+
+
+def _ranges(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
+    """All whole numbers from ``first`` (n,) up to but not ``last`` (n,), and the index of the range of each."""
+    counts = np.maximum(last - first, 0)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts - first)[owner]
+
+
+def _centres(origin: FloatArray, cell: float, columns: IntArray, rows: IntArray) -> FloatArray:
+    centres = np.column_stack((columns, rows)).astype(float)
+    # In place: in a large world these are hundreds of megabytes.
+    centres += 0.5
+    centres *= cell
+    centres += origin
+    return centres

@@ -6,7 +6,7 @@ Nothing in here can tell the truth about a world.
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, NotRequired, Self, TypedDict
 
@@ -185,6 +185,10 @@ class RobotSpec:
     def _periods(self) -> IntArray:
         return np.array([beam.period for beam in self.beams])
 
+    def __reduce__(self) -> tuple[type[Self], tuple[Any, ...]]:
+        # A copy makes its own arrays: unpickled ones could be written to.
+        return type(self), tuple(getattr(self, part.name) for part in fields(self))
+
     def to_json(self) -> str:
         """The robot as JSON, for files."""
         return json.dumps(asdict(self))
@@ -199,9 +203,9 @@ class RobotSpec:
             If the text is not such a robot.
         """
         try:
-            fields = json.loads(text)
-            beams = tuple(SensorSpec(**beam) for beam in fields.pop("beams"))
-            return cls(**fields, beams=beams)
+            values = json.loads(text)
+            beams = tuple(SensorSpec(**beam) for beam in values.pop("beams"))
+            return cls(**values, beams=beams)
         except (TypeError, KeyError, AttributeError, json.JSONDecodeError) as error:
             raise ValueError(f"not a robot: {error}") from error
 

@@ -1,6 +1,11 @@
-"""The inner loops, compiled by numba: rays against walls and robots, and the cells that rays cross.
+"""The inner loops, compiled by numba: rays, readings, and the cells that have been seen.
 
-Plain functions on arrays. ``sensors`` and ``coverage`` give them names and shapes.
+Functions of one ray or one reading come first; what the simulation calls is put together from them.
+Walls come as a *scene*: ``edges`` (k, 4) in metres and a cell list, in which
+``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the walls that cross cell ``c``; ``grid`` holds the list's
+lower left corner x, y and cell side in metres, its columns and its rows.
+A grid of what has been seen comes as ``seen`` and ``coverable`` (rows, columns) with ``area``: its lower left
+corner x, y and its cell side, m.
 """
 
 import math
@@ -8,61 +13,91 @@ import math
 import numpy as np
 from numba import njit
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
 
 # Rays that pass exactly through the joint of two walls must hit one of them.
 _END_SLACK = 1e-9
 
+# Walls are listed in a cell if they come as near as this to it, m.
+_BORDER = 1e-6
 
-@njit(cache=True, nogil=True)
-def cast_rays(
-    origins: FloatArray,
-    directions: FloatArray,
-    lengths: FloatArray,
-    owners: IntArray,
+# A body may stand this deep in a wall and must not be taken to see what is behind it, m.
+_BODY_MARGIN = 1e-3
+
+# Where the rays of a cone lie besides its middle, in shares of half its opening.
+_CONE = (-1.0, -0.5, 0.5, 1.0)
+
+NOTHING, ROBOT = -1, -2
+"""What a beam hits that hits no wall."""
+
+
+@compiled
+def list_walls(edges: FloatArray, grid: FloatArray, cell_starts: IntArray, cell_edges: IntArray) -> None:
+    """Sort walls into the cells that they cross.
+
+    Called twice: with an empty ``cell_edges`` it fills ``cell_starts`` (cells + 1,), all 0 before; with one of
+    ``cell_starts[-1]`` places it fills that.
+    """
+    columns, rows, side = int(grid[3]), int(grid[4]), grid[2]
+    is_filling = len(cell_edges) > 0
+    taken = np.zeros(columns * rows, dtype=np.int64)
+    for edge in range(len(edges)):
+        x1, y1, x2, y2 = edges[edge]
+        normal_x, normal_y = y1 - y2, x2 - x1
+        # Half a cell's width across the wall. Walls that run along the border of a cell are in both.
+        half = (0.5 * side + _BORDER) * (abs(normal_x) + abs(normal_y))
+        for row in range(
+            max(math.floor((min(y1, y2) - _BORDER - grid[1]) / side), 0),
+            min(math.floor((max(y1, y2) + _BORDER - grid[1]) / side), rows - 1) + 1,
+        ):
+            for column in range(
+                max(math.floor((min(x1, x2) - _BORDER - grid[0]) / side), 0),
+                min(math.floor((max(x1, x2) + _BORDER - grid[0]) / side), columns - 1) + 1,
+            ):
+                x, y = grid[0] + (column + 0.5) * side, grid[1] + (row + 0.5) * side
+                if abs((x - x1) * normal_x + (y - y1) * normal_y) > half:
+                    continue
+                cell = row * columns + column
+                if is_filling:
+                    cell_edges[cell_starts[cell] + taken[cell]] = edge
+                taken[cell] += 1
+    if not is_filling:
+        cell_starts[1:] = np.cumsum(taken)
+
+
+@inlined
+def cast_ray(
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
     edges: FloatArray,
     cell_starts: IntArray,
     cell_edges: IntArray,
     grid: FloatArray,
-    columns: int,
-    discs: FloatArray,
-    disc_radius: float,
-    distances: FloatArray,
-    hits: IntArray,
-) -> None:
-    """Find the nearest hit of each ray among walls and discs.
+) -> tuple[float, int]:
+    """Distance (m) and index of the first wall on a ray; ``reach`` and -1 where there is none.
 
-    Parameters
-    ----------
-    origins, directions, lengths
-        Rays (n, 2), unit vectors (n, 2) and reaches (n,), m.
-    owners
-        (n,) disc that each ray starts from and does not see.
-    edges
-        Walls (k, 4), m.
-    cell_starts, cell_edges
-        For cell c of a regular grid, ``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the
-        walls that a ray from inside the cell can reach.
-    grid, columns
-        ``(x, y, cell side, rows)`` of that grid, m, and its width in cells.
-    discs, disc_radius
-        Centres (m, 2) and radius of the robots' bodies, m.
-    distances, hits
-        Filled with the distance (n,), m, the reach where nothing is hit, and the index of the
-        wall, -1 for nothing, -2 for a disc.
+    The ray starts inside the cell list's grid. It goes from cell to cell as in :func:`mark_ray`, and stops in
+    the first one that holds a hit.
     """
-    rows = int(grid[3])
-    for ray in range(len(origins)):
-        x, y = origins[ray, 0], origins[ray, 1]
-        dx, dy = directions[ray, 0], directions[ray, 1]
-        best, hit = lengths[ray], -1
-        column = math.floor((x - grid[0]) / grid[2])
-        row = math.floor((y - grid[1]) / grid[2])
-        inside = 0 <= column < columns and 0 <= row < rows
-        first = cell_starts[row * columns + column] if inside else 0
-        last = cell_starts[row * columns + column + 1] if inside else len(edges)
-        for item in range(first, last):
-            edge = cell_edges[item] if inside else item
+    side, columns, rows = grid[2], int(grid[3]), int(grid[4])
+    start_x, start_y = (x - grid[0]) / side, (y - grid[1]) / side
+    column, row = math.floor(start_x), math.floor(start_y)
+    column_step, row_step = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    per_column = abs(side / dx) if dx != 0.0 else np.inf
+    per_row = abs(side / dy) if dy != 0.0 else np.inf
+    next_column = ((column + (dx > 0.0)) - start_x) * side / dx if dx != 0.0 else np.inf
+    next_row = ((row + (dy > 0.0)) - start_y) * side / dy if dy != 0.0 else np.inf
+    best, hit, travelled = reach, NOTHING, 0.0
+    while travelled <= best and 0 <= column < columns and 0 <= row < rows:
+        cell = row * columns + column
+        for item in range(cell_starts[cell], cell_starts[cell + 1]):
+            edge = cell_edges[item]
             ax, ay = edges[edge, 0] - x, edges[edge, 1] - y
             ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
             cross = dx * ey - dy * ex
@@ -72,48 +107,289 @@ def cast_rays(
             fraction = (ax * dy - ay * dx) / cross
             if 0.0 <= distance < best and -_END_SLACK <= fraction <= 1.0 + _END_SLACK:
                 best, hit = distance, edge
-        for disc in range(len(discs)):
-            if disc == owners[ray]:
-                continue
-            ox, oy = discs[disc, 0] - x, discs[disc, 1] - y
-            ahead = ox * dx + oy * dy
-            aside = disc_radius * disc_radius - (ox * ox + oy * oy - ahead * ahead)
-            if aside > 0.0 and ahead > 0.0:
-                distance = max(ahead - math.sqrt(aside), 0.0)
-                if distance < best:
-                    best, hit = distance, -2
-        distances[ray], hits[ray] = best, hit
+        if next_column < next_row:
+            travelled = next_column
+            next_column += per_column
+            column += column_step
+        else:
+            travelled = next_row
+            next_row += per_row
+            row += row_step
+    return best, hit
 
 
-@njit(cache=True, nogil=True)
-def mark_rays(
-    seen: BoolArray, origins: FloatArray, directions: FloatArray, lengths: FloatArray, low: FloatArray, cell: float
-) -> None:
-    """Set every cell that a ray crosses.
+@compiled
+def cast_at_discs(
+    x: float, y: float, dx: float, dy: float, reach: float, owner: int, centres: FloatArray, radius: float
+) -> float:
+    """Distance (m) of the first of the discs ``centres`` (m, 2 or more columns) on a ray; not of its owner's."""
+    best = reach
+    for disc in range(len(centres)):
+        if disc == owner:
+            continue
+        ox, oy = centres[disc, 0] - x, centres[disc, 1] - y
+        ahead = ox * dx + oy * dy
+        aside = radius * radius - (ox * ox + oy * oy - ahead * ahead)
+        if aside > 0.0 and ahead > 0.0:
+            best = min(best, max(ahead - math.sqrt(aside), 0.0))
+    return best
 
-    ``seen`` (rows, columns) covers the plane from ``low`` (2,) on in cells of ``cell`` m. The
-    walk from cell to cell is that of Amanatides and Woo, "A fast voxel traversal algorithm
+
+@inlined
+def mark_ray(
+    seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, dx: float, dy: float, reach: float
+) -> int:
+    """Set every cell that a ray crosses; the number of coverable cells that are new.
+
+    The walk from cell to cell is that of Amanatides and Woo, "A fast voxel traversal algorithm
     for ray tracing" (1987).
     """
+    cell = area[2]
+    x, y = (x - area[0]) / cell, (y - area[1]) / cell
+    # A ray ends before the wall it hits, so that it never marks the cell behind.
+    end = reach / cell - 1e-6
     rows, columns = seen.shape
-    for ray in range(len(origins)):
-        x, y = (origins[ray, 0] - low[0]) / cell, (origins[ray, 1] - low[1]) / cell
-        dx, dy = directions[ray, 0], directions[ray, 1]
-        # A ray ends before the wall it hits, so that it never marks the cell behind.
-        reach = lengths[ray] / cell - 1e-6
-        column, row = math.floor(x), math.floor(y)
-        column_step, row_step = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-        next_column = ((column + (dx > 0.0)) - x) / dx if dx != 0.0 else np.inf
-        next_row = ((row + (dy > 0.0)) - y) / dy if dy != 0.0 else np.inf
-        travelled = 0.0
-        while travelled <= reach:
-            if 0 <= row < rows and 0 <= column < columns:
+    column, row = math.floor(x), math.floor(y)
+    column_step, row_step = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    per_column = abs(1.0 / dx) if dx != 0.0 else np.inf
+    per_row = abs(1.0 / dy) if dy != 0.0 else np.inf
+    next_column = ((column + (dx > 0.0)) - x) / dx if dx != 0.0 else np.inf
+    next_row = ((row + (dy > 0.0)) - y) / dy if dy != 0.0 else np.inf
+    travelled, new = 0.0, 0
+    while travelled <= end:
+        if 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
+            seen[row, column] = True
+            new += coverable[row, column]
+        if next_column < next_row:
+            travelled = next_column
+            next_column += per_column
+            column += column_step
+        else:
+            travelled = next_row
+            next_row += per_row
+            row += row_step
+    return new
+
+
+@inlined
+def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float) -> int:
+    """Set every cell that a body touches; the number of coverable cells that are new."""
+    cell = area[2]
+    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - _BODY_MARGIN) / cell
+    rows, columns = seen.shape
+    new = 0
+    for row in range(math.floor(y - radius), math.floor(y + radius) + 1):
+        for column in range(math.floor(x - radius), math.floor(x + radius) + 1):
+            aside = x - min(max(x, column), column + 1.0)
+            above = y - min(max(y, row), row + 1.0)
+            is_touched = aside * aside + above * above < radius * radius
+            if is_touched and 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
                 seen[row, column] = True
-            if next_column < next_row:
-                travelled = next_column
-                next_column += abs(1.0 / dx)
-                column += column_step
-            else:
-                travelled = next_row
-                next_row += abs(1.0 / dy)
-                row += row_step
+                new += coverable[row, column]
+    return new
+
+
+@inlined
+def noisy_reading(
+    ideal: float, hit: int, shortest: float, longest: float, noise: FloatArray, normal: float, uniform: float
+) -> float:
+    """What a beam reads of a wall at ``ideal`` (m), with numbers drawn from N(0, 1) and U(0, 1).
+
+    ``noise``: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
+    resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing reads
+    ``longest`` exactly.
+    """
+    if hit == NOTHING or uniform < noise[2]:
+        return longest
+    std = math.hypot(noise[0], noise[1] * ideal * ideal)
+    folds = noise[4] > 0.0 and ideal < shortest
+    reading = (shortest + noise[4] * (shortest - ideal) if folds else ideal) + std * normal
+    if noise[3] > 0.0:
+        reading = math.floor(reading / noise[3] + 0.5) * noise[3]
+    return min(max(reading, shortest), longest)
+
+
+@inlined
+def reported_travel(
+    travel: float, untold: float, factor: float, variance: float, resolution: float, limit: float, normal: float
+) -> tuple[float, float]:
+    """What an encoder says of a wheel's ``travel`` (m), and what it will have to say later (m).
+
+    It counts ``factor`` times the travel, with noise of ``variance`` per metre from the N(0, 1) number ``normal``,
+    and what was ``untold`` so far (m); in steps of ``resolution`` (m; 0 for none), and no more than ``limit`` (m).
+    """
+    counted = travel * factor + math.sqrt(variance * abs(travel)) * normal + untold
+    told = np.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
+    told = min(max(told, -limit), limit)
+    return told, counted - told
+
+
+@inlined
+def measure(
+    robot: int,
+    poses: FloatArray,
+    radius: float,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+) -> tuple[float, int]:
+    """Distance (m) of the first wall or other robot on a ray of one robot, and which it is."""
+    distance, hit = cast_ray(x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid)
+    if len(poses) > 1:
+        disc = cast_at_discs(x, y, dx, dy, distance, robot, poses, radius)
+        if disc < distance:
+            return disc, ROBOT
+    return distance, hit
+
+
+@compiled
+def observe(
+    poses: FloatArray,
+    travel: FloatArray,
+    step: int,
+    radius: float,
+    beams: FloatArray,
+    noise: FloatArray,
+    draws: FloatArray,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+    seen: BoolArray,
+    coverable: BoolArray,
+    area: FloatArray,
+    untold: FloatArray,
+    hits: IntArray,
+    ranges: ReadingArray,
+    wheels: ReadingArray,
+    new_cells: IntArray,
+) -> None:
+    """Take all robots' measurements of one step, and mark what their true beams and bodies cover.
+
+    Parameters
+    ----------
+    poses, travel
+        Robots (n, 3), m and rad, and how far their wheels have turned (n, 2), m.
+    step
+        Number of this step; beams whose turn it is not keep ``hits`` and ``ranges``.
+    radius
+        Of their bodies, m.
+    beams
+        (n_beams, 7): origin x, y (m), angle (rad), how far before the origin the ray starts (m), shortest and
+        longest reading (m), and the period in steps.
+    noise
+        What :func:`noisy_reading` needs, half the opening of the beams' cone (rad), then the factor of the left and
+        the right wheel and what follows it in :func:`reported_travel`.
+    draws
+        (n, n_beams + 2, 2) numbers from N(0, 1) and U(0, 1): for each beam, then for each wheel.
+    edges, cell_starts, cell_edges, grid
+        The walls.
+    seen, coverable, area
+        The grid of what has been seen.
+    untold
+        (n, 2), kept from step to step: travel that the encoders have not told so far, m.
+    hits, ranges
+        (n, n_beams), kept from step to step: the wall that each beam hit, and its reading, m.
+    wheels
+        (n, 2), set to what the encoders say, m.
+    new_cells
+        (n,), set to the number of cells that each robot covered as the first.
+    """
+    # Numbers are taken out of the arrays one by one: a slice costs as much as a ray.
+    for robot in range(len(poses)):
+        body_x, body_y, heading = poses[robot, 0], poses[robot, 1], poses[robot, 2]
+        cos, sin = math.cos(heading), math.sin(heading)
+        new = mark_disc(seen, coverable, area, body_x, body_y, radius)
+        for number in range(len(beams)):
+            if step % int(beams[number, 6]) != 0:
+                continue
+            offset, longest = beams[number, 3], beams[number, 5]
+            # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
+            rim_x = body_x + cos * beams[number, 0] - sin * beams[number, 1]
+            rim_y = body_y + sin * beams[number, 0] + cos * beams[number, 1]
+            angle = heading + beams[number, 2]
+            dx, dy = math.cos(angle), math.sin(angle)
+            x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
+            distance, hit = measure(
+                robot, poses, radius, x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid
+            )  # fmt: skip
+            new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
+            if noise[5] > 0.0:
+                for share in _CONE:
+                    dx, dy = math.cos(angle + share * noise[5]), math.sin(angle + share * noise[5])
+                    x, y = rim_x - offset * dx, rim_y - offset * dy
+                    aside, other = measure(
+                        robot, poses, radius, x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid
+                    )  # fmt: skip
+                    if aside < distance:
+                        distance, hit = aside, other
+            normal, uniform = draws[robot, number, 0], draws[robot, number, 1]
+            hits[robot, number] = hit
+            ranges[robot, number] = noisy_reading(
+                distance - offset, hit, beams[number, 4], longest, noise, normal, uniform
+            )
+        new_cells[robot] = new
+        for side in range(2):
+            wheels[robot, side], untold[robot, side] = reported_travel(
+                travel[robot, side], untold[robot, side],
+                noise[6 + side], noise[8], noise[9], noise[10], draws[robot, len(beams) + side, 0],
+            )  # fmt: skip
+
+
+@compiled
+def cast_rays(
+    origins: FloatArray,
+    directions: FloatArray,
+    lengths: FloatArray,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+    distances: FloatArray,
+    hits: IntArray,
+) -> None:
+    """Fill in distance (n,), m, and wall (n,) of rays from (n, 2) along unit vectors (n, 2) of reaches (n,), m."""
+    for ray in range(len(origins)):
+        distances[ray], hits[ray] = cast_ray(
+            origins[ray, 0], origins[ray, 1], directions[ray, 0], directions[ray, 1], lengths[ray],
+            edges, cell_starts, cell_edges, grid,
+        )  # fmt: skip
+
+
+@compiled
+def look_out(
+    places: FloatArray,
+    views: FloatArray,
+    reach: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+    seen: BoolArray,
+    area: FloatArray,
+    reachable: BoolArray,
+    reachable_area: FloatArray,
+) -> None:
+    """Set the cells that can be seen from ``places`` (n, 2), m, along unit vectors ``views`` (v, 2).
+
+    A view that goes on inside of what is ``reachable`` (its own grid, with corner and cell side) is left out:
+    what it leads to is seen from where it comes out.
+    """
+    rows, columns = reachable.shape
+    low_x, low_y, side = reachable_area
+    for place in range(len(places)):
+        x, y = places[place, 0], places[place, 1]
+        for view in range(len(views)):
+            dx, dy = views[view, 0], views[view, 1]
+            column = math.floor((x + 1.5 * side * dx - low_x) / side)
+            row = math.floor((y + 1.5 * side * dy - low_y) / side)
+            if 0 <= row < rows and 0 <= column < columns and reachable[row, column]:
+                continue
+            distance, _ = cast_ray(x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid)
+            mark_ray(seen, seen, area, x, y, dx, dy, distance)

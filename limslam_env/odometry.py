@@ -1,4 +1,4 @@
-"""Wheel encoders: from what the wheels did to what they report."""
+"""Wheels and their encoders: their noise as the kernels read it, and slips."""
 
 import numpy as np
 
@@ -6,32 +6,19 @@ from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 
 
-def reported_travel(
-    travel: FloatArray, remainder: FloatArray, noise: DrawnNoise, limit: float, generator: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """What the encoders of one robot say.
+def wheel_noise(noise: DrawnNoise, limit: float) -> FloatArray:
+    """The noise of encoders as :func:`limslam_env.kernels.observe` reads it, (5,).
 
-    Parameters
-    ----------
-    travel
-        True left and right wheel travel since the last observation (2,), m.
-    remainder
-        Travel (2,) that was too small for the encoders to report so far, m.
-    noise
-        Of this episode.
-    limit
-        Largest travel that can be reported, m.
-    generator
-        Draws two normal numbers at every call, whatever the noise.
-
-    Returns
-    -------
-    reported, remainder
-        Both (2,), m.
+    ``limit`` (m) is the largest travel that they report.
     """
-    std = np.sqrt(noise.wheel_variance * np.abs(travel))
-    factors = np.array([1.0 + noise.wheel_mismatch, 1.0 - noise.wheel_mismatch])
-    measured = travel * factors + std * generator.standard_normal(2) + remainder
-    resolution = noise.encoder_resolution
-    reported = np.trunc(measured / resolution) * resolution if resolution else measured
-    return np.clip(reported, -limit, limit), measured - reported
+    mismatch = noise.wheel_mismatch
+    return np.array([1.0 + mismatch, 1.0 - mismatch, noise.wheel_variance, noise.encoder_resolution, limit])
+
+
+def carried_travel(travel: FloatArray, noise: DrawnNoise, uniforms: FloatArray) -> FloatArray:
+    """How far wheels that turn by ``travel`` (n, 2), m, get on the floor: less where they slip.
+
+    Slips are a Poisson process along the way; ``uniforms`` (n, 2) from U(0, 1) decide.
+    """
+    slips = uniforms < -np.expm1(-noise.slip_rate * np.abs(travel))
+    return np.where(slips, travel * (1.0 - noise.slip_share), travel)

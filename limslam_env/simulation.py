@@ -1,21 +1,42 @@
 """N robots in one world, step by step: physics, sensors, odometry, and the truth beside them."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_env.config import NoiseConfig
-from limslam_env.coverage import CELL, CoverageGrid, coverage_grid, mark_seen
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.interface import Observation, RobotSpec
-from limslam_env.odometry import reported_travel
+from limslam_env.coverage import CELL, CoverageGrid, coverage_grid, remembered_free_space
+from limslam_env.draws import StepDraws
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_env.interface import RobotSpec
+from limslam_env.kernels import observe
+from limslam_env.odometry import carried_travel, wheel_noise
 from limslam_env.physics import Physics
-from limslam_env.sensors import beam_rays, build_wall_index, noisy_ranges
+from limslam_env.sensors import beam_table, build_wall_index, range_noise
 from limslam_env.world import World, WorldError
 
+# Places that are tried for robots without a start, before the world is said to have no room.
+_TRIES = 10_000
 
-@dataclass(frozen=True)
-class Truth:
+
+class Readings(NamedTuple):
+    """What the robots' sensors say after a step: new arrays.
+
+    Attributes
+    ----------
+    ranges
+        (n, n_beams), float32, m.
+    wheels
+        (n, 2), float32: left and right wheel travel, m.
+    """
+
+    ranges: ReadingArray
+    wheels: ReadingArray
+
+
+class Truth(NamedTuple):
     """What is really so after a step. For scoring, never for an agent.
 
     Attributes
@@ -25,11 +46,12 @@ class Truth:
     time
         Since the reset, s.
     coverage
-        Share of the coverable cells that have been seen, 0 to 1.
+        Share of the coverable cells that have been seen by any robot, 0 to 1.
     new_area
-        Coverable area seen for the first time in this step, m^2.
+        Coverable area that each robot was the first to see in this step, m^2. What two see at once counts
+        for the first of them.
     contact
-        (n,), which robots touched something.
+        Which robots touched something.
     wall_seen
         (n, n_beams): index of the wall that each beam's latest measurement hit, -1 nothing, -2 a robot.
     """
@@ -37,8 +59,8 @@ class Truth:
     poses: FloatArray
     time: float
     coverage: float
-    new_area: float
-    contact: BoolArray
+    new_area: list[float]
+    contact: list[bool]
     wall_seen: IntArray
 
 
@@ -63,7 +85,15 @@ class Simulation:
     def __init__(self, world: World, robot: RobotSpec, num_robots: int = 1) -> None:
         world.check(robot.radius)
         self.world, self.robot, self.num_robots = world, robot, num_robots
-        self._index = build_wall_index(world.edges, robot.reach)
+        self._scene = build_wall_index(world.edges).scene
+        self._physics = Physics(world.edges, robot.radius, num_robots)
+        self._beams = beam_table(robot)
+        self._farthest = robot.max_wheel_speed * robot.control_period
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which cells of the coverage grid have truly been seen (rows, columns); a copy."""
+        return self._seen.copy()
 
     @property
     def coverage_grid(self) -> CoverageGrid:
@@ -72,7 +102,7 @@ class Simulation:
 
     def reset(
         self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
-    ) -> tuple[list[Observation], Truth]:
+    ) -> tuple[Readings, Truth]:
         """Begin again.
 
         Parameters
@@ -91,60 +121,47 @@ class Simulation:
             If a given start collides, lies outside, or there is no room for all robots.
         """
         starts, ranges, wheels, settings = (np.random.default_rng(part) for part in seeds.spawn(4))
+        robot, count = self.robot, self.num_robots
         poses = self._starts(starts, start)
-        self.noise = noise.drawn(settings)
-        self._range_generator, self._wheel_generator = ranges, wheels
-        self._physics = Physics(self.world.edges, self.robot.radius, self.robot.axle, poses)
-        self._grid = coverage_grid(self.world, self.robot, poses)
-        self._seen = np.zeros_like(self._grid.coverable)
-        self._covered = 0
-        self._steps = 0
-        self._remainders = np.zeros((self.num_robots, 2))
-        shape = (self.num_robots, len(self.robot.beams))
-        self._ranges, self._hits = np.zeros(shape), np.zeros(shape, dtype=np.int64)
-        return self._observe(np.zeros((self.num_robots, 2)), np.zeros(self.num_robots, dtype=bool))
+        self._noise = noise.drawn(settings)
+        limits = wheel_noise(self._noise, robot.max_wheel_travel)
+        self._noise_table = np.concatenate((range_noise(self._noise), limits))
+        self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
+        self._physics.place(poses, robot.axle * (1.0 + self._noise.axle_mismatch))
+        self._grid = coverage_grid(self.world, robot, poses)
+        self._area, self._total = self._grid.area, max(self._grid.total, 1)
+        self._coverable, self._seen = self._grid.coverable, np.zeros_like(self._grid.coverable)
+        self._covered = self._steps = 0
+        shape = (count, len(robot.beams))
+        self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
+        self._told, self._untold = np.zeros((count, 2), dtype=np.float32), np.zeros((count, 2))
+        self._new_cells = np.zeros(count, dtype=np.int64)
+        return self._observe(np.zeros((count, 2)), self._draws.next(), [False] * count)
 
-    def step(self, actions: FloatArray) -> tuple[list[Observation], Truth]:
-        """Drive for one control period with wheel speeds ``actions`` (n, 2), fractions of the maximum."""
+    def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
+        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
         self._steps += 1
-        travel = np.clip(actions, -1.0, 1.0) * (self.robot.max_wheel_speed * self.robot.control_period)
-        contact = self._physics.step(travel, self.robot.control_period)
-        return self._observe(travel, contact)
+        draws = self._draws.next()
+        turned = [(_clipped(left) * self._farthest, _clipped(right) * self._farthest) for left, right in actions]
+        travel = np.array(turned)
+        if self._noise.slip_rate:
+            turned = carried_travel(travel, self._noise, draws[:, -2:, 1]).tolist()
+        contact = self._physics.step(turned, self.robot.control_period)
+        return self._observe(travel, draws, contact)
 
-    def _observe(self, travel: FloatArray, contact: BoolArray) -> tuple[list[Observation], Truth]:
+    def _observe(self, travel: FloatArray, draws: FloatArray, contact: list[bool]) -> tuple[Readings, Truth]:
         poses = self._physics.poses
-        self._measure(poses)
-        observations: list[Observation] = []
-        for robot in range(self.num_robots):
-            wheels, self._remainders[robot] = reported_travel(
-                travel[robot], self._remainders[robot], self.noise, self.robot.max_wheel_travel, self._wheel_generator
-            )
-            ranges = self._ranges[robot].astype(np.float32)
-            observations.append({"ranges": ranges, "wheels": wheels.astype(np.float32)})
-        covered = self._grid.count(self._seen)
-        new_area = (covered - self._covered) * CELL**2
-        self._covered = covered
-        time = self._steps * self.robot.control_period
-        share = covered / max(self._grid.total, 1)
-        return observations, Truth(poses, time, share, new_area, contact, self._hits.copy())
-
-    def _measure(self, poses: FloatArray) -> None:
-        rays = beam_rays(poses, self.robot)
-        lengths = rays.offsets + np.tile(self.robot.max_ranges, self.num_robots)
-        distances, hits = self._index.cast(
-            rays.origins, rays.directions, lengths, rays.owners, poses[:, :2].copy(), self.robot.radius
-        )
-        measures = self.robot.measures(self._steps)
-        seen = np.tile(measures, self.num_robots)
-        mark_seen(
-            self._seen, self._grid, poses, rays.origins[seen], rays.directions[seen], distances[seen], self.robot.radius
-        )
-        shape = (self.num_robots, -1)
-        ideal, hits = (distances - rays.offsets).reshape(shape), hits.reshape(shape)
-        for robot in range(self.num_robots):
-            reading = noisy_ranges(ideal[robot], hits[robot], self.robot, self.noise, self._range_generator)
-            self._ranges[robot] = np.where(measures, reading, self._ranges[robot])
-            self._hits[robot] = np.where(measures, hits[robot], self._hits[robot])
+        observe(
+            poses, travel, self._steps, self.robot.radius, self._beams, self._noise_table, draws,
+            *self._scene, self._seen, self._coverable, self._area,
+            self._untold, self._hits, self._ranges, self._told, self._new_cells,
+        )  # fmt: skip
+        new_cells = self._new_cells.tolist()
+        self._covered += sum(new_cells)
+        time, coverage = self._steps * self.robot.control_period, self._covered / self._total
+        new_area = [cells * CELL**2 for cells in new_cells]
+        truth = Truth(poses, time, coverage, new_area, contact, self._hits.copy())
+        return Readings(self._ranges.copy(), self._told.copy()), truth
 
     def _starts(self, generator: np.random.Generator, start: FloatArray | None) -> FloatArray:
         given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
@@ -164,9 +181,12 @@ class Simulation:
         return np.array(poses)
 
     def _draw_starts(self, generator: np.random.Generator, poses: list[FloatArray]) -> None:
-        space = self.world.free_space(self.robot.radius)
+        space = remembered_free_space(self.world, self.robot.radius)
         region = space.region_of(poses[0][:2]) if poses else space.largest_closed_region()
-        for place in generator.permutation(space.centres(region)):
+        cells = np.flatnonzero(region)
+        tries = generator.choice(cells, _TRIES) if len(cells) else cells
+        for row, column in zip(*np.unravel_index(tries, region.shape), strict=True):
+            place = space.origin + (np.array([column, row]) + 0.5) * space.cell
             pose = np.array([*place, generator.uniform(-np.pi, np.pi)])
             if self._is_apart(pose, poses):
                 poses.append(pose)
@@ -176,3 +196,7 @@ class Simulation:
 
     def _is_apart(self, pose: FloatArray, poses: list[FloatArray]) -> bool:
         return all(np.hypot(*(pose[:2] - other[:2])) > 2.5 * self.robot.radius for other in poses)
+
+
+def _clipped(speed: float) -> float:
+    return speed if -1.0 <= speed <= 1.0 else math.copysign(1.0, speed)

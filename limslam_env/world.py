@@ -4,7 +4,9 @@ import hashlib
 import math
 import os
 import tomllib
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -63,6 +65,7 @@ class World:
     loop: FloatArray = field(default_factory=lambda: _rows(2))
 
     def __post_init__(self) -> None:
+        _check_name(self.name)
         for name, width in (("walls", 4), ("doors", 4), ("starts", 3), ("loop", 2)):
             object.__setattr__(self, name, _frozen(getattr(self, name), name, width))
         obstacles = tuple(_frozen(polygon, "obstacles", 2) for polygon in self.obstacles)
@@ -95,9 +98,13 @@ class World:
     def __hash__(self) -> int:
         return hash(self.digest)
 
+    def __reduce__(self) -> tuple[type["World"], tuple[Any, ...]]:
+        # Through the constructor: numpy's own way back from a pickle makes arrays that can be written to.
+        return World, tuple(getattr(self, part.name) for part in fields(self))
+
     def free_space(self, radius: float) -> FreeSpace:
         """Where a disc of ``radius`` (m) fits outside every obstacle."""
-        return self._free_space(radius, cell_for(self.edges, radius))
+        return free_space(self.edges, radius, cell_for(self.edges, radius), self.obstacles)
 
     def check(self, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) can start here and never leave.
@@ -116,7 +123,7 @@ class World:
         region = space.largest_closed_region()
         if not region.any():
             raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
-        self._check_closed([("its largest room", space.centres(region)[0])], radius)
+        self._check_closed([("its largest room", space.first_centre(region))], radius)
 
     def check_pose(self, pose: FloatArray, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) may start at ``pose`` (3,).
@@ -129,17 +136,10 @@ class World:
         self._check_start(pose, radius, "start")
         self._check_closed([(f"start {_text(pose)}", pose)], radius)
 
-    def _free_space(self, radius: float, cell: float) -> FreeSpace:
-        space = free_space(self.edges, radius, cell)
-        free = space.free.copy()
-        for polygon in self.obstacles:
-            _clear_inside(space, polygon, free)
-        return FreeSpace(space.origin, space.cell, free)
-
     def _check_closed(self, places: list[tuple[str, FloatArray]], radius: float) -> None:
         # A gap that the grid is too coarse to be sure of counts as a way out.
         cell = cell_for(self.edges, radius)
-        wide = self._free_space(radius - 0.75 * cell, cell)
+        wide = free_space(self.edges, radius - 0.75 * cell, cell, self.obstacles)
         for label, place in places:
             region = wide.region_of(place[:2])
             if not region.any() or wide.reaches_border(region):
@@ -185,15 +185,34 @@ def load_world(source: WorldSource) -> World:
         if path.suffix:
             raise WorldError(f"{path}: no such file")
         raise WorldError(f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, or give a file")
-    if path.suffix != ".toml":
-        raise WorldError(f"{path}: not a world file that can be read (.toml)")
+    return _load_file(path)
+
+
+def _load_file(path: Path) -> World:
+    # The readers stand on this module, so it gets them when it needs them.
+    from limslam_env.readers import read_json, read_text
+
+    if path.suffix == ".toml":
+        with named(path):
+            text = read_text(path, MAX_FILE_BYTES)
+        return parse_world(text, str(path))
+    if path.suffix == ".json":
+        return read_json(path)
+    if path.suffix in {".yaml", ".yml"}:
+        # Brings OpenCV and YAML, which worlds of TOML and JSON can do without.
+        from limslam_env.map_server import read_map_server
+
+        return read_map_server(path)
+    raise WorldError(f"{path}: not a world file that can be read (.toml, .yaml, .json)")
+
+
+@contextmanager
+def named(label: object) -> Iterator[None]:
+    """Put ``label``, such as a file's name, in front of what a refusal says."""
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise WorldError(f"{path}: larger than {MAX_FILE_BYTES // 1_000_000} MB")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise WorldError(f"{path}: cannot be read: {error}") from error
-    return parse_world(text, str(path))
+        yield
+    except WorldError as error:
+        raise WorldError(f"{label}: {error}") from error
 
 
 def shipped_worlds() -> list[str]:
@@ -221,29 +240,31 @@ def parse_world(text: str, label: str) -> World:
     missing = sorted({"name", "size", "walls"} - set(table))
     if missing:
         raise WorldError(f"{label}: the key {missing[0]!r} is missing")
-    if not isinstance(table["name"], str):
-        raise WorldError(f"{label}: name must be a text")
     if not isinstance(table.get("obstacles", []), list):
         raise WorldError(f"{label}: obstacles must be a list of polygons")
-    try:
+    with named(label):
         return World(
             name=table["name"],
-            size=tuple(_numbers(table["size"], "size", 1)),
-            walls=_numbers(table["walls"], "walls", 2),
-            obstacles=tuple(_numbers(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
-            **{key: _numbers(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
+            size=tuple(number_array(table["size"], "size", 1)),
+            walls=number_array(table["walls"], "walls", 2),
+            obstacles=tuple(number_array(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
+            **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
         )
-    except WorldError as error:
-        raise WorldError(f"{label}: {error}") from error
 
 
-def _numbers(value: Any, key: str, dimensions: int) -> Any:
-    """Nested lists of TOML numbers as an array; TOML's booleans, texts and ragged lists are none."""
+def number_array(value: Any, key: str, dimensions: int) -> Any:
+    """Nested lists of a file's numbers as an array; booleans, texts and ragged lists are none.
+
+    Raises
+    ------
+    WorldError
+        If it is anything else; the message calls it ``key``.
+    """
 
     def is_number_list(item: Any, depth: int) -> bool:
         if depth > 0:
             return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
-        # Whole numbers of TOML may be too large for a float; floats that are not finite are named later.
+        # Whole numbers of a file may be too large for a float; floats that are not finite are named later.
         return isinstance(item, float) or (type(item) is int and abs(item) <= MAX_SIDE * 1e6)
 
     if not is_number_list(value, dimensions):
@@ -267,29 +288,28 @@ def _frozen(value: Any, name: str, width: int) -> FloatArray:
     return array
 
 
+def _check_name(name: Any) -> None:
+    if not isinstance(name, str):
+        raise WorldError("name must be a text")
+    try:
+        name.encode()
+    except UnicodeEncodeError as error:
+        # JSON and YAML can spell half a surrogate pair, which no file can hold.
+        raise WorldError(f"name {name!r} holds a character that is none") from error
+
+
 def _check_edges(world: World) -> None:
     for number, polygon in enumerate(world.obstacles):
         if len(polygon) < 3:
             raise WorldError(f"obstacles[{number}] has {len(polygon)} corners; a polygon needs three")
     if not 1 <= len(world.edges) <= MAX_EDGES:
         raise WorldError(f"{len(world.edges)} walls and obstacle edges; 1 to {MAX_EDGES} can be used")
+    if np.abs(world.edges).max() > MAX_SIDE or np.ptp(world.edges.reshape(-1, 2), axis=0).max() > MAX_SIDE:
+        raise WorldError(f"walls reach further than {MAX_SIDE:g} m")
     short = np.nonzero(lengths(world.edges) < SHORTEST_EDGE)[0]
     if short.size:
         kind = f"walls[{short[0]}]" if short[0] < len(world.walls) else f"obstacle edge {short[0] - len(world.walls)}"
         raise WorldError(f"{kind} has no length")
-    extent = np.ptp(world.edges.reshape(-1, 2), axis=0)
-    if np.abs(world.edges).max() > MAX_SIDE or extent.max() > MAX_SIDE:
-        raise WorldError(f"walls reach further than {MAX_SIDE:g} m")
-
-
-def _clear_inside(space: FreeSpace, polygon: FloatArray, free: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
-    (column0, row0) = np.floor((polygon.min(axis=0) - space.origin) / space.cell).astype(int)
-    (column1, row1) = np.ceil((polygon.max(axis=0) - space.origin) / space.cell).astype(int)
-    window = np.zeros_like(free)
-    window[max(row0, 0) : row1, max(column0, 0) : column1] = True
-    window &= free
-    window[window] = inside_polygon(space.centres(window), polygon)
-    free &= ~window
 
 
 def _text(pose: FloatArray) -> str:

@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_env.config import NoiseConfig
-from limslam_env.coverage import CELL, coverage_grid, mark_seen
+from limslam_env.config import DrawnNoise, NoiseConfig
+from limslam_env.coverage import CELL, coverage_grid
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.sensors import beam_rays, build_wall_index
+from limslam_env.kernels import mark_disc, mark_ray, observe
+from limslam_env.odometry import wheel_noise
+from limslam_env.sensors import beam_table, build_wall_index, range_noise
 from limslam_env.simulation import Simulation
-from limslam_env.world import World, load_world
+from limslam_env.world import World, load_world, shipped_worlds
 
 ROBOT = RobotSpec()
 BOX = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 2.0], [4.0, 2.0, 0.0, 2.0], [0.0, 2.0, 0.0, 0.0]]
@@ -24,14 +26,18 @@ def box_world(*walls: list[float]) -> World:
 
 def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     """The cells that beams and body mark at each of the poses in turn, one robot alone in the world."""
-    grid = coverage_grid(world, ROBOT, world.starts[:1])
-    index = build_wall_index(world.edges, ROBOT.reach)
-    seen = np.zeros_like(grid.coverable)
+    grid, beams = coverage_grid(world, ROBOT, world.starts[:1]), len(ROBOT.beams)
+    noise = np.concatenate((range_noise(DrawnNoise()), wheel_noise(DrawnNoise(), 1.0)))
+    scene, table = build_wall_index(world.edges).scene, beam_table(ROBOT)
+    seen, new, found = np.zeros_like(grid.coverable), 0, np.zeros(1, dtype=np.int64)
     for pose in poses[:, None]:
-        rays = beam_rays(pose, ROBOT)
-        lengths = rays.offsets + ROBOT.max_ranges
-        found, _ = index.cast(rays.origins, rays.directions, lengths, rays.owners, pose[:, :2].copy(), ROBOT.radius)
-        mark_seen(seen, grid, pose, rays.origins, rays.directions, found, ROBOT.radius)
+        observe(
+            pose, np.zeros((1, 2)), 0, ROBOT.radius, table, noise, np.zeros((1, beams + 2, 2)), *scene, seen,
+            grid.coverable, grid.area, np.zeros((1, 2)), np.zeros((1, beams), dtype=np.int64),
+            np.zeros((1, beams), dtype=np.float32), np.zeros((1, 2), dtype=np.float32), found,
+        )  # fmt: skip
+        new += found[0]
+    assert new == np.count_nonzero(seen & grid.coverable), "what counts as new is counted once"
     return seen
 
 
@@ -70,12 +76,42 @@ def test_a_room_behind_a_gap_too_narrow_for_the_robot_counts_as_far_as_beams_rea
     assert not coverable[[0, 1, -2, -1], 20].any(), "beside the gap, behind the wall"
 
 
-def test_count_counts_coverable_cells_only():
+def test_only_coverable_cells_count_as_new_and_each_once():
+    generator = np.random.default_rng(0)
+    coverable, area = generator.random((30, 40)) < 0.5, np.array([-1.0, -1.0, CELL])
+    seen = np.zeros_like(coverable)
+    for _ in range(300):
+        x, y, angle = generator.uniform(-1.5, 3.5), generator.uniform(-1.5, 2.5), generator.uniform(-math.pi, math.pi)
+        before = np.count_nonzero(seen & coverable)
+        ray = (seen, coverable, area, x, y, math.cos(angle), math.sin(angle), generator.uniform(0.0, 1.5))
+        disc = (seen, coverable, area, x, y, generator.uniform(0.02, 0.3))
+        assert mark_ray(*ray) + mark_disc(*disc) == np.count_nonzero(seen & coverable) - before
+        assert mark_ray(*ray) + mark_disc(*disc) == 0, "what has been seen is not new"
+    assert (seen & coverable).any()
+    assert (seen & ~coverable).any()
+    assert not seen.all()
+
+
+def test_a_body_marks_the_cells_that_it_touches():
+    generator = np.random.default_rng(1)
+    rows, columns = np.mgrid[0:40, 0:40]
+    for _ in range(200):
+        x, y, radius = generator.uniform(-0.5, 4.5), generator.uniform(-0.5, 4.5), generator.uniform(0.03, 0.6)
+        seen = np.zeros((40, 40), dtype=bool)
+        mark_disc(seen, seen.copy(), np.array([0.0, 0.0, CELL]), x, y, radius)
+        gap = np.hypot(
+            x - np.clip(x, columns * CELL, (columns + 1) * CELL), y - np.clip(y, rows * CELL, (rows + 1) * CELL)
+        )
+        # A body may stand a millimetre in a wall, which must not show what lies behind.
+        assert seen[gap < radius - 2e-3].all()
+        assert not seen[gap >= radius].any()
+
+
+def test_the_total_is_the_number_of_coverable_cells():
     world = load_world("env1")
     grid = coverage_grid(world, ROBOT, world.starts[:1])
-    assert grid.count(np.ones_like(grid.coverable)) == 4500
-    assert grid.count(~grid.coverable) == 0
-    assert grid.count(np.zeros_like(grid.coverable)) == 0
+    assert grid.total == np.count_nonzero(grid.coverable)
+    np.testing.assert_array_equal(grid.area, [*grid.low, CELL])
 
 
 def test_a_cell_behind_a_wall_is_not_marked():
@@ -114,15 +150,15 @@ def test_coverage_grows_from_above_zero_and_never_beyond_one():
     simulation = Simulation(world, ROBOT)
     _, truth = simulation.reset(np.random.SeedSequence(0), NoiseConfig(sensor_noise=0.04))
     total = simulation.coverage_grid.total
-    shares, area = [truth.coverage], truth.new_area
+    shares, area = [truth.coverage], truth.new_area[0]
     generator = np.random.default_rng(0)
     for step in range(2000):
         if step % 25 == 0:
-            action = generator.uniform(-0.2, 1.0, (1, 2))
-        _, truth = simulation.step(action)
+            action = generator.uniform(-0.2, 1.0, 2).tolist()
+        _, truth = simulation.step([action])
         shares.append(truth.coverage)
-        area += truth.new_area
-        assert truth.new_area >= 0.0
+        area += truth.new_area[0]
+        assert truth.new_area[0] >= 0.0
     assert shares[0] > 0.0
     assert (np.diff(shares) >= 0.0).all()
     assert shares[0] < shares[-1] <= 1.0
@@ -131,22 +167,23 @@ def test_coverage_grows_from_above_zero_and_never_beyond_one():
 
 def test_noise_does_not_change_what_counts_as_seen():
     shares = []
-    for noise in (NoiseConfig(), NoiseConfig(sensor_noise=0.04, dropout=1.0, wheel_variance=1e-3)):
+    for noise in (NoiseConfig(), NoiseConfig.sharp(sensor_noise=0.04, dropout=1.0, wheel_variance=1e-3)):
         simulation = Simulation(load_world("env1"), ROBOT)
         simulation.reset(np.random.SeedSequence(0), noise)
-        shares.append([simulation.step(np.array([[0.9, 1.0]]))[1].coverage for _ in range(100)])
+        shares.append([simulation.step([(0.9, 1.0)])[1].coverage for _ in range(100)])
     assert shares[0] == shares[1]
 
 
-def test_what_can_be_seen_in_a_drive_was_coverable():
-    simulation = Simulation(load_world("env1"), ROBOT)
+@pytest.mark.parametrize("name", shipped_worlds())
+def test_what_can_be_seen_in_a_drive_was_coverable(name):
+    simulation = Simulation(load_world(name), ROBOT)
     simulation.reset(np.random.SeedSequence(1), NoiseConfig())
     generator = np.random.default_rng(1)
     for _ in range(80):
-        action = generator.uniform(-0.3, 1.0, (1, 2))
+        action = generator.uniform(-0.3, 1.0, 2).tolist()
         for _ in range(25):
-            simulation.step(action)
-    assert not (simulation._seen & ~simulation.coverage_grid.coverable).any()
+            simulation.step([action])
+    assert not (simulation.seen & ~simulation.coverage_grid.coverable).any()
 
 
 def test_only_beams_that_measured_in_a_step_count():
@@ -155,8 +192,36 @@ def test_only_beams_that_measured_in_a_step_count():
     _, truth = simulation.reset(np.random.SeedSequence(0), NoiseConfig())
     assert truth.coverage > 0.0
     # Turning on the spot, the body covers nothing new, and the beams look elsewhere at every step.
-    areas = [simulation.step(np.array([[-0.5, 0.5]]))[1].new_area for _ in range(30)]
+    areas = [simulation.step([(-0.5, 0.5)])[1].new_area[0] for _ in range(30)]
     assert [step for step, area in enumerate(areas, start=1) if area > 0.0] == [10, 20, 30]
+
+
+def test_the_seen_cells_that_are_handed_out_are_a_copy():
+    simulation = Simulation(load_world("env1"), ROBOT)
+    simulation.reset(np.random.SeedSequence(0), NoiseConfig())
+    seen = simulation.seen
+    before = seen.copy()
+    seen[:] = True
+    np.testing.assert_array_equal(simulation.seen, before)
+    for _ in range(30):
+        simulation.step([(1.0, 1.0)])
+    assert (simulation.seen & ~before).any()
+    assert (simulation.seen >= before).all()
+
+
+def test_what_two_robots_see_at_once_counts_for_the_first_of_them():
+    world = box_world()
+    simulation = Simulation(world, ROBOT, 2)
+    # The second stands behind the first and looks along the same walls.
+    poses = np.array([[1.0, 1.0, 0.0], [0.7, 1.0, 0.0]])
+    _, both = simulation.reset(np.random.SeedSequence(0), NoiseConfig(), poses)
+    total = simulation.coverage_grid.total
+    alone = [
+        Simulation(world, ROBOT).reset(np.random.SeedSequence(0), NoiseConfig(), pose)[1].new_area[0] for pose in poses
+    ]
+    assert both.new_area[0] == pytest.approx(alone[0])
+    assert 0.0 < both.new_area[1] < alone[1]
+    assert sum(both.new_area) == pytest.approx(both.coverage * total * CELL**2)
 
 
 def test_starts_in_one_region_share_one_grid():

@@ -60,7 +60,9 @@ def test_beams_given_as_a_list_are_as_good_as_a_tuple():
         RobotSpec(beams=[])
 
 
-@pytest.mark.parametrize("name", ["beam_origins", "beam_angles", "beam_directions", "min_ranges", "max_ranges"])
+@pytest.mark.parametrize(
+    "name", ["beam_origins", "beam_angles", "beam_directions", "min_ranges", "max_ranges", "too_near", "too_far"]
+)
 def test_the_arrays_of_a_robot_cannot_be_written_to(name):
     robot = RobotSpec()
     array = getattr(robot, name)

@@ -1,6 +1,8 @@
 """Physics: exact arcs in the open, and bodies that neither enter walls nor each other."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -29,13 +31,15 @@ CELL = ring([(0.0, 0.0), (0.8, 0.0), (0.8, 0.8), (0.0, 0.8)])
 
 
 def physics(edges: FloatArray, *poses: tuple[float, float, float], radius: float = RADIUS) -> Physics:
-    return Physics(edges, radius, AXLE, np.array(poses, dtype=float))
+    model = Physics(edges, radius, len(poses))
+    model.place(np.array(poses, dtype=float), AXLE)
+    return model
 
 
 def drive(model: Physics, left: float, right: float, steps: int) -> np.ndarray:
     """All robots alike; whether each of them touched something, step by step."""
     robots = len(model.poses)
-    return np.array([model.step(np.tile([left, right], (robots, 1)), PERIOD) for _ in range(steps)])
+    return np.array([model.step([(left, right)] * robots, PERIOD) for _ in range(steps)])
 
 
 def depth_in_walls(poses: FloatArray, edges: FloatArray) -> float:
@@ -53,7 +57,7 @@ def random_actions(seed: int, robots: int, steps: int, hold: int = 20):
     for step in range(steps):
         if step % hold == 0:
             action = generator.uniform(-1.0, 1.0, (robots, 2)) + generator.choice([-1, 0, 1], (robots, 1))
-        yield np.clip(action, -1.0, 1.0) * TOP
+        yield (np.clip(action, -1.0, 1.0) * TOP).tolist()
 
 
 def test_without_contact_the_pose_follows_the_exact_arcs():
@@ -61,9 +65,9 @@ def test_without_contact_the_pose_follows_the_exact_arcs():
     expected = model.poses[0]
     generator = np.random.default_rng(0)
     for travel in generator.uniform(-TOP, TOP, (3000, 2)):
-        contact = model.step(travel[None], PERIOD)
+        contact = model.step([travel.tolist()], PERIOD)
         expected = compose(expected, arc(*wheels_to_arc(travel, AXLE)))
-        assert not contact.any()
+        assert contact == [False]
         difference = model.poses[0] - expected
         assert np.abs(difference[:2]).max() < 1e-9
         assert abs(wrap_angle(difference[2])) < 1e-9
@@ -73,7 +77,7 @@ def test_without_contact_the_pose_follows_the_exact_arcs():
 @settings(deadline=None)
 def test_one_step_is_the_exact_arc_whatever_its_length_in_time(heading, left, right, period):
     model = physics(BOX, (2.0, 2.0, heading))
-    model.step(np.array([[left, right]]), period)
+    model.step([(left, right)], period)
     expected = compose(np.array([2.0, 2.0, heading]), arc(*wheels_to_arc(np.array([left, right]), AXLE)))
     np.testing.assert_allclose(model.poses[0][:2], expected[:2], atol=1e-12)
     assert abs(wrap_angle(model.poses[0][2] - expected[2])) < 1e-12
@@ -145,7 +149,7 @@ def test_a_random_walk_never_enters_a_wall_nor_leaves(edges, start, seed):
     corners = edges.reshape(-1, 2)
     outline = WEDGE[:, :2] if edges is WEDGE else ring_of(corners)
     for travel in random_actions(seed, 1, 1500, hold=40):
-        touched |= bool(model.step(travel, PERIOD)[0])
+        touched |= model.step(travel, PERIOD)[0]
         assert depth_in_walls(model.poses, edges) < DEEPEST
         assert inside_polygon(model.poses[:, :2], outline)[0]
     assert touched, "a walk that touches nothing shows nothing"
@@ -162,7 +166,7 @@ def test_no_sequence_of_pushes_gets_deep_into_a_wedge(actions, heading):
     model = physics(WEDGE, (1.8, 0.25, heading))
     for action in actions:
         for _ in range(25):
-            model.step(TOP * np.array([action]), PERIOD)
+            model.step([(TOP * action[0], TOP * action[1])], PERIOD)
             assert depth_in_walls(model.poses, WEDGE) < DEEPEST
 
 
@@ -198,7 +202,7 @@ def test_robots_never_overlap_nor_enter_walls(edges, starts, seed):
     model = physics(edges, *starts)
     touched = False
     for travel in random_actions(seed, len(starts), 1500):
-        touched |= bool(model.step(travel, PERIOD).any())
+        touched |= any(model.step(travel, PERIOD))
         assert overlap(model.poses) < DEEPEST
         assert depth_in_walls(model.poses, edges) < DEEPEST
     assert touched
@@ -223,3 +227,98 @@ def test_the_same_drive_gives_the_same_bits():
             model.step(travel, PERIOD)
         ends.append(model.poses)
     np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+def test_fast_robots_do_not_pass_through_each_other(speed):
+    for start in (2.5, 2.55, 2.613, 2.7):
+        model = physics(BOX, (1.0, 2.0, 0.0), (start, 2.0, math.pi))
+        contact = drive(model, speed * PERIOD, speed * PERIOD, 40)
+        assert contact[-1].all()
+        assert model.poses[0, 0] < model.poses[1, 0]
+        assert -1e-4 < overlap(model.poses) < DEEPEST
+
+
+def test_robots_apart_follow_their_own_exact_arcs():
+    model = physics(BOX * 100.0, (200.0, 200.0, 0.4), (202.0, 200.0, 2.0), (200.0, 195.0, -1.0))
+    expected = model.poses
+    generator = np.random.default_rng(0)
+    for travel in generator.uniform(-TOP, TOP, (1000, 3, 2)):
+        assert model.step(travel.tolist(), PERIOD) == [False] * 3
+        expected = np.array(
+            [compose(pose, arc(*wheels_to_arc(own, AXLE))) for pose, own in zip(expected, travel, strict=True)]
+        )
+    np.testing.assert_allclose(model.poses[:, :2], expected[:, :2], atol=1e-9)
+    assert np.abs(wrap_angle(model.poses[:, 2] - expected[:, 2])).max() < 1e-9
+
+
+@pytest.mark.parametrize("axle", [0.05, 0.3])
+def test_the_axle_is_that_of_the_last_placing(axle):
+    model = physics(BOX, (1.0, 1.0, 0.0))
+    model.place(np.array([[2.0, 2.0, 0.5]]), axle)
+    model.step([(0.01, 0.02)], PERIOD)
+    expected = compose(np.array([2.0, 2.0, 0.5]), arc(*wheels_to_arc(np.array([0.01, 0.02]), axle)))
+    np.testing.assert_allclose(model.poses[0], expected, atol=1e-12)
+
+
+def test_placing_wraps_headings_and_forgets_what_was_near():
+    model = physics(BOX, (2.0, 2.0, 0.0))
+    drive(model, TOP, TOP, 5)
+    # Right before a wall, where the last place had room for a while.
+    model.place(np.array([[3.895, 2.0, 2.0 * math.pi]]), AXLE)
+    assert model.poses[0, 2] == pytest.approx(0.0)
+    assert drive(model, TOP, TOP, 1).all()
+    assert model.poses[0, 0] == pytest.approx(4.0 - RADIUS, abs=DEEPEST)
+
+
+@pytest.mark.parametrize(
+    ("edges", "starts"),
+    [
+        (BOX, [(1.0, 1.0, 0.0)]),
+        (load_world("env3").edges, [(0.5, 0.5, 0.0), (6.4, 4.9, -2.3), (1.0, 2.2, 0.0)]),
+        (CELL, [(0.2, 0.2, 0.0), (0.5, 0.5, 2.0)]),
+    ],
+    ids=["box", "env3", "cell"],
+)
+def test_not_asking_pymunk_where_nothing_is_near_changes_nothing(edges, starts):
+    short, full = physics(edges, *starts), physics(edges, *starts)
+    contacts = 0
+    for travel in random_actions(5, len(starts), 2000, hold=30):
+        full._room = 0.0
+        contact = short.step(travel, PERIOD)
+        assert contact == full.step(travel, PERIOD)
+        np.testing.assert_allclose(short.poses, full.poses, atol=1e-9)
+        contacts += sum(contact)
+    assert contacts > 20
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda model: pickle.loads(pickle.dumps(model))])  # noqa: S301 (our own bytes)
+@pytest.mark.parametrize(
+    ("edges", "starts"),
+    [
+        (CELL, [(0.2, 0.2, 0.0), (0.5, 0.5, 2.0), (0.5, 0.2, 1.0)]),
+        (WEDGE, [(1.6, 0.2, math.pi)]),
+        (load_world("env3").edges, [(0.5, 0.5, 0.0), (6.4, 4.9, -2.3)]),
+    ],
+    ids=["cell", "wedge", "env3"],
+)
+def test_a_copy_goes_on_bit_for_bit_and_on_its_own(clone, edges, starts):
+    model = physics(edges, *starts)
+    actions = list(random_actions(3, len(starts), 900))
+    for travel in actions[:300]:
+        model.step(travel, PERIOD)
+    before, again = model.poses, clone(model)
+    contacts = [again.step(travel, PERIOD) for travel in actions[300:]]
+    np.testing.assert_array_equal(model.poses, before)
+    assert [model.step(travel, PERIOD) for travel in actions[300:]] == contacts
+    np.testing.assert_array_equal(model.poses, again.poses)
+
+
+def test_what_was_driven_before_a_placing_leaves_no_trace():
+    fresh, used = (physics(CELL, (0.2, 0.2, 0.0), (0.5, 0.5, 2.0)) for _ in range(2))
+    for travel in random_actions(1, 2, 400):
+        used.step(travel, PERIOD)
+    used.place(fresh.poses, AXLE)
+    for travel in random_actions(7, 2, 400):
+        assert fresh.step(travel, PERIOD) == used.step(travel, PERIOD)
+        np.testing.assert_array_equal(fresh.poses, used.poses)

@@ -14,8 +14,17 @@ from limslam_env.world import World, WorldError, load_world
 
 ROBOT = RobotSpec()
 BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
-ALL_NOISE = NoiseConfig(
-    sensor_noise=0.04, dropout=0.05, wheel_variance=1e-4, encoder_resolution=0.001, wheel_mismatch=0.01
+# All noise of readings: what moves the robot otherwise (slips, the axle) is not among it.
+ALL_NOISE = NoiseConfig.sharp(
+    sensor_noise=0.04, dropout=0.05, cone=0.0, wheel_variance=1e-4, encoder_resolution=0.001, wheel_mismatch=0.01
+)
+EVERYTHING = NoiseConfig.sharp(
+    wheel_variance=1e-4,
+    encoder_resolution=0.001,
+    wheel_mismatch=0.01,
+    axle_mismatch=(-0.05, 0.05),
+    slip_rate=2.0,
+    slip_share=(0.1, 0.9),
 )
 
 
@@ -43,11 +52,11 @@ def record(noise: NoiseConfig, seed: int, steps: int, robots: int = 1) -> dict[s
     generator = np.random.default_rng(1)
     for step in range(steps):
         if step % 10 == 0:
-            actions = generator.uniform(-0.5, 1.0, (robots, 2))
+            actions = generator.uniform(-0.5, 1.0, (robots, 2)).tolist()
         results.append(simulation.step(actions))
     return {
-        "ranges": np.array([[one["ranges"] for one in observations] for observations, _ in results]),
-        "wheels": np.array([[one["wheels"] for one in observations] for observations, _ in results]),
+        "ranges": np.array([readings.ranges for readings, _ in results]),
+        "wheels": np.array([readings.wheels for readings, _ in results]),
         "poses": np.array([truth.poses for _, truth in results]),
         "coverage": np.array([truth.coverage for _, truth in results]),
         "wall_seen": np.array([truth.wall_seen for _, truth in results]),
@@ -56,9 +65,10 @@ def record(noise: NoiseConfig, seed: int, steps: int, robots: int = 1) -> dict[s
     }
 
 
-@pytest.mark.parametrize("robots", [1, 2])
-def test_the_same_seed_gives_the_same_bits(robots):
-    first, second = (record(ALL_NOISE, 5, 300, robots) for _ in range(2))
+@pytest.mark.parametrize("robots", [1, 2, 8])
+@pytest.mark.parametrize("noise", [ALL_NOISE, EVERYTHING], ids=["readings", "everything"])
+def test_the_same_seed_gives_the_same_bits(robots, noise):
+    first, second = (record(noise, 5, 300, robots) for _ in range(2))
     for name, values in first.items():
         assert values.tobytes() == second[name].tobytes(), name
 
@@ -73,9 +83,11 @@ def test_a_second_reset_with_the_same_seed_is_the_same_episode():
     simulation = Simulation(load_world("env1"), ROBOT)
     runs = []
     for _ in range(2):
-        simulation.reset(np.random.SeedSequence(9), ALL_NOISE)
-        results = [simulation.step(np.array([[1.0, 0.8]])) for _ in range(50)]
-        runs.append([(one[0]["ranges"].tobytes(), one[0]["wheels"].tobytes(), truth.time) for one, truth in results])
+        simulation.reset(np.random.SeedSequence(9), EVERYTHING)
+        results = [simulation.step([(1.0, 0.8)]) for _ in range(400)]
+        runs.append(
+            [(one.ranges.tobytes(), one.wheels.tobytes(), truth.poses.tobytes(), truth.time) for one, truth in results]
+        )
     assert runs[0] == runs[1]
 
 
@@ -109,25 +121,27 @@ def test_settings_given_as_ranges_are_drawn_at_each_reset():
     drawn = []
     for seed in range(40):
         simulation.reset(np.random.SeedSequence(seed), noise)
-        drawn.append((simulation.noise.sensor_noise, simulation.noise.wheel_variance, simulation.noise.wheel_mismatch))
-        assert simulation.noise.dropout == 0.1
+        drawn.append(
+            (simulation._noise.sensor_noise, simulation._noise.wheel_variance, simulation._noise.wheel_mismatch)
+        )
+        assert simulation._noise.dropout == 0.1
     low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
     assert (low >= [0.01, 1e-5, -0.02]).all()
     assert (high <= [0.04, 3e-5, 0.02]).all()
     # Forty draws leave less than a fifth of the range unvisited at either end.
     assert (high - low > 0.8 * np.array([0.03, 2e-5, 0.04])).all()
     simulation.reset(np.random.SeedSequence(0), noise)
-    assert simulation.noise.sensor_noise == drawn[0][0]
+    assert simulation._noise.sensor_noise == drawn[0][0]
 
 
 def test_a_drawn_noise_is_the_noise_that_is_made():
     noise = NoiseConfig(sensor_noise=(0.02, 0.04))
     simulation = Simulation(load_world("env1"), ROBOT)
     simulation.reset(np.random.SeedSequence(2), noise)
-    ranges = np.array([simulation.step(np.zeros((1, 2)))[0][0]["ranges"] for _ in range(400)])
+    ranges = np.array([simulation.step([(0.0, 0.0)])[0].ranges[0] for _ in range(400)], dtype=float)
     hit = ranges.std(axis=0) > 0.0
     assert hit.any()
-    np.testing.assert_allclose(ranges.std(axis=0)[hit], simulation.noise.sensor_noise, rtol=0.2)
+    np.testing.assert_allclose(ranges.std(axis=0)[hit], simulation._noise.sensor_noise, rtol=0.2)
 
 
 @pytest.mark.parametrize("robots", [2, 3])
@@ -221,8 +235,41 @@ def test_time_and_shapes_and_a_still_first_observation():
 
 def test_actions_beyond_the_top_speed_are_clipped():
     ends = []
-    for action in ([[5.0, -9.0]], [[1.0, -1.0]]):
+    for action in ((5.0, -9.0), (1.0, -1.0)):
         simulation = Simulation(load_world("env1"), ROBOT)
         simulation.reset(np.random.SeedSequence(0), NoiseConfig())
-        ends.append(simulation.step(np.array(action))[1].poses)
+        ends.append(simulation.step([action])[1].poses)
     np.testing.assert_array_equal(*ends)
+
+
+def test_a_run_s_answers_are_its_own():
+    simulation = Simulation(load_world("env1"), ROBOT, 2)
+    results = [simulation.reset(np.random.SeedSequence(0), ALL_NOISE)]
+    results += [simulation.step([(1.0, 1.0), (0.5, 1.0)]) for _ in range(3)]
+    arrays = [array for one, truth in results for array in (*one, truth.poses, truth.wall_seen)]
+    for number, array in enumerate(arrays):
+        assert not any(np.shares_memory(array, other) for other in arrays[:number])
+
+
+def test_more_robots_change_nothing_about_the_first_while_they_do_not_meet():
+    ends = []
+    for count in (1, 2):
+        simulation = Simulation(load_world("square"), ROBOT, count)
+        simulation.reset(np.random.SeedSequence(0), NoiseConfig())
+        ends.append([simulation.step([(0.9, 1.0)] * count)[1].poses[0] for _ in range(30)])
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_robot_that_does_not_fit_the_world_is_refused():
+    with pytest.raises(WorldError, match="collides"):
+        Simulation(load_world("env1"), RobotSpec(radius=0.9))
+
+
+def test_a_world_that_a_robot_could_leave_is_refused():
+    with pytest.raises(WorldError, match="not closed"):
+        Simulation(World("open", (4.0, 4.0), BOX[:3], starts=np.array([[2.0, 2.0, 0.0]])), ROBOT)
+
+
+def test_more_starts_than_robots_are_refused():
+    with pytest.raises(WorldError, match="2 starts for 1 robots"):
+        start_poses(box_world(), 1, start=np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))
