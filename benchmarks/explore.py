@@ -1,6 +1,7 @@
 """Explore a world many times and print what came of it: ``python -m benchmarks.explore``."""
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,16 @@ COLUMNS = {
     "wall_f1": "F1",
     "wall_f1_5cm": "F1 5 cm",
     "spurious_walls": "spurious",
+    "doors_open": "doors open",
+    "closures_right": "closed right",
+    "closures_wrong": "closed wrong",
     "speed_x_real_time": "x real time",
 }
 
 
-def run_one(world: str, noise: float, preset: str, seed: int, laps: int) -> dict[str, Any]:
+def run_one(config: RunConfig) -> dict[str, Any]:
     """Metrics and cost of one run, flat."""
-    episode = run_episode(RunConfig(world, noise, preset, seed, laps=laps))
+    episode = run_episode(config)
     return {**score(episode), **cost(episode)}
 
 
@@ -47,6 +51,8 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--preset", default="paper")
     parser.add_argument("--laps", type=int, default=0)
+    parser.add_argument("--robots", type=int, default=1)
+    parser.add_argument("--ablation")
     parser.add_argument("--seeds", type=int, default=10, help="how many")
     parser.add_argument("--first-seed", type=int, default=0)
     options = parser.parse_args()
@@ -56,7 +62,8 @@ def main() -> None:
     print("|---" * (len(COLUMNS) + 1) + "|")
     rows = []
     for seed in range(options.first_seed, options.first_seed + options.seeds):
-        row = run_one(options.world, options.noise, options.preset, seed, options.laps)
+        config = RunConfig(options.world, options.noise, options.preset, seed, laps=options.laps)
+        row = run_one(replace(config, robots=options.robots, ablation=options.ablation))
         rows.append(row)
         cells = ("-" if row[name] is None else f"{row[name]:.3g}" for name in COLUMNS)
         print(f"| {seed} | " + " | ".join(cells) + " |", flush=True)

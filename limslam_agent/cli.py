@@ -3,7 +3,6 @@
 What takes long to import is imported inside the commands, so that help comes at once.
 """
 
-import math
 import re
 import signal
 import sys
@@ -11,16 +10,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from limslam_agent.world_commands import worlds
-
-if TYPE_CHECKING:
-    from limslam_agent.config import OdometryConfig
 
 app = typer.Typer(
     add_completion=False,
@@ -51,6 +47,8 @@ def run(
     seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
     max_time: Annotated[float, typer.Option(help="Longest simulated time, s.")] = 1800.0,
     laps: Annotated[int, typer.Option(help="Drive round the world's loop this often instead of exploring.")] = 0,
+    robots: Annotated[int, typer.Option(help="How many explore together, 1 to 8.")] = 1,
+    ablation: Annotated[str | None, typer.Option(help="Part of the method to leave out.", show_default="none")] = None,
     out: Out = None,
     force: Force = False,
 ) -> None:
@@ -61,16 +59,18 @@ def run(
     from limslam_env.world import load_world
 
     place = load_world(world)
-    config = RunConfig(place, noise, preset, seed, max_time, laps)
+    config = RunConfig(place, noise, preset, seed, max_time, laps, robots=robots, ablation=ablation)
     name = (
         f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', place.name).strip('.') or 'world'}-{100 * noise:g}cm-{preset}-seed{seed}"
         + (f"-{laps}laps" if laps else "")
+        + (f"-{robots}robots" if robots > 1 else "")
+        + (f"-{ablation}" if ablation else "")
     )
     target = out or _unused(Path("runs") / name)
     with new_folder(target, force=force) as folder:
         with _bar("driving laps" if laps else "exploring", max_time) as advance:
             episode = run_episode(
-                config, lambda time, coverage: advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
+                config, lambda _team, _env, time, coverage: advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
             )
         result = write_episode(folder, episode)
     _report_run(result["metrics"], result["cost"])
@@ -79,8 +79,8 @@ def run(
 
 @app.command()
 def replay(
-    log: Annotated[Path, typer.Argument(help="A CARMEN log (plain or .gz), or the log.npz of a run.")],
-    beams: Annotated[str | None, typer.Option(help="Beams to use, deg: A,B,...", show_default="-90,...,90")] = None,
+    log: Annotated[Path, typer.Argument(help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run.")],
+    beams: Annotated[str | None, typer.Option(help="Beams to use, deg: A,B,...", show_default="all of a few")] = None,
     max_range: Annotated[float | None, typer.Option(help="Longest range used, m.", show_default="3.0")] = None,
     noise: Annotated[float, typer.Option(help="Assumed standard deviation of the ranges, m.")] = 0.02,
     preset: PresetName = "paper",
@@ -97,6 +97,12 @@ def replay(
             help="True minus reported heading per metre, deg, and true over reported distance.", show_default="0,1"
         ),
     ] = None,
+    calibrate: Annotated[Path | None, typer.Option(help="Known relative poses to estimate the bias from.")] = None,
+    calibrate_until: Annotated[float | None, typer.Option(help="Of the log's first seconds only.")] = None,
+    calibrate_log: Annotated[Path | None, typer.Option(help="Of this log, instead of the one replayed.")] = None,
+    scan_topic: Annotated[str | None, typer.Option(help="In a bag: LaserScan, several as A,B.")] = None,
+    range_topics: Annotated[str | None, typer.Option(help="In a bag: Ranges as TOPIC:DEG,...")] = None,
+    odometry_topic: Annotated[str | None, typer.Option(help="In a bag: Odometry or poses.")] = None,
     relations: Annotated[Path | None, typer.Option(help="Known relative poses to score against.")] = None,
     out: Out = None,
     force: Force = False,
@@ -107,15 +113,26 @@ def replay(
     from limslam_agent.log_reader import read_log
     from limslam_agent.relations import read_relations
     from limslam_agent.replay import relation_scores, replay_log, write_replay
+    from limslam_agent.replay_options import CalibrationRun, chosen_topics, numbers, odometry_config
     from limslam_agent.results import trajectory_scores, versions
     from limslam_env.interface import NominalNoise
 
-    odometry = _odometry(odometry_noise, odometry_bias)
-    config = replace(settings(preset, NominalNoise(noise)), odometry=odometry)
+    config = replace(settings(preset, NominalNoise(noise)), odometry=odometry_config(odometry_noise, odometry_bias))
+    calibration_run = CalibrationRun(calibrate, calibrate_until, calibrate_log)
+    if calibrate and odometry_bias:
+        raise ValueError("--odometry-bias and --calibrate both set the bias: one of them is enough")
     known = read_relations(relations) if relations else None
-    recorded = read_log(log, None if beams is None else _numbers("--beams", beams), max_range)
+    angles = None if beams is None else numbers("--beams", beams)
+    topics = chosen_topics(scan_topic, range_topics, odometry_topic)
+    recorded = read_log(log, angles, max_range, topics)
     if recorded.odometry is None and (odometry_noise or odometry_bias):
         raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
+    calibration = calibration_run.estimate(
+        recorded, config.odometry, lambda other: read_log(other, angles, max_range, topics)
+    )
+    if calibration:
+        config = replace(config, odometry=calibration.applied_to(config.odometry))
+        known = known and calibration.held_out(known)
     target = out or _unused(Path("runs") / f"replay-{log.name.split('.')[0]}-{preset}")
     with new_folder(target, force=force) as folder:
         with _bar("replaying", len(recorded)) as advance:
@@ -126,9 +143,13 @@ def replay(
         if known is not None:
             scores |= relation_scores(result, known)
             if not scores["relations"]:
-                raise ValueError(f"{relations}: none of its {len(known.start_time)} relations lies in the log's time")
-        source = {"log": log.name, "relations": relations.name if relations else None}
-        write_replay(folder, result, source, scores, versions())
+                left = "left to score" if calibration else "in the log's time"
+                raise ValueError(f"{relations}: none of its relations is {left}")
+        source = {"log": log.name, "relations": relations.name if relations else None, **calibration_run.source}
+        figures = calibration.figures if calibration else {}
+        write_replay(folder, result, source, {**scores, **figures}, versions())
+    if calibration:
+        typer.echo(f"calibrated  {calibration.words}")
     _report_replay(scores, len(result.landmarks))
     typer.echo(f"results     {target}")
 
@@ -149,26 +170,6 @@ def play(
     except Error as error:  # no pygame, no display, or no such seed
         raise ValueError(str(error)) from error
     typer.echo(f"drove for   {drive.time:.1f} s and covered {drive.coverage:.1%} of what can be seen")
-
-
-def _odometry(noise: str | None, bias: str | None) -> "OdometryConfig":
-    from limslam_agent.config import OdometryConfig
-
-    odometry = OdometryConfig()
-    if noise is not None:
-        along, per_metre, per_radian = _numbers("--odometry-noise", noise, 3, low=0.0)
-        odometry = replace(
-            odometry,
-            distance_variance=along**2,
-            turn_variance_per_metre=math.radians(per_metre) ** 2,
-            turn_variance_per_radian=math.radians(per_radian) ** 2,
-        )
-    if bias is not None:
-        turn, scale = _numbers("--odometry-bias", bias if "," in bias else f"{bias},1", 2)
-        if not 0.01 <= scale <= 100.0:
-            raise ValueError(f"--odometry-bias: the scale must lie between 0.01 and 100, not {scale:g}")
-        odometry = replace(odometry, turn_bias=math.radians(turn), distance_scale=scale)
-    return odometry
 
 
 def main() -> None:
@@ -196,18 +197,6 @@ def _fail(message: str) -> None:
     if message:
         typer.echo("limslam: " + " ".join(message.split()), err=True)
     sys.exit(2)
-
-
-def _numbers(option: str, text: str, count: int | None = None, low: float = -1e6) -> list[float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise ValueError(f"{option}: {text!r} is not a list of numbers like 1,2.5") from None
-    if count is not None and len(values) != count:
-        raise ValueError(f"{option}: {count} numbers are needed, not {len(values)}")
-    if not all(math.isfinite(value) and low <= value <= 1e6 for value in values):
-        raise ValueError(f"{option}: {text!r} holds a number that is out of bounds")
-    return values
 
 
 @contextmanager

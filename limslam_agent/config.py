@@ -6,7 +6,7 @@ reported.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from limslam_env.interface import NominalNoise
 
@@ -101,7 +101,8 @@ class AssociationConfig:
         of itself than it should be.
     max_end_gap
         Largest distance along the wall between the observation and the landmark's end points. Ours: a
-        little more than the gap that ends a wall in the buffer, because both ends are known but roughly.
+        little more than the gap that ends a wall in the buffer, because both ends are known but roughly. Infinite
+        is the ablation without this gate.
     max_angle, max_distance
         Largest difference of direction, and distance of the observation's middle from the line. Ours.
     range_slack
@@ -114,12 +115,74 @@ class AssociationConfig:
     """
 
     gate: float = 100.0
+    floor_distance: float = 0.0
+    floor_angle: float = 0.0
     max_end_gap: float = 0.35
     max_angle: float = math.radians(15.0)
     max_distance: float = 0.35
     range_slack: float = 0.25
     min_new_length: float = 0.30
     min_new_share: float = 0.14
+
+
+@dataclass(frozen=True)
+class LoopClosingConfig:
+    """When the two landmarks nearest to an observation are one wall.
+
+    Attributes
+    ----------
+    enabled
+        False is the ablation without loop closing.
+    gate
+        Largest squared Mahalanobis distance between the two. Ours.
+    min_overlap
+        They must share at least this length of wall. Ours: two walls on one line with a door between them
+        share none.
+    max_angle, max_distance
+        Largest difference of direction, and distance of the younger's middle from the older's line. Ours.
+    floor_distance, floor_angle
+        Least standard deviations that the difference of two landmarks is credited with, m and rad. Ours.
+    """
+
+    enabled: bool = True
+    gate: float = 50.0
+    min_overlap: float = 0.10
+    max_angle: float = math.radians(15.0)
+    max_distance: float = 0.50
+    floor_distance: float = 0.01
+    floor_angle: float = math.radians(0.5)
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """When a landmark is a wall of the map. Until then it is provisional: used, but not shown.
+
+    Attributes
+    ----------
+    min_observations
+        Observed lines that it must be made of. Ours.
+    min_length
+        Its least length. Ours.
+    """
+
+    min_observations: int = 2
+    min_length: float = 0.30
+
+
+@dataclass(frozen=True)
+class TeamConfig:
+    """Beams that may have hit another robot.
+
+    Attributes
+    ----------
+    sigmas
+        How many standard deviations of the other's believed place are allowed for. Ours.
+    slack
+        What is added to that. Ours: the published filter is surer of itself than it should be.
+    """
+
+    sigmas: float = 3.0
+    slack: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -187,6 +250,13 @@ class PolicyConfig:
         A frontier cell counts as reached when the way to it is this short.
     replan_period
         Steps between two plans.
+    patience
+        Steps that the robot stands in front of something before it tries something else. Without getting nearer or
+        seeing anything new it goes on for three times as long.
+    back_steps
+        Steps that it then drives back.
+    aside_steps
+        Steps for which a goal that could not be reached is left alone.
     """
 
     speed: float = 0.20
@@ -200,6 +270,9 @@ class PolicyConfig:
     min_last_frontier: int = 2
     view_distance: float = 0.35
     replan_period: int = 5
+    patience: int = 30
+    back_steps: int = 8
+    aside_steps: int = 300
 
 
 @dataclass(frozen=True)
@@ -220,7 +293,10 @@ class AgentConfig:
     buffer: BufferConfig = field(default_factory=BufferConfig)
     hough: HoughConfig = field(default_factory=HoughConfig)
     association: AssociationConfig = field(default_factory=AssociationConfig)
+    closing: LoopClosingConfig = field(default_factory=LoopClosingConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
+    map: MapConfig = field(default_factory=MapConfig)
+    team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
 
@@ -231,6 +307,28 @@ class AgentConfig:
 
 
 PRESETS = ("paper", "odometry")
+
+ABLATIONS = ("no-ekf", "no-loop-closing", "no-end-gate", "only-best-line")
+"""Parts of the method that can be left out, to see what they are worth."""
+
+
+def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
+    """Settings with one part of the method left out.
+
+    Raises
+    ------
+    ValueError
+        If there is no such part.
+    """
+    if ablation == "no-ekf":
+        return replace(config, filter=replace(config.filter, correct=False))
+    if ablation == "no-loop-closing":
+        return replace(config, closing=replace(config.closing, enabled=False))
+    if ablation == "no-end-gate":
+        return replace(config, association=replace(config.association, max_end_gap=math.inf))
+    if ablation == "only-best-line":
+        return replace(config, hough=replace(config.hough, only_best=True))
+    raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
 
 
 def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:

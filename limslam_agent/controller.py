@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from limslam_agent.config import PolicyConfig
+from limslam_agent.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -68,3 +69,24 @@ def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray
     room = robot.max_wheel_speed - abs(turn)
     forward = float(np.clip(speed, -room, room))
     return np.array([forward - turn, forward + turn]) / robot.max_wheel_speed
+
+
+def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple[int, float]:
+    """The beam that the least turn points at a place (2,), m, and that turn, rad."""
+    offset = place - pose[:2]
+    errors = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]) - robot.beam_angles)
+    beam = int(np.argmin(np.abs(errors)))
+    return beam, float(errors[beam])
+
+
+def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
+    """Wheel speeds (2,) straight back if the map shows ground that is free there, else zero."""
+    heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
+    behind = robot.radius + np.arange(1, 4)[:, None] * 0.05
+    places = np.vstack(
+        [pose[:2] - behind * heading + side * robot.radius * heading[[1, 0]] * (-1, 1) for side in (-1, 0, 1)]
+    )
+    cells = grid.cells(places)
+    inside = ((cells >= 0) & (cells < grid.values.shape)).all(axis=1)
+    is_free = bool(inside.all()) and bool((grid.values[cells[:, 0], cells[:, 1]] > 0).all())
+    return wheel_speeds(-0.5 * config.speed if is_free else 0.0, 0.0, robot)

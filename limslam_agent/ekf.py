@@ -1,6 +1,6 @@
-"""The extended Kalman filter over pose and lines, without dense work.
+"""The extended Kalman filter over the poses of robots and the lines that they share, without dense work.
 
-State (the paper's eq. 1): x = [x, y, theta, r_1, theta_1, ..., r_N, theta_N], covariance P.
+State (the paper's eq. 1): x = [x, y, theta, ..., r_1, theta_1, ..., r_N, theta_N], one pose a robot, covariance P.
 Letters x, P, F, Q, H, R, S are the literature's and appear in this module only.
 """
 
@@ -18,7 +18,6 @@ from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
 
 POSE = 3
 _BLOCK = 130_000
-_R_NEGATED = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
 class LineEKF(ExtendedKalmanFilter):
@@ -32,50 +31,62 @@ class LineEKF(ExtendedKalmanFilter):
     Parameters
     ----------
     pose
-        Start (3,), m, m, rad.
+        Start (3,), m, m, rad; of several robots (n, 3).
     covariance
-        Of the start (3, 3); zero if left out.
+        Of the start (3 n, 3 n); zero if left out.
     """
 
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
-        super().__init__(dim_x=POSE, dim_z=2)
-        self.x = np.array(pose, dtype=float)
-        self.P = np.zeros((POSE, POSE)) if covariance is None else np.array(covariance, dtype=float, order="C")
+        super().__init__(dim_x=np.size(pose), dim_z=2)
+        self.x = np.array(pose, dtype=float).ravel()
+        self._first = len(self.x)
+        self.P = np.zeros((self._first,) * 2) if covariance is None else np.array(covariance, dtype=float, order="C")
 
     @property
     def num_lines(self) -> int:
         """How many lines the state holds."""
-        return (len(self.x) - POSE) // 2
+        return (len(self.x) - self._first) // 2
+
+    @property
+    def poses(self) -> FloatArray:
+        """The poses (n, 3), a copy."""
+        return np.array(self.x[: self._first].reshape(-1, POSE))
 
     @property
     def pose(self) -> FloatArray:
-        """The pose (3,), a copy."""
+        """The pose of the first robot (3,), a copy."""
         return np.array(self.x[:POSE])
 
     @property
     def pose_covariance(self) -> FloatArray:
-        """Covariance of the pose (3, 3), a copy."""
+        """Covariance of the pose of the first robot (3, 3), a copy."""
         return np.array(self.P[:POSE, :POSE])
+
+    @property
+    def joint_pose_covariance(self) -> FloatArray:
+        """Covariance of all poses together (3 n, 3 n), a copy."""
+        return np.array(self.P[: self._first, : self._first])
 
     @property
     def lines(self) -> FloatArray:
         """The lines (N, 2), a copy."""
-        return np.array(self.x[POSE:].reshape(-1, 2))
+        return np.array(self.x[self._first :].reshape(-1, 2))
 
     def line_covariance(self, index: int) -> FloatArray:
         """Covariance of one line (2, 2), a copy."""
-        first = POSE + 2 * index
-        return np.array(self.P[first : first + 2, first : first + 2])
+        part = self._part(index)
+        return np.array(self.P[part, part])
 
-    def predict(self, increment: FloatArray, covariance: FloatArray) -> None:
-        """Move by an increment (3,) in the robot's frame, with its covariance (3, 3)."""
-        self.F, by_increment = compose_jacobians(self.x[:POSE], increment)
+    def predict(self, increment: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Move a robot by an increment (3,) in its frame, with its covariance (3, 3)."""
+        moved = slice(POSE * robot, POSE * robot + POSE)
+        self.F, by_increment = compose_jacobians(self.x[moved], increment)
         self.Q = by_increment @ covariance @ by_increment.T
-        self.x[:POSE] = compose(self.x[:POSE], increment)
-        P = self.P
-        P[:POSE, POSE:] = self.F @ P[:POSE, POSE:]
-        P[POSE:, :POSE] = P[:POSE, POSE:].T
-        P[:POSE, :POSE] = self.F @ P[:POSE, :POSE] @ self.F.T + self.Q
+        self.x[moved] = compose(self.x[moved], increment)
+        rows = self.F @ self.P[moved]
+        rows[:, moved] = rows[:, moved] @ self.F.T + self.Q
+        self.P[moved] = rows
+        self.P[:, moved] = rows.T
 
     def update(
         self,
@@ -128,45 +139,65 @@ class LineEKF(ExtendedKalmanFilter):
         """
         raise NotImplementedError("call predict, then update")
 
-    def columns_of(self, index: int) -> IntArray:
-        """The numbers of the state that an observation of one line depends on."""
-        first = POSE + 2 * index
-        return np.array([0, 1, 2, first, first + 1])
+    def columns_of(self, index: int, robot: int = 0) -> IntArray:
+        """The numbers of the state that a robot's observation of one line depends on."""
+        first, pose = self._first + 2 * index, POSE * robot
+        return np.array([pose, pose + 1, pose + 2, first, first + 1])
 
-    def innovation(self, line: FloatArray, R: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
+    def innovation(self, line: FloatArray, R: FloatArray, index: int, robot: int = 0) -> tuple[FloatArray, FloatArray]:
         """Difference (2,) between an observed line and landmark ``index``, and its covariance (2, 2).
 
         ``line`` is (r, theta) in the robot's frame with covariance ``R``. The covariance is that
         of observation and landmark together, the paper's Psi.
         """
-        columns = self.columns_of(index)
-        H = self._line_jacobian(self.x, index)
-        predicted = self._observed(self.x, index)
+        columns = self.columns_of(index, robot)
+        H = self._line_jacobian(self.x, columns)
+        predicted = self._observed(self.x, columns)
         form = nearest_form(line, predicted)
         return form - predicted, H @ self.P[np.ix_(columns, columns)] @ H.T + _in_form(R, line, form)
 
-    def observe_line(self, line: FloatArray, R: FloatArray, index: int) -> None:
-        """Update by an observed line (r, theta) in the robot's frame that is landmark ``index``."""
-        form = nearest_form(line, self._observed(self.x, index))
+    def observe_line(self, line: FloatArray, R: FloatArray, index: int, robot: int = 0) -> None:
+        """Update by an observed line (r, theta) in a robot's frame that is landmark ``index``."""
+        columns = self.columns_of(index, robot)
+        form = nearest_form(line, self._observed(self.x, columns))
         self.update(
             form, self._line_jacobian, self._observed, _in_form(R, line, form),
-            args=(index,), hx_args=(index,), columns=self.columns_of(index),
+            args=(columns,), hx_args=(columns,), columns=columns,
         )  # fmt: skip
 
-    def augment(self, line: FloatArray, R: FloatArray) -> int:
-        """Add a new landmark, observed as ``line`` in the robot's frame, and return its index.
+    def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
+        """How far two landmarks are from being one (2,), in the younger's form, and the covariance of that (2, 2)."""
+        columns = np.concatenate((self.columns_of(older)[POSE:], self.columns_of(younger)[POSE:]))
+        line, other = self.x[columns[:2]], self.x[columns[2:]]
+        form = nearest_form(line, other)
+        H = np.hstack((_in_form_jacobian(line, form), -np.eye(2)))
+        return form - other, H @ self.P[np.ix_(columns, columns)] @ H.T
+
+    def observe_landmark(self, older: int, younger: int) -> None:
+        """Update by the older of two landmarks as if it were an observation of the younger, as the paper has it.
+
+        What the two have in common is counted twice by this.
+        """
+        line, R = self.lines[older], self.line_covariance(older)
+        columns = self.columns_of(younger)[POSE:]
+        form = nearest_form(line, self.x[columns])
+        self.update(form, lambda _: np.eye(2), lambda x: x[columns], _in_form(R, line, form), columns=columns)
+
+    def augment(self, line: FloatArray, R: FloatArray, robot: int = 0) -> int:
+        """Add a new landmark, observed as ``line`` in a robot's frame, and return its index.
 
         Its covariance with all that is known follows from the pose it was seen from.
         """
-        by_pose, by_line = from_frame_jacobians(line, self.x[:POSE])
+        pose = slice(POSE * robot, POSE * robot + POSE)
+        by_pose, by_line = from_frame_jacobians(line, self.x[pose])
         old = len(self.x)
         P = np.empty((old + 2, old + 2))
         # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
         P[:old, :old] = 0.5 * (self.P + self.P.T)
-        P[old:, :old] = by_pose @ P[:POSE, :old]
+        P[old:, :old] = by_pose @ P[pose, :old]
         P[:old, old:] = P[old:, :old].T
-        P[old:, old:] = by_pose @ P[:POSE, :POSE] @ by_pose.T + by_line @ R @ by_line.T
-        self.x = np.concatenate((self.x, from_frame(line, self.x[:POSE])))
+        P[old:, old:] = by_pose @ P[pose, pose] @ by_pose.T + by_line @ R @ by_line.T
+        self.x = np.concatenate((self.x, from_frame(line, self.x[pose])))
         self.P = P
         self.dim_x = old + 2
         return self.num_lines - 1
@@ -183,20 +214,25 @@ class LineEKF(ExtendedKalmanFilter):
             part = slice(first, first + rows)
             dgemm(-1.0, W.T, W[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
 
-    def _observed(self, x: FloatArray, index: int) -> FloatArray:
-        first = POSE + 2 * index
-        return to_frame(x[first : first + 2], x[:POSE])
+    def _part(self, index: int) -> slice:
+        first = self._first + 2 * index
+        return slice(first, first + 2)
 
-    def _line_jacobian(self, x: FloatArray, index: int) -> FloatArray:
-        first = POSE + 2 * index
-        return np.hstack(to_frame_jacobians(x[first : first + 2], x[:POSE]))
+    @staticmethod
+    def _observed(x: FloatArray, columns: IntArray) -> FloatArray:
+        return to_frame(x[columns[POSE:]], x[columns[:POSE]])
+
+    @staticmethod
+    def _line_jacobian(x: FloatArray, columns: IntArray) -> FloatArray:
+        return np.hstack(to_frame_jacobians(x[columns[POSE:]], x[columns[:POSE]]))
 
     def _restore_angles(self) -> None:
         """Wrap the angles, and turn lines round that crossed the origin: r >= 0 again, P with it."""
-        self.x[2] = wrap_angle(float(self.x[2]))
-        r, theta = self.x[POSE::2], self.x[POSE + 1 :: 2]
+        for heading in range(2, self._first, POSE):
+            self.x[heading] = wrap_angle(float(self.x[heading]))
+        r, theta = self.x[self._first :: 2], self.x[self._first + 1 :: 2]
         for index in np.nonzero(r < 0.0)[0]:
-            row = POSE + 2 * index
+            row = self._first + 2 * index
             r[index], theta[index] = -r[index], theta[index] + np.pi
             self.P[row] *= -1.0
             self.P[:, row] *= -1.0
@@ -225,7 +261,13 @@ def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, F
     return W, whitened
 
 
+def _in_form_jacobian(line: FloatArray, form: FloatArray) -> FloatArray:
+    """Derivative (2, 2) of a line's other form by the line: r changes its sign, theta turns by pi."""
+    opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
+    return np.diag([-1.0, 1.0]) if opposite else np.eye(2)
+
+
 def _in_form(R: FloatArray, line: FloatArray, form: FloatArray) -> FloatArray:
     """The covariance of a line brought into another form, in which r may have changed its sign."""
-    opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
-    return R * _R_NEGATED if opposite else R
+    turned = _in_form_jacobian(line, form)
+    return np.asarray(turned @ R @ turned)

@@ -1,26 +1,28 @@
-"""One run: the agent in the simulated world, recorded.
+"""One run: the agent, or a team, in the simulated world, recorded.
 
-Here, and nowhere else, the agent meets the world; it is handed the observation alone, and what
+Here, and nowhere else, the mind meets the world; it is handed the observations alone, and what
 is true goes to the record.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from limslam_agent.agent import LimSlamAgent, Snapshot
-from limslam_agent.config import AgentConfig, preset
+from limslam_agent.config import AgentConfig, ablated, preset
+from limslam_agent.loop_closing import Closure
 from limslam_agent.motion import motion_of
 from limslam_agent.policies import Laps, Policy
 from limslam_agent.slam import AssociationRecord
+from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CoverageGrid
-from limslam_env.env import LimSlamEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.parallel import MAX_ROBOTS, LimSlamParallelEnv
 from limslam_env.world import World, WorldError, WorldSource, load_world
 
 LONGEST_TIME = 1e6
@@ -46,7 +48,11 @@ class RunConfig:
     laps
         Drive round the world's loop this often instead of exploring; 0 explores.
     robot
-        Body and beams.
+        Body and beams of each robot.
+    robots
+        How many there are, 1 to 8.
+    ablation
+        A part of the method that is left out; None leaves out nothing.
 
     Raises
     ------
@@ -62,10 +68,15 @@ class RunConfig:
     max_time: float = 1800.0
     laps: int = 0
     robot: RobotSpec = field(default_factory=RobotSpec)
+    robots: int = 1
+    ablation: str | None = None
 
     def __post_init__(self) -> None:
-        NominalNoise(self.noise)
-        preset(self.preset)
+        _ = self.agent
+        if not 1 <= self.robots <= MAX_ROBOTS:
+            raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
+        if self.robots > 1 and self.laps:
+            raise ValueError("laps are for one robot: several would meet on the loop")
         if not 0.0 < self.max_time <= LONGEST_TIME:
             raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
         if self.laps < 0:
@@ -80,7 +91,8 @@ class RunConfig:
     @property
     def agent(self) -> AgentConfig:
         """What the agent is told."""
-        return preset(self.preset, NominalNoise(self.noise))
+        config = preset(self.preset, NominalNoise(self.noise))
+        return config if self.ablation is None else ablated(config, self.ablation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,25 +104,27 @@ class Episode:
     config, world
         What was run, and where.
     time
-        (n,), s.
+        (t,), s.
     ranges, wheels
-        (n, n_beams) and (n, 2): the observations.
+        (t, n, n_beams) and (t, n, 2): the observations of the n robots.
     actions
-        (n, 2): the answer to each observation; it leads to the next row.
+        (t, n, 2): the answer to each observation; it leads to the next row.
     true, estimated, odometry
-        Poses (n, 3): the truth, the belief, and odometry alone.
+        Poses (t, n, 3): the truth, the belief, and odometry alone.
     covariances
-        Of the believed poses (n, 3, 3).
+        Of the believed poses (t, n, 3, 3).
     wall_seen
-        (n, n_beams), the wall that each beam truly hit.
+        (t, n, n_beams), what each beam truly hit.
+    dropped
+        (t, n, n_beams), which beams were left out because they may have hit another robot.
     coverage, contact
-        (n,) and (n,), the truth.
-    associations, snapshot, coverage_grid
-        What the agent made of its lines, what it believes at the end, and the cells that count.
+        (t,) by all robots together, and (t, n), the truth.
+    associations, closures, snapshot, coverage_grid
+        What became of observed lines, the loops closed, what is believed at the end, and the cells that count.
     stop_reason, is_finished
-        Why the run ended, and whether the agent said so itself.
+        Why the run ended, and whether the mind said so itself.
     slam_ms, decide_ms, wall_clock
-        (n,), (n,) and one number: what mapping and exploring cost a step, ms, and the whole loop, s.
+        (t,), (t,) and one number: what mapping and exploring cost a step, ms, and the whole loop, s.
     """
 
     config: RunConfig
@@ -124,9 +138,11 @@ class Episode:
     odometry: FloatArray
     covariances: FloatArray
     wall_seen: IntArray
+    dropped: BoolArray
     coverage: FloatArray
     contact: BoolArray
     associations: list[AssociationRecord]
+    closures: list[Closure]
     snapshot: Snapshot
     coverage_grid: CoverageGrid
     stop_reason: str
@@ -136,79 +152,120 @@ class Episode:
     wall_clock: float
 
 
-def run_episode(config: RunConfig, progress: Callable[[float, float], None] | None = None) -> Episode:
-    """Let the agent loose, and record what happens.
+Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
+"""Told of team, env, simulated time (s) and true coverage (0 to 1) at each step, after the team has decided."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One step of a run, of all robots."""
+
+    time: float
+    coverage: float
+    infos: list[dict[str, Any]]
+    observations: list[Observation]
+    actions: list[FloatArray]
+    estimated: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray
+    dropped: list[BoolArray]
+    slam_ms: float
+    decide_ms: float
+
+
+def run_episode(config: RunConfig, watch: Watcher | None = None, *, render_mode: str | None = None) -> Episode:
+    """Let the robots loose, and record what happens.
 
     Parameters
     ----------
     config
         What is run.
-    progress
-        Told the simulated time (s) and the true coverage (0 to 1) at each step.
+    watch
+        Told of each step.
+    render_mode
+        Of the environment, for those who want pictures of the truth.
     """
     world = load_world(config.world)
-    env = LimSlamEnv(world, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise), coverage_goal=None)
-    agent = LimSlamAgent(config.robot, config.agent, _laps(config, world))
-    observation, info = env.reset(seed=config.seed)
-    agent.reset(info["pose"], config.seed)
-    associations: list[AssociationRecord] = []
-    agent.slam.on_association = associations.append
-    odometry, rows, clock = info["pose"], [], time.perf_counter()
-    max_steps = round(config.max_time / config.robot.control_period)
-    while True:
-        before = time.perf_counter()
-        agent.observe(observation)
-        between = time.perf_counter()
-        action = agent.decide()
-        after = time.perf_counter()
-        odometry = compose(
-            odometry, motion_of(observation, config.robot, config.agent.noise, config.agent.odometry).increment
-        )
-        rows.append(
-            (
-                info,
-                observation,
-                action,
-                agent.slam.pose,
-                odometry,
-                agent.slam.covariance,
-                between - before,
-                after - between,
-            )
-        )
-        if progress is not None:
-            progress(info["time"], info["coverage"])
-        if agent.done or len(rows) > max_steps:
-            break
-        observation, _, _, _, info = env.step(action)
-    agent.finish()
-    infos, observations, actions, estimated, odometries, covariances, slam, decide = zip(*rows, strict=True)
+    env = LimSlamParallelEnv(
+        world, num_robots=config.robots, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise),
+        coverage_goal=None, max_cycles=None, render_mode=render_mode,
+    )  # fmt: skip
+    team = LimSlamTeam(config.robot, config.agent, config.robots, _laps(config, world))
+    clock, associations = time.perf_counter(), list[AssociationRecord]()
+    rows = _drive(config, env, team, associations.append, watch)
     return Episode(
         config=config,
         world=world,
-        time=np.array([info["time"] for info in infos]),
-        ranges=np.array([observation["ranges"] for observation in observations]),
-        wheels=np.array([observation["wheels"] for observation in observations]),
-        actions=np.array(actions),
-        true=np.array([info["pose"] for info in infos]),
-        estimated=np.array(estimated),
-        odometry=np.array(odometries),
-        covariances=np.array(covariances),
-        wall_seen=np.array([info["wall_seen"] for info in infos]),
-        coverage=np.array([info["coverage"] for info in infos]),
-        contact=np.array([info["collision"] for info in infos]),
+        time=np.array([row.time for row in rows]),
+        ranges=np.array([[seen["ranges"] for seen in row.observations] for row in rows]),
+        wheels=np.array([[seen["wheels"] for seen in row.observations] for row in rows]),
+        actions=np.array([row.actions for row in rows]),
+        true=np.array([[info["pose"] for info in row.infos] for row in rows]),
+        estimated=np.array([row.estimated for row in rows]),
+        odometry=np.array([row.odometry for row in rows]),
+        covariances=np.array([row.covariances for row in rows]),
+        wall_seen=np.array([[info["wall_seen"] for info in row.infos] for row in rows]),
+        dropped=np.array([row.dropped for row in rows]),
+        coverage=np.array([row.coverage for row in rows]),
+        contact=np.array([[info["collision"] for info in row.infos] for row in rows]),
         associations=associations,
-        snapshot=agent.snapshot(),
+        closures=list(team.slam.closures),
+        snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
-        stop_reason=agent.stop_reason or OUT_OF_TIME,
-        is_finished=agent.done,
-        slam_ms=1e3 * np.array(slam),
-        decide_ms=1e3 * np.array(decide),
+        stop_reason=team.stop_reason or OUT_OF_TIME,
+        is_finished=team.done,
+        slam_ms=np.array([row.slam_ms for row in rows]),
+        decide_ms=np.array([row.decide_ms for row in rows]),
         wall_clock=time.perf_counter() - clock,
     )
 
 
-def _laps(config: RunConfig, world: World) -> Policy | None:
+def _drive(
+    config: RunConfig,
+    env: LimSlamParallelEnv,
+    team: LimSlamTeam,
+    on_association: Callable[[AssociationRecord], None],
+    watch: Watcher | None,
+) -> list[_Row]:
+    told, infos = env.reset(seed=config.seed)
+    odometry = np.array([infos[name]["pose"] for name in team.names])
+    team.reset(odometry, config.seed)
+    team.slam.on_association = on_association
+    rows: list[_Row] = []
+    max_steps = round(config.max_time / config.robot.control_period)
+    while True:
+        observations = [told[name] for name in team.names]
+        begin = time.perf_counter()
+        team.observe(observations)
+        between = time.perf_counter()
+        actions = team.decide()
+        end = time.perf_counter()
+        odometry = np.array(
+            [_moved(pose, seen, config) for pose, seen in zip(odometry, observations, strict=True)]
+        )  # fmt: skip
+        truth = infos[team.names[0]]
+        rows.append(
+            _Row(
+                truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
+                team.slam.poses, team.slam.covariances, odometry, [front.dropped for front in team.slam.robots],
+                1e3 * (between - begin), 1e3 * (end - between),
+            )
+        )  # fmt: skip
+        if watch is not None:
+            watch(team, env, truth["time"], truth["coverage"])
+        if team.done or len(rows) > max_steps:
+            team.finish()
+            return rows
+        told, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
+
+
+def _moved(pose: FloatArray, observation: Observation, config: RunConfig) -> FloatArray:
+    """Where odometry alone puts a robot."""
+    agent = config.agent
+    return compose(pose, motion_of(observation, config.robot, agent.noise, agent.odometry).increment)
+
+
+def _laps(config: RunConfig, world: World) -> list[Policy] | None:
     if not config.laps:
         return None
-    return Laps(config.robot, config.agent.policy, world.loop, config.laps)
+    return [Laps(config.robot, config.agent.policy, world.loop, config.laps)]

@@ -1,26 +1,71 @@
 """Frontiers: where what is free meets what is unknown (Yamauchi 1997)."""
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
 from limslam_agent.occupancy import GridView
-from limslam_env.geometry import BoolArray
-
-_ALL_AROUND = np.ones((3, 3), dtype=int)
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
-def frontier_cells(grid: GridView, min_size: int, ignored: BoolArray | None = None) -> BoolArray:
+def frontier_cells(
+    grid: GridView, min_size: int, ignored: BoolArray | None = None, *, gap: int = 0, pocket: int = 1
+) -> BoolArray:
     """Free cells (rows, columns) with an unknown one beside them, in groups of at least ``min_size``.
 
-    ``ignored`` cells are none; what they leave of a group counts by itself.
+    Parameters
+    ----------
+    grid
+        The map.
+    min_size
+        Cells of the smallest group.
+    ignored
+        Cells that are no frontier; what they leave of a group counts by itself.
+    gap
+        Unknown cells between walls that are up to twice this many cells apart count as wall: beams left them out.
+    pocket
+        Cells of the smallest unknown region that is worth a look.
     """
     # What lies past the grid's edge is unknown too.
     unknown = np.pad(grid.unknown, 1, constant_values=True)
+    if gap:
+        unknown &= ~_closed_walls(np.pad(grid.occupied, 1), gap)
+    if pocket > 1:
+        unknown = _without_small(unknown, pocket)
     beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
     frontier = grid.free & beside
     if ignored is not None:
         frontier &= ~ignored
-    labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    return np.asarray(sizes[labels] >= min_size)
+    return _without_small(frontier, min_size)
+
+
+def group_of(frontier: BoolArray, cell: IntArray) -> IntArray:
+    """The cells (n, 2) of the group that a cell (2,), row and column, belongs to."""
+    _, labels = cv2.connectedComponents(frontier.astype(np.uint8), connectivity=8)
+    return np.argwhere(labels == labels[tuple(cell)])
+
+
+def group_places(grid: GridView, frontier: BoolArray) -> FloatArray:
+    """For each group of frontier cells (rows, columns) the centre (n, 2), m, of the cell nearest to its middle."""
+    count, labels = cv2.connectedComponents(frontier.astype(np.uint8), connectivity=8)
+    places = [_middle(np.argwhere(labels == label)) for label in range(1, count)]
+    return grid.centres(np.array(places, dtype=np.int64).reshape(-1, 2))
+
+
+def _middle(cells: IntArray) -> IntArray:
+    return np.asarray(cells[int(np.argmin(np.hypot(*(cells - cells.mean(axis=0)).T)))])
+
+
+def _closed_walls(occupied: BoolArray, gap: int) -> BoolArray:
+    """Occupied cells (rows, columns) and what lies between them, up to twice ``gap`` cells wide."""
+    around = np.pad(occupied, gap).astype(np.uint8)
+    closed = cv2.morphologyEx(around, cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 2 * gap + 1), dtype=np.uint8))
+    return np.asarray(closed[gap:-gap, gap:-gap] > 0)
+
+
+def _without_small(cells: BoolArray, min_size: int) -> BoolArray:
+    """The cells in groups, corners touching, of at least ``min_size``."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
+    keep = stats[:, cv2.CC_STAT_AREA] >= min_size
+    # The first row is what is left over.
+    keep[0] = False
+    return np.asarray(keep[labels])

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray
+from limslam_agent.config import MapConfig
+from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
+from limslam_env.geometry.segment import lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,8 @@ class Landmark:
         End points (2, 2), m.
     observations
         How many observed lines it was made of.
+    number
+        Which landmark of the filter it is: the older, the smaller.
     """
 
     r: float
@@ -29,6 +33,7 @@ class Landmark:
     covariance: FloatArray
     ends: FloatArray
     observations: int
+    number: int = 0
 
 
 class LineMap:
@@ -48,6 +53,11 @@ class LineMap:
     def observations(self, index: int) -> int:
         """How many observed lines a landmark was made of."""
         return self._observations[index]
+
+    def confirmed(self, segments: FloatArray, config: MapConfig) -> IntArray:
+        """Landmarks (k,) that are walls of the map by now, given all of them as segments (N, 4), m."""
+        enough = np.array(self._observations, dtype=int) >= config.min_observations
+        return np.nonzero(enough & (lengths(segments) >= config.min_length))[0]
 
     def add(self, ends: FloatArray) -> None:
         """A new landmark with end points (2, 2), m."""

@@ -1,16 +1,24 @@
 """Dijkstra on the occupancy grid: what it costs to get anywhere, and the way there."""
 
+import functools
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
-from scipy import ndimage, sparse
+from numpy.typing import NDArray
+from scipy import sparse
 from scipy.sparse import csgraph
 
 from limslam_agent.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _TIGHT = 20.0
+# A step in each of these directions, its length in cells; the slots 7 to 4 hold the same steps backwards.
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
+# No way is this long. Steps of infinite cost are left out of a search with any limit, and of no other.
+_ANYWHERE = 1e15
+_WIDER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +47,15 @@ class Routes:
         return np.column_stack((rows, cols))
 
 
-def routes(grid: GridView, start: FloatArray, radius: float, comfort: float) -> Routes:
+def routes(
+    grid: GridView,
+    start: FloatArray,
+    radius: float,
+    comfort: float,
+    *,
+    targets: BoolArray | None = None,
+    closed: BoolArray | None = None,
+) -> Routes:
     """Dijkstra (1959) from a place (2,), m, over free cells.
 
     Parameters
@@ -53,43 +69,74 @@ def routes(grid: GridView, start: FloatArray, radius: float, comfort: float) -> 
         cells are coarse, and a passage that looks too narrow may be the only one.
     comfort
         Further distance within which a step costs up to three times as much, m.
+    targets
+        Cells (rows, columns) of interest. With them the search ends when the cheapest one is found: what costs
+        more than that one may then be left at infinity.
+    closed
+        Cells (rows, columns) that are not to be driven over though they are free.
     """
-    distance = _wall_distance(grid)
-    row, column = grid.cells(start[None])[0]
-    open_cells = grid.free.copy()
-    if not (0 <= row < open_cells.shape[0] and 0 <= column < open_cells.shape[1]):
+    row, column = (int(index) for index in grid.cells(start[None])[0])
+    open_cells = grid.free if closed is None else grid.free & ~closed
+    rows, columns = open_cells.shape
+    if not (0 <= row < rows and 0 <= column < columns):
         return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1))
     open_cells[row, column] = True
+    distance = wall_distance(grid)
     toll = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0) + _TIGHT * (distance < radius)
-    return _dijkstra(open_cells, toll * grid.cell, int(row), int(column))
+    graph = _graph(open_cells, toll * grid.cell)
+    cost, predecessors = _search(graph, row * columns + column, targets, grid)
+    return Routes(cost.reshape(rows, columns), predecessors)
 
 
-def _wall_distance(grid: GridView) -> FloatArray:
-    """Distance (m) of each cell's centre from the nearest occupied cell's edge."""
-    if not grid.occupied.any():
+def wall_distance(grid: GridView) -> FloatArray:
+    """Distance (rows, columns), m, of each cell's centre from the nearest occupied cell's edge."""
+    occupied = grid.occupied
+    if not occupied.any():
         return np.full(grid.values.shape, np.inf)
-    distance = ndimage.distance_transform_edt(~grid.occupied, sampling=grid.cell)
-    return np.asarray(distance - 0.5 * grid.cell)
+    cells = cv2.distanceTransform((~occupied).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray((cells.astype(float) - 0.5) * grid.cell)
 
 
-def _dijkstra(open_cells: BoolArray, toll: FloatArray, row: int, column: int) -> Routes:
+def _graph(open_cells: BoolArray, toll: FloatArray) -> "sparse.csr_array[Any, Any]":
+    """Each cell's steps to its eight neighbours; those that cannot be taken have infinite cost."""
     rows, columns = open_cells.shape
-    index = np.arange(rows * columns).reshape(rows, columns)
-    starts, ends, weights = [], [], []
-    for down, right, length in _STEPS:
+    price = np.where(open_cells, toll, np.inf)
+    weights = np.full((rows, columns, 8), np.inf)
+    for slot, (down, right, length) in enumerate(_STEPS):
         here = (slice(0, rows - down), slice(max(-right, 0), columns - max(right, 0)))
         there = (slice(down, rows), slice(max(right, 0), columns - max(-right, 0)))
-        both = open_cells[here] & open_cells[there]
+        step = 0.5 * length * (price[here] + price[there])
         if down and right:
             # No cutting of corners: between two occupied cells that touch, the wall goes on.
-            both &= open_cells[here[0], there[1]] & open_cells[there[0], here[1]]
-        starts.append(index[here][both])
-        ends.append(index[there][both])
-        weights.append(0.5 * length * (toll[here][both] + toll[there][both]))
-    graph = sparse.coo_array(
-        (np.concatenate(weights), (np.concatenate(starts), np.concatenate(ends))), shape=(index.size, index.size)
-    ).tocsr()
-    cost, predecessors = csgraph.dijkstra(
-        graph, directed=False, indices=index[row, column : column + 1], return_predecessors=True
-    )
-    return Routes(cost.reshape(rows, columns), predecessors[0])
+            step[~(open_cells[here[0], there[1]] & open_cells[there[0], here[1]])] = np.inf
+        weights[(*here, slot)] = step
+        weights[(*there, 7 - slot)] = step
+    indices, pointers = _neighbours(rows, columns)
+    return sparse.csr_array((weights.reshape(-1), indices, pointers), shape=(rows * columns, rows * columns))
+
+
+@functools.lru_cache(maxsize=4)
+def _neighbours(rows: int, columns: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Columns and row pointers of a grid's graph, for grids of one size; past the edge stands any cell."""
+    ahead = np.array([down * columns + right for down, right, _ in _STEPS])
+    offsets = np.concatenate((ahead, -ahead[::-1]))
+    size = rows * columns
+    indices = np.clip(np.arange(size)[:, None] + offsets, 0, size - 1).astype(np.int32).reshape(-1)
+    return indices, np.arange(0, 8 * size + 1, 8, dtype=np.int32)
+
+
+def _search(
+    graph: "sparse.csr_array[Any, Any]", start: int, targets: BoolArray | None, grid: GridView
+) -> tuple[FloatArray, IntArray]:
+    """Costs and predecessors by flat index. Wider and wider round the start, until a target is found."""
+    wanted = np.zeros(0, dtype=np.int64) if targets is None else np.flatnonzero(targets)
+    limit = _ANYWHERE
+    if wanted.size:
+        columns = grid.values.shape[1]
+        away = np.hypot(wanted // columns - start // columns, wanted % columns - start % columns)
+        limit = grid.cell * (2.0 * float(away.min()) + 5.0)
+    while True:
+        cost, predecessors = csgraph.dijkstra(graph, indices=start, return_predecessors=True, limit=limit)
+        if limit >= _ANYWHERE or np.isfinite(cost[wanted]).any():
+            return cost, predecessors
+        limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE

@@ -16,6 +16,12 @@ from limslam_agent.cost import run_cost
 from limslam_agent.episode import Episode
 from limslam_agent.export import map_content, write_grid, write_json, write_tum
 from limslam_env import metrics
+from limslam_env.association_metrics import (
+    AssociationEvent,
+    association_metrics,
+    closure_metrics,
+    dropped_beam_metrics,
+)
 from limslam_env.coverage import CELL
 from limslam_env.geometry import FloatArray
 
@@ -33,14 +39,15 @@ def trajectory_scores(
 
 
 def score(episode: Episode) -> dict[str, Any]:
-    """The metrics of a run, by their names in ``docs/metrics.md``."""
+    """The metrics of a run, by their names in ``docs/metrics.md``; of several robots the means over them."""
     robot, snapshot = episode.config.robot, episode.snapshot
-    segments = snapshot.segments
-    alignment = metrics.rigid_alignment(episode.true[:, :2], episode.estimated[:, :2])
+    segments, grid = snapshot.segments, snapshot.grid
+    # All robots draw one map, and one motion aligns it.
+    alignment = metrics.rigid_alignment(_joined(episode.true)[:, :2], _joined(episode.estimated)[:, :2])
     visible = metrics.visible_samples(episode.world, robot.radius, robot.reach)
-    grid = snapshot.grid
+    events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     return {
-        **trajectory_scores(episode.true, episode.estimated, episode.odometry, episode.covariances),
+        **mean_scores([_robot_scores(episode, number) for number in range(episode.config.robots)]),
         **metrics.wall_metrics(visible, episode.world.edges, segments, alignment),
         "doors_open": metrics.doors_open(episode.world.doors, segments),
         "coverage_true": float(episode.coverage[-1]),
@@ -53,11 +60,33 @@ def score(episode: Episode) -> dict[str, Any]:
         ),
         **metrics.coverage_times(episode.time, episode.coverage),
         "exploration_time_s": float(episode.time[-1]) if episode.is_finished and not episode.config.laps else None,
-        "path_m": metrics.path_length(episode.true),
-        "collisions": metrics.contacts_begun(episode.contact),
+        "collisions": sum(metrics.contacts_begun(contact) for contact in episode.contact.T),
         "landmarks": len(segments),
-        **metrics.association_metrics(_events(episode), len(episode.world.edges)),
+        **association_metrics(events, len(episode.world.edges)),
+        **closure_metrics(events, closed, len(episode.world.edges)),
+        **dropped_beam_metrics(episode.dropped, episode.wall_seen),
         "stop_reason": episode.stop_reason,
+    }
+
+
+def _robot_scores(episode: Episode, robot: int) -> dict[str, float | None]:
+    true = episode.true[:, robot]
+    return {
+        **trajectory_scores(
+            true, episode.estimated[:, robot], episode.odometry[:, robot], episode.covariances[:, robot]
+        ),
+        "path_m": metrics.path_length(true),
+    }
+
+
+def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
+    """Means of several robots' scores; None where one has none."""
+    columns = {name: [scores[name] for scores in each] for name in each[0]}
+    return {
+        name: None
+        if any(value is None for value in values)
+        else float(np.mean([value for value in values if value is not None]))
+        for name, values in columns.items()
     }
 
 
@@ -69,38 +98,60 @@ def cost(episode: Episode) -> dict[str, float]:
 
 def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     """Write a run's folder, and give back what its ``result.json`` holds."""
-    from limslam_agent.drawing import MapPicture, draw_map
-
-    config, robot = episode.config, episode.config.robot
-    np.savez_compressed(
-        folder / "log.npz",
-        time=episode.time, ranges=episode.ranges, wheels=episode.wheels, action=episode.actions,
-        true_pose=episode.true, wall_seen=episode.wall_seen, start_pose=episode.true[0],
-        robot=np.array(robot.to_json()),
-    )  # fmt: skip
-    write_tum(folder / "trajectory_true.tum", episode.time, episode.true)
-    write_tum(folder / "trajectory_est.tum", episode.time, episode.estimated)
+    config = episode.config
+    _write_log(folder / "log.npz", episode)
+    for number in range(config.robots):
+        suffix = f"_{number}" if config.robots > 1 else ""
+        write_tum(folder / f"trajectory_true{suffix}.tum", episode.time, episode.true[:, number])
+        write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
     write_json(folder / "map.json", map_content(episode.snapshot.landmarks))
     write_grid(folder, episode.snapshot.grid)
-    title = f"{episode.world.name}, range noise {100 * config.noise:g} cm, {config.preset}, seed {config.seed}"
-    draw_map(
-        folder / "map.png",
-        MapPicture(
-            title, episode.snapshot.segments, episode.estimated[:, :2], episode.odometry[:, :2],
-            episode.world.edges, episode.true[:, :2],
-        ),
-    )  # fmt: skip
+    _draw(folder / "map.png", episode)
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
-        "preset": config.preset, "max_time": config.max_time, "laps": config.laps,
-        "robot": asdict(robot), "agent": asdict(config.agent),
+        "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
+        "max_time": config.max_time, "laps": config.laps,
+        "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
         "metrics": score(episode), "cost": cost(episode), "config": written_config,
+        "closures": [asdict(closure) for closure in episode.closures],
         "versions": versions(), "seed": config.seed,
     }  # fmt: skip
     write_json(folder / "result.json", result)
     return result
+
+
+def _write_log(path: Path, episode: Episode) -> None:
+    arrays: dict[str, Any] = {
+        "ranges": episode.ranges, "wheels": episode.wheels, "action": episode.actions,
+        "true_pose": episode.true, "wall_seen": episode.wall_seen,
+    }  # fmt: skip
+    if episode.config.robots == 1:
+        arrays = {name: array[:, 0] for name, array in arrays.items()}
+    np.savez_compressed(
+        path, time=episode.time, start_pose=arrays["true_pose"][0], robot=np.array(episode.config.robot.to_json()),
+        **arrays,
+    )  # fmt: skip
+
+
+def _draw(path: Path, episode: Episode) -> None:
+    from limslam_agent.drawing import MapPicture, draw_map
+
+    config = episode.config
+    team = f"{config.robots} robots, " if config.robots > 1 else ""
+    ablation = f" {config.ablation}" if config.ablation else ""
+    noise = f"range noise {100 * config.noise:g} cm"
+    title = f"{episode.world.name}, {team}{noise}, {config.preset}{ablation}, seed {config.seed}"
+    picture = MapPicture(
+        title, episode.snapshot.segments, episode.estimated[:, 0, :2], episode.odometry[:, 0, :2],
+        episode.world.edges, episode.true[:, 0, :2],
+    )  # fmt: skip
+    draw_map(path, picture)
+
+
+def _joined(poses: FloatArray) -> FloatArray:
+    return np.asarray(poses.reshape(-1, 3))
 
 
 def versions() -> dict[str, str]:
@@ -114,12 +165,12 @@ def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
     return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
 
 
-def _events(episode: Episode) -> list[metrics.AssociationEvent]:
+def _events(episode: Episode) -> list[AssociationEvent]:
     return [
-        metrics.AssociationEvent(
+        AssociationEvent(
             record.landmark,
             record.is_new,
-            tuple(episode.wall_seen[record.readings[:, 0], record.readings[:, 1]].tolist()),
+            tuple(episode.wall_seen[record.readings[:, 0], record.robot, record.readings[:, 1]].tolist()),
         )
         for record in episode.associations
     ]

@@ -50,7 +50,7 @@ def wheel_speeds(action: Action) -> tuple[float, float]:
     """
     try:
         left, right = (action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)).tolist()
-        if math.isfinite(left + right):
+        if math.isfinite(left) and math.isfinite(right):
             return left, right
     except (TypeError, ValueError):
         pass

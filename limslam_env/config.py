@@ -48,7 +48,7 @@ class NoiseConfig:
         By how much a reading rises per metre that a wall is nearer than ``min_range``, as that of a
         triangulating sensor does; 0 reads ``min_range`` there.
     cone
-        Half the opening of a beam, rad: it reads the nearest thing within. 0 is a ray.
+        Half the opening of a beam, rad: it reads the nearest of what five rays across it meet. 0 is one ray.
     wheel_variance
         Variance of a wheel's reported travel, m^2 per metre of travel.
     encoder_resolution

@@ -5,8 +5,6 @@ A metric that does not apply (no door in the world, too short a drive) is None, 
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -27,15 +25,6 @@ _STAND_SPACING, _FIRST_STANDS, _PAIRS_AT_ONCE = 0.1, 8, 1_000_000
 
 WallSamples: TypeAlias = tuple[FloatArray, FloatArray, IntArray]
 """Samples of walls: points (n, 2) in m, directions (n,) in [0, pi] rad, indices (n,) of the edges they lie on."""
-
-
-@dataclass(frozen=True)
-class AssociationEvent:
-    """One observed line, and the landmark that it was matched to or (``is_new``) that was created from it."""
-
-    landmark: int
-    is_new: bool
-    true_walls: tuple[int, ...]  # for each reading in the line, the index of the wall hit; -1 nothing, -2 a robot
 
 
 def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray:
@@ -203,34 +192,6 @@ def coverage_claims(
     return {"coverage_claimed": len(rows) * share, "coverage_correct": float(correct) * share}
 
 
-def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> dict[str, float | None]:
-    """How often observed lines went to the right landmark, from the walls (``wall_count`` of them) truly hit.
-
-    An observation's true wall is the one that more than half of its readings hit, a landmark's that of the
-    observation that created it. Where either has none there is no right answer: such events are mixed.
-
-    Counts (int) of ``association_right``, ``association_wrong`` (matched to another wall's landmark),
-    ``association_new`` (rightly), ``association_wrongly_new`` (the wall had a landmark), ``association_mixed``;
-    ``association_right_share`` is the share of right and rightly new among all not mixed, None if there are none.
-    """
-    counts = dict.fromkeys(("right", "wrong", "wrongly_new", "new", "mixed"), 0)
-    wall_of: dict[int, int | None] = {}
-    for event in events:
-        wall = _majority(event.true_walls, wall_count)
-        known = wall if event.is_new else wall_of.get(event.landmark)
-        if wall is None or known is None:
-            verdict = "mixed"
-        elif event.is_new:
-            verdict = "wrongly_new" if wall in wall_of.values() else "new"
-        else:
-            verdict = "right" if wall == known else "wrong"
-        counts[verdict] += 1
-        wall_of[event.landmark] = known
-    judged = len(events) - counts["mixed"]
-    share = (counts["right"] + counts["new"]) / judged if judged else None
-    return {**{f"association_{name}": count for name, count in counts.items()}, "association_right_share": share}
-
-
 def _wall_scores(visible: WallSamples, edges: FloatArray, estimated: FloatArray, tolerance: float) -> list[float]:
     """Recall, precision and F1 at a matching distance (m)."""
     found = _matches(visible, estimated, tolerance) > 0
@@ -316,14 +277,6 @@ def _stretches(poses: FloatArray, length: float) -> tuple[IntArray, IntArray]:
             marks.append(step)
             driven = 0.0
     return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
-
-
-def _majority(walls: tuple[int, ...], wall_count: int) -> int | None:
-    """The wall that more than half of the readings hit; None if there is none."""
-    if walls and max(walls) >= wall_count:
-        raise ValueError(f"a reading of wall {max(walls)}, but there are {wall_count} walls")
-    counts = np.bincount([wall for wall in walls if wall >= 0], minlength=1)
-    return int(np.argmax(counts)) if 2 * counts.max() > len(walls) else None
 
 
 def _rms(values: FloatArray) -> float:

@@ -183,7 +183,7 @@ class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
         if not self.agents:
             raise gym.error.ResetNeeded("call reset before step, and after an episode's end")
         if set(actions) != set(self.agents):
-            raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {sorted(actions)}")
+            raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {list(actions)}")
         readings, truth = self._stage.step([wheel_speeds(actions[name]) for name in self.agents])
         self._painter.follow(self._stage.simulation, readings, truth)
         self._cycles += 1

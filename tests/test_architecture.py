@@ -23,7 +23,7 @@ LAYERS = [
     {"wrappers", "play"},
 ]
 # These stand beside the layers: they may read what a world is, and nothing that moves in it.
-BESIDE = {"metrics": {"world", "geometry", "free_space", "interface"}}
+BESIDE = {"metrics": {"world", "geometry", "free_space", "interface"}, "association_metrics": {"geometry"}}
 BESIDE["rendering"] = BESIDE["metrics"] | {"overlay"}
 # What is imported inside functions only, where it is asked for: readers need OpenCV, pictures too, a window pygame.
 ON_DEMAND = {"world": {"readers", "map_server"}, "painter": {"rendering", "window"}}

@@ -149,12 +149,12 @@ def test_the_jacobian_of_an_observation_equals_central_differences(
     assume(abs(r - x * math.cos(theta) - y * math.sin(theta)) > 1e-3)
     ekf = filter_with(np.array([[1.0, 0.0], [r, theta]]), np.array([x, y, yaw]), np.eye(7))
     step = 1e-6
-    reference = ekf._observed(ekf.x, 1)
+    reference = ekf._observed(ekf.x, ekf.columns_of(1))
     differences = np.zeros((2, 7))
     for column, unit in enumerate(np.eye(7)):
-        above, below = (nearest_form(ekf._observed(ekf.x + sign * step * unit, 1), reference) for sign in (1.0, -1.0))
+        above, below = (nearest_form(ekf._observed(ekf.x + sign * step * unit, ekf.columns_of(1)), reference) for sign in (1.0, -1.0))
         differences[:, column] = (above - below) / (2.0 * step)
-    np.testing.assert_allclose(ekf._line_jacobian(ekf.x, 1), differences[:, ekf.columns_of(1)], atol=1e-6)
+    np.testing.assert_allclose(ekf._line_jacobian(ekf.x, ekf.columns_of(1)), differences[:, ekf.columns_of(1)], atol=1e-6)
     # The Jacobian's other columns are zero, as update takes them to be.
     np.testing.assert_allclose(np.delete(differences, ekf.columns_of(1), axis=1), 0.0, atol=1e-9)
 
@@ -307,7 +307,7 @@ def test_a_line_pushed_through_the_origin_turns_round_and_stays_the_same_line(th
     # The wall is really on the other side of the origin.
     observed = to_frame(np.array([0.10, theta + math.pi]), pose)
     jacobian = np.zeros((2, 5))
-    jacobian[:, ekf.columns_of(0)] = ekf._line_jacobian(ekf.x, 0)
+    jacobian[:, ekf.columns_of(0)] = ekf._line_jacobian(ekf.x, ekf.columns_of(0))
     difference, total = ekf.innovation(observed, 1e-3 * SEEN, 0)
     gain = covariance @ jacobian.T @ np.linalg.inv(total)
     unsigned = ekf.x + gain @ difference
@@ -391,7 +391,7 @@ def test_the_innovations_covariance_is_that_of_landmark_pose_and_observation() -
     pose, covariance = np.array([0.5, -1.0, 2.0]), spread(11, 3)
     ekf = filter_with(LINES, pose, covariance)
     jacobian = np.zeros((2, 11))
-    jacobian[:, ekf.columns_of(2)] = ekf._line_jacobian(ekf.x, 2)
+    jacobian[:, ekf.columns_of(2)] = ekf._line_jacobian(ekf.x, ekf.columns_of(2))
     observed = to_frame(LINES[2], pose) + np.array([0.01, 0.02])
     difference, total = ekf.innovation(observed, SEEN, 2)
     np.testing.assert_allclose(difference, [0.01, 0.02], atol=1e-12)

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.geometry.segment import distances
+from limslam_env.association_metrics import AssociationEvent, association_metrics
 from limslam_env.metrics import (
-    AssociationEvent,
     WallSamples,
-    association_metrics,
     consistency_metrics,
     contacts_begun,
     coverage_claims,

@@ -60,6 +60,10 @@ def random_actions(seed: int, robots: int, steps: int, hold: int = 20):
         yield (np.clip(action, -1.0, 1.0) * TOP).tolist()
 
 
+def pickled(model: Physics) -> Physics:
+    return pickle.loads(pickle.dumps(model))  # noqa: S301 (our own bytes)
+
+
 def test_without_contact_the_pose_follows_the_exact_arcs():
     model = physics(BOX * 100.0, (200.0, 200.0, 0.4))
     expected = model.poses[0]
@@ -292,7 +296,7 @@ def test_not_asking_pymunk_where_nothing_is_near_changes_nothing(edges, starts):
     assert contacts > 20
 
 
-@pytest.mark.parametrize("clone", [copy.deepcopy, lambda model: pickle.loads(pickle.dumps(model))])  # noqa: S301 (our own bytes)
+@pytest.mark.parametrize("clone", [copy.deepcopy, pickled], ids=["copy", "pickle"])
 @pytest.mark.parametrize(
     ("edges", "starts"),
     [

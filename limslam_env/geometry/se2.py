@@ -21,12 +21,15 @@ def wrap_angle(angle: float) -> float: ...
 @overload
 def wrap_angle(angle: FloatArray) -> FloatArray: ...
 def wrap_angle(angle: float | FloatArray) -> float | FloatArray:
-    """Bring an angle, or an array of them, into (-pi, pi] (radians)."""
+    """Bring an angle, or an array of them, into (-pi, pi] (radians). Angles that are in there stay as they are."""
     wrapped = math.pi - (math.pi - angle) % _TAU
     # A hair above pi the remainder rounds up to the whole circle.
     if isinstance(wrapped, float):
+        if -math.pi < angle <= math.pi:
+            return float(angle)
         return wrapped if wrapped > -math.pi else math.pi
-    return np.where(wrapped > -math.pi, wrapped, math.pi)
+    wrapped = np.where(wrapped > -math.pi, wrapped, math.pi)
+    return np.where((angle > -math.pi) & (angle <= math.pi), angle, wrapped)
 
 
 def compose(first: FloatArray, second: FloatArray) -> FloatArray:

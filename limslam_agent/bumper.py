@@ -1,0 +1,50 @@
+"""What the beams saw in the last seconds keeps the body off: between six beams there is room for a corner."""
+
+import math
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec
+
+_MEMORY = 40
+_LOOK_AHEAD = 0.3
+_MARGIN = 0.025
+# A point deeper inside the body was never there: noise, or the pose has been corrected since.
+_GHOST = 0.02
+_SHARES = (1.0, 0.5, 0.25)
+
+
+class Bumper:
+    """Slows wheels down that would take the body too near to something seen of late.
+
+    It works by what the pose changed by since, not by the map, which may be wrong.
+    """
+
+    def __init__(self, robot: RobotSpec) -> None:
+        self._robot = robot
+        self._seen: list[FloatArray] = []
+
+    def note(self, pose: FloatArray, ranges: FloatArray) -> None:
+        """Take in readings (n_beams,), m, from a believed pose (3,)."""
+        robot = self._robot
+        hit = np.isfinite(ranges) & (ranges > robot.too_near) & (ranges < robot.too_far)
+        points = robot.beam_origins[hit] + ranges[hit, None] * robot.beam_directions[hit]
+        self._seen = [*self._seen[1 - _MEMORY :], transform_points(pose, points)]
+
+    def soften(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
+        """Wheel speeds (2,), fractions of the maximum: the turn as it is, and no more speed than there is room for."""
+        robot = self._robot
+        left, right = wheels * robot.max_wheel_speed
+        speed, turn = 0.5 * (left + right), (right - left) / robot.axle
+        points = np.vstack(self._seen) - pose[:2]
+        before = np.hypot(*points.T)
+        points, before = points[before > robot.radius - _GHOST], before[before > robot.radius - _GHOST]
+        heading = float(pose[2]) + 0.5 * turn * _LOOK_AHEAD
+        way = speed * _LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
+        least = np.minimum(before, robot.radius + _MARGIN)
+        for share in _SHARES:
+            if (np.hypot(*(points - share * way).T) >= least).all():
+                return wheels - (1.0 - share) * wheels.mean()
+        return wheels - wheels.mean()

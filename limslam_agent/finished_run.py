@@ -1,0 +1,204 @@
+"""The folder of a finished run or replay, read back."""
+
+import json
+import math
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
+
+RESULT, MAP, LOG, PICTURE = "result.json", "map.json", "log.npz", "map.png"
+
+
+class FolderError(ValueError):
+    """A folder that is no finished run, or a file in it that cannot be read; the message says which and why."""
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """What a folder holds.
+
+    Attributes
+    ----------
+    folder
+        Where it was read from.
+    result
+        The content of ``result.json``.
+    segments
+        Walls of the map (k, 4), m.
+    time
+        (n,), s.
+    estimated
+        Believed poses of each robot (n, 3), m and rad.
+    odometry, true
+        The same by odometry alone, and in truth; empty where that is not known.
+    """
+
+    folder: Path
+    result: dict[str, Any]
+    segments: FloatArray
+    time: FloatArray
+    estimated: list[FloatArray]
+    odometry: list[FloatArray]
+    true: list[FloatArray]
+
+    @property
+    def is_replay(self) -> bool:
+        """Whether it is the replay of a log, not a run in a simulated world."""
+        return "log" in self.config
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """What was run."""
+        return dict(_part(self.result, "config"))
+
+    @property
+    def title(self) -> str:
+        """What was run, in a few words."""
+        config = self.config
+        agent = _part(config, "agent")
+        preset = config.get("preset") or agent.get("preset", "")
+        if self.is_replay:
+            return ", ".join(filter(None, (str(config["log"]), str(preset))))
+        noise = config.get("noise")
+        parts = (
+            str(config.get("world", self.folder.name)),
+            f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
+            f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
+            str(preset),
+            f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
+        )
+        return ", ".join(filter(None, parts))
+
+
+def read_run(folder: Path) -> FinishedRun:
+    """Read a folder that ``limslam run`` or ``limslam replay`` has written.
+
+    Raises
+    ------
+    FolderError
+        If there is no such folder, or one of its files is missing, damaged or does not fit the others.
+    """
+    if not folder.is_dir():
+        raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
+    if not (folder / RESULT).is_file():
+        raise FolderError(f"{folder}: holds no finished run: there is no {RESULT}")
+    result = _read_json(folder / RESULT)
+    segments = _segments(folder / MAP)
+    estimated = _trajectories(folder, "est")
+    if not estimated:
+        raise FolderError(f"{folder}: there is no trajectory_est.tum")
+    true, odometry = _trajectories(folder, "true"), _trajectories(folder, "odometry")
+    time = estimated[0][:, 0]
+    for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry)):
+        if tables and (len(tables) != len(estimated) or any(len(table) != len(time) for table in tables)):
+            raise FolderError(f"{folder}: the trajectories ({kind}) are not of the same robots and moments")
+    poses, true_poses, by_odometry = ([table[:, 1:] for table in tables] for tables in (estimated, true, odometry))
+    if not by_odometry and (folder / LOG).is_file():
+        by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
+    return FinishedRun(folder, result, segments, time, poses, by_odometry, true_poses)
+
+
+def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
+    """How far positions of poses (n, 3) lie from those of others, (n,), m."""
+    return np.hypot(poses[:, 0] - reference[:, 0], poses[:, 1] - reference[:, 1])
+
+
+def heading_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
+    """By how much headings of poses (n, 3) differ from those of others, (n,), rad, with its sign."""
+    return np.asarray(wrap_angle(poses[:, 2] - reference[:, 2]))
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise FolderError(f"{path}: is no JSON: {error}") from error
+    except OSError as error:
+        raise FolderError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not isinstance(content, dict):
+        raise FolderError(f"{path}: does not hold what a run writes")
+    return content
+
+
+def _part(content: dict[str, Any], name: str) -> dict[str, Any]:
+    part = content.get(name)
+    return part if isinstance(part, dict) else {}
+
+
+def _segments(path: Path) -> FloatArray:
+    listed = _read_json(path).get("segments")
+    try:
+        segments = np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
+    except (TypeError, ValueError):
+        segments = None
+    if segments is None or not np.isfinite(segments).all():
+        raise FolderError(f"{path}: its segments are not rows of four numbers")
+    return segments
+
+
+def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
+    """The trajectory of one robot, or those of several, as tables (n, 4) of time and pose; none if there is no file."""
+    single = folder / f"trajectory_{kind}.tum"
+    if single.is_file():
+        return [_read_tum(single)]
+    tables: list[FloatArray] = []
+    while (path := folder / f"trajectory_{kind}_{len(tables)}.tum").is_file():
+        tables.append(_read_tum(path))
+    return tables
+
+
+def _read_tum(path: Path) -> FloatArray:
+    """Lines ``t x y z qx qy qz qw`` as a table (n, 4) of time, x, y and heading; the motion is in the plane."""
+    rows: list[list[float]] = []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise FolderError(f"{path}: cannot be read: {error}") from error
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            row = [float(word) for word in line.split()]
+        except ValueError:
+            row = []
+        if len(row) != 8 or not all(map(math.isfinite, row)):
+            raise FolderError(f"{path}: line {number} is not t x y z qx qy qz qw")
+        rows.append(row)
+    if not rows:
+        raise FolderError(f"{path}: is empty")
+    table = np.array(rows)
+    heading = wrap_angle(2.0 * np.arctan2(table[:, 6], table[:, 7]))
+    return np.column_stack((table[:, :3], heading))
+
+
+def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatArray]) -> list[FloatArray]:
+    """Where wheel travel alone would have taken the robots, from where ``poses`` begin."""
+    axle = _part(_part(result, "config"), "robot").get("axle")
+    if not isinstance(axle, int | float) or not axle > 0.0:
+        return []
+    try:
+        with np.load(path, allow_pickle=False) as log:
+            wheels = np.asarray(log["wheels"], dtype=float) if "wheels" in log else None
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise FolderError(f"{path}: is damaged: {error}") from error
+    if wheels is None:
+        return []
+    wheels = wheels[:, None] if wheels.ndim == 2 else wheels
+    if wheels.shape != (len(poses[0]), len(poses), 2) or not np.isfinite(wheels).all():
+        raise FolderError(f"{path}: its wheel travel does not go with the trajectories")
+    return [_driven(wheels[:, number], float(axle), start[0]) for number, start in enumerate(poses)]
+
+
+def _driven(wheels: FloatArray, axle: float, start: FloatArray) -> FloatArray:
+    poses = np.empty((len(wheels), 3))
+    pose = start
+    for number, travel in enumerate(wheels):
+        pose = compose(pose, arc(*wheels_to_arc(travel, axle)))
+        poses[number] = pose
+    return poses

@@ -1,0 +1,51 @@
+"""A finished run or replay in a few lines, as the command line prints it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:
+    """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``; what is missing is left out."""
+    lines = [f"stopped     {metrics.get('stop_reason', 'nobody knows why')}"]
+    if _has(metrics, "exploration_time_s", "path_m"):
+        lines.append(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
+    if _has(metrics, "coverage_true", "collisions"):
+        share, collisions = metrics["coverage_true"], metrics["collisions"]
+        lines.append(f"covered     {share:.1%} of what can be seen, {collisions:g} collisions")
+    lines += _errors(metrics)
+    if _has(metrics, "landmarks", "wall_f1_aligned"):
+        walls, f1 = metrics["landmarks"], metrics["wall_f1_aligned"]
+        lines.append(f"map         {walls} walls, F1 {f1:.2f} at 10 cm when aligned")
+    if _has(cost, "speed_x_real_time"):
+        lines.append(f"speed       {cost['speed_x_real_time']:.0f} x real time")
+    return lines
+
+
+def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
+    """Lines about a replay, from the ``metrics`` of its ``result.json``; what is missing is left out."""
+    lines = _errors(metrics)
+    for prefix, words in (("", "estimate"), ("odometry_", "odometry, corrected"), ("raw_odometry_", "odometry, raw")):
+        if _has(metrics, f"{prefix}relation_error_m", f"{prefix}relation_error_deg"):
+            lines.append(f"relations   {words:20}" + _relation_text(metrics, prefix))
+    if _has(metrics, "landmarks"):
+        lines.append(f"map         {metrics['landmarks']} walls")
+    return lines
+
+
+def _errors(metrics: Mapping[str, Any]) -> list[str]:
+    if not _has(metrics, "ate_m", "odometry_ate_m"):
+        return []
+    return [f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m"]
+
+
+def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:
+    every, loops = (f"{prefix}{part}relation_error" for part in ("", "loop_"))
+    text = f"{metrics[every + '_m']:7.3f} m {metrics[every + '_deg']:6.2f} deg"
+    if not _has(metrics, f"{loops}_m", f"{loops}_deg"):
+        return text
+    return text + f"   loops {metrics[loops + '_m']:7.3f} m {metrics[loops + '_deg']:6.2f} deg"
+
+
+def _has(numbers: Mapping[str, Any], *names: str) -> bool:
+    """Whether all of them are there, and numbers: a file may have been written by another version, or by hand."""
+    return all(isinstance(numbers.get(name), int | float) for name in names)

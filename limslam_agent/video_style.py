@@ -1,0 +1,137 @@
+"""What a video is painted with: colours, and words set in a typeface that can be read when it is small."""
+
+import functools
+import math
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Pictures
+from PIL import ImageDraw, ImageFont
+
+Image: TypeAlias = NDArray[np.uint8]
+Colour: TypeAlias = tuple[int, int, int]
+Anchor = Literal["left", "centre", "right"]
+
+# The colours of the pictures of the simulation, so that both halves of a video look alike.
+PAPER, UNKNOWN, FREE, OCCUPIED = (250, 250, 249), (222, 227, 233), (252, 248, 238), (167, 174, 186)
+WALL, FRONTIER, GLOW = (205, 48, 66), (20, 150, 140), (240, 170, 30)
+INK, TEXT, FAINT, RULE = (36, 43, 55), (86, 94, 108), (150, 157, 168), (208, 213, 220)
+LEFT, RIGHT, BEAM = (222, 126, 20), (150, 62, 168), (226, 138, 40)
+PEAKS = ((36, 178, 205), (240, 170, 30), (238, 96, 142), (120, 200, 90), (190, 150, 250))
+ROBOTS = ((38, 103, 178), (40, 140, 92), (132, 84, 170), (176, 88, 60), (20, 128, 142), (168, 62, 110))
+HEAT = ((245, 246, 248), (188, 205, 226), (92, 128, 178), (52, 60, 120), (38, 20, 62))
+PALETTE = (
+    PAPER, UNKNOWN, FREE, OCCUPIED, WALL, FRONTIER, GLOW, INK, TEXT, FAINT, RULE, LEFT, RIGHT, BEAM,
+    *PEAKS, *ROBOTS, *HEAT,
+)  # fmt: skip
+"""All of them, for formats that can hold only so many."""
+
+
+def robot_colour(number: int) -> Colour:
+    """The colour of a robot; more robots than colours begin anew."""
+    return ROBOTS[number % len(ROBOTS)]
+
+
+def side_colour(side: str) -> Colour:
+    """The colour of a buffer, ``"left"`` or ``"right"``."""
+    return LEFT if side == "left" else RIGHT
+
+
+def mixed(first: Colour, second: Colour, share: float) -> Colour:
+    """A colour between two; ``share`` is that of the second."""
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, second, strict=True))
+    return red, green, blue
+
+
+def hexadecimal(colour: Colour) -> str:
+    """A colour as Matplotlib takes it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+@functools.lru_cache(maxsize=2048)
+def width_of(words: str, size: int, *, bold: bool = False) -> int:
+    """Width of a line of words, in pixels."""
+    return math.ceil(_font(size, bold).getlength(words))
+
+
+def write(
+    image: Image,
+    words: str,
+    place: tuple[int, int],
+    size: int,
+    colour: Colour = TEXT,
+    *,
+    bold: bool = False,
+    anchor: Anchor = "left",
+) -> None:
+    """Write a line of words into an RGB image; what lies outside is cut off.
+
+    Parameters
+    ----------
+    image
+        (height, width, 3), written to.
+    words
+        One line.
+    place
+        Pixel (x, y) of the line's left end, middle or right end, on the base line.
+    size
+        Of the letters, in pixels.
+    colour, bold, anchor
+        How they look, and which point ``place`` is.
+    """
+    mask, above = _mask(words, size, bold)
+    height, width = mask.shape
+    left = place[0] - {"left": 0, "centre": width // 2, "right": width}[anchor]
+    top = place[1] - above
+    rows = slice(max(top, 0), max(min(top + height, image.shape[0]), 0))
+    columns = slice(max(left, 0), max(min(left + width, image.shape[1]), 0))
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        return
+    cover = mask[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left, None]
+    image[rows, columns] = blended(image[rows, columns], colour, cover)
+
+
+def blended(pixels: Image, colour: Colour, cover: Image) -> Image:
+    """Pixels (..., 3) under a colour; ``cover`` (..., 1) is its strength, 0 to 255."""
+    old = pixels.astype(np.int16)
+    step = (np.array(colour, dtype=np.int16) - old).astype(np.int32) * cover
+    # A multiplication and a shift are faster than a division by 255.
+    return np.asarray(old + ((step * 257 + 32768) >> 16), dtype=np.uint8)
+
+
+@functools.lru_cache(maxsize=32)
+def plain(width: int, height: int, colour: Colour = PAPER) -> Image:
+    """A plain sheet (height, width, 3); not to be written to."""
+    sheet = np.full((height, width, 3), colour, dtype=np.uint8)
+    sheet.setflags(write=False)
+    return sheet
+
+
+def fitted(words: str, size: int, width: int) -> str:
+    """The words, or as many as fit into a width in pixels, with an ellipsis."""
+    if width_of(words, size) <= width:
+        return words
+    while words and width_of(words + "…", size) > width:
+        words = words[:-1]
+    return words.rstrip() + "…"
+
+
+@functools.lru_cache(maxsize=32)
+def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
+    # Matplotlib brings its typeface along; OpenCV has none that is worth the name.
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    path = Path(mpl.get_data_path()) / "fonts" / "ttf" / name
+    return ImageFont.truetype(str(path), size, layout_engine=ImageFont.Layout.BASIC)
+
+
+@functools.lru_cache(maxsize=2048)
+def _mask(words: str, size: int, bold: bool) -> tuple[Image, int]:
+    """How much of each pixel the words cover, 0 to 255, and how many rows lie above the base line."""
+    font = _font(size, bold)
+    above, below = font.getmetrics()
+    sheet = Pictures.new("L", (width_of(words, size, bold=bold) + 2, above + below))
+    ImageDraw.Draw(sheet).text((0, above), words, fill=255, font=font, anchor="ls")
+    return np.asarray(sheet, dtype=np.uint8), above

@@ -1,0 +1,182 @@
+"""Loop closing: when two landmarks are one wall, and what the filter makes of it."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config import AgentConfig, LoopClosingConfig, MapConfig, ablated
+from limslam_agent.ekf import LineEKF
+from limslam_agent.loop_closing import agree, closing_pair, offset, squared_distance
+from limslam_agent.slam import LineSlam
+from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
+
+CONFIG = LoopClosingConfig()
+SMALL = np.diag([1e-4, 1e-4])
+
+
+def wall(y: float, x1: float, x2: float) -> np.ndarray:
+    return np.array([x1, y, x2, y])
+
+
+def both(first: np.ndarray, second: np.ndarray, distance: float = 1.0, config: LoopClosingConfig = CONFIG) -> bool:
+    """Whether two walls along x agree."""
+    lines = np.array([[first[1], np.pi / 2], [second[1], np.pi / 2]])
+    return agree(0, 1, lines, np.array([first, second]), distance, config)
+
+
+def test_the_two_nearest_make_a_pair_the_older_first():
+    assert closing_pair([]) is None
+    assert closing_pair([4]) is None
+    assert closing_pair([7, 2]) == (2, 7)
+    assert closing_pair([2, 7, 0]) == (2, 7)
+
+
+def test_walls_that_overlap_and_lie_close_are_one():
+    assert both(wall(1.0, 0.0, 2.0), wall(1.1, 1.5, 3.0))
+
+
+def test_walls_on_one_line_with_a_door_between_them_are_two():
+    assert not both(wall(1.0, 0.0, 2.0), wall(1.0, 2.6, 4.0))
+    # Even where the door is hardly more than a point.
+    assert not both(wall(1.0, 0.0, 2.0), wall(1.0, 2.0, 4.0))
+
+
+def test_walls_far_apart_or_at_an_angle_are_two():
+    assert not both(wall(1.0, 0.0, 2.0), wall(1.0 + CONFIG.max_distance + 0.01, 0.0, 2.0))
+    slanted = np.array([0.0, 0.5, 2.0, 1.5])
+    lines = np.array([[1.0, np.pi / 2], [0.5 * np.cos(np.arctan(0.5)), np.pi / 2 + np.arctan(0.5)]])
+    assert not agree(0, 1, lines, np.array([wall(1.0, 0.0, 2.0), slanted]), 1.0, CONFIG)
+
+
+def test_walls_that_the_filter_tells_apart_are_two():
+    first, second = wall(1.0, 0.0, 2.0), wall(1.1, 0.0, 2.0)
+    assert both(first, second, CONFIG.gate)
+    assert not both(first, second, CONFIG.gate + 0.1)
+
+
+def test_the_floor_keeps_a_difference_from_being_known_too_well():
+    difference = np.array([0.01, 0.0])
+    assert squared_distance(difference, np.zeros((2, 2)), np.array([0.01, 0.01])) == pytest.approx(1.0)
+    assert squared_distance(difference, SMALL, np.zeros(2)) == pytest.approx(1.0)
+
+
+def test_the_offset_is_that_of_the_middle():
+    assert offset(np.array([1.0, np.pi / 2]), np.array([0.0, 1.0, 2.0, 1.4])) == pytest.approx(0.2)
+
+
+def drifted_filter() -> LineEKF:
+    """A wall at y = 1, a long drive, and the same wall again where drift has put it: at y = 1.2."""
+    ekf = LineEKF(np.zeros(3))
+    ekf.augment(np.array([1.0, np.pi / 2]), SMALL)
+    for _ in range(40):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 1e-4, 4e-4]))
+    ekf.augment(np.array([1.2, np.pi / 2]), SMALL)
+    return ekf
+
+
+def test_the_older_landmark_corrects_the_younger_and_the_pose():
+    ekf = drifted_filter()
+    uncertain, apart = ekf.pose_covariance, abs(ekf.difference(0, 1)[0][0])
+    older = ekf.lines[0]
+    ekf.observe_landmark(0, 1)
+    assert abs(ekf.difference(0, 1)[0][0]) < 0.1 * apart
+    # The wall seemed too far to the left, so the robot is farther to the right than it believed... of its wall.
+    assert ekf.pose[1] == pytest.approx(-0.2, abs=0.05)
+    assert np.trace(ekf.pose_covariance) < np.trace(uncertain)
+    np.testing.assert_allclose(ekf.lines[0], older, atol=0.02)
+    assert ekf.num_lines == 2, "they are not merged"
+
+
+def test_the_difference_of_two_landmarks_has_their_joint_covariance():
+    ekf = drifted_filter()
+    difference, covariance = ekf.difference(0, 1)
+    np.testing.assert_allclose(difference, ekf.lines[0] - ekf.lines[1], atol=1e-12)
+    P = ekf.P
+    expected = P[3:5, 3:5] + P[5:7, 5:7] - P[3:5, 5:7] - P[5:7, 3:5]
+    np.testing.assert_allclose(covariance, expected, atol=1e-15)
+
+
+def test_a_line_and_its_other_form_are_no_difference():
+    ekf = LineEKF(np.zeros(3))
+    ekf.augment(np.array([0.01, np.pi / 2]), SMALL)
+    ekf.augment(np.array([0.01, -np.pi / 2]), SMALL)
+    difference, covariance = ekf.difference(0, 1)
+    np.testing.assert_allclose(difference, [-0.02, 0.0], atol=1e-12)
+    # r of the one is minus r of the other: their sum is what varies.
+    np.testing.assert_allclose(covariance, 2.0 * SMALL, atol=1e-12)
+
+
+ROBOT = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))
+
+
+def drive(slam: LineSlam, true: np.ndarray, end: float, drift: float) -> np.ndarray:
+    """Along a wall at y = 1 to x = ``end``, with wheels that turn ``drift`` (rad) too little a step; the true pose."""
+    while (end - true[0]) * np.cos(true[2]) > 0.0:
+        wheels = np.array([0.02 + 0.5 * drift * ROBOT.axle, 0.02 - 0.5 * drift * ROBOT.axle])
+        true = compose(true, np.array([0.02, 0.0, 0.0]))
+        slam.step({"ranges": ranges_at(true), "wheels": wheels})
+    return true
+
+
+def ranges_at(pose: np.ndarray) -> np.ndarray:
+    """Distances to the wall from (0, 1) to (2, 1)."""
+    found = ROBOT.max_ranges.copy()
+    for number, beam in enumerate(ROBOT.beams):
+        origin = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        rise = np.sin(pose[2] + beam.angle)
+        distance = (1.0 - origin[1]) / rise if rise > 1e-9 else np.inf
+        if distance < beam.max_range and 0.0 < origin[0] + distance * np.cos(pose[2] + beam.angle) < 2.0:
+            found[number] = distance
+    return found
+
+
+
+def test_the_wall_is_recognised_after_a_blind_detour_and_the_closure_is_recorded():
+    config = AgentConfig(noise=NominalNoise(0.005, 2e-4))
+    slam, records = LineSlam(ROBOT, config, np.array([-0.5, 0.3, 0.0])), []
+    slam.on_association = records.append
+    true = drive(slam, np.array([-0.5, 0.3, 0.0]), 2.5, 0.0)
+    seen_first = {record.landmark for record in records}
+    # A blind way back, on which the wheels tell a little too much.
+    back = between_poses(true, np.array([-0.5, 0.3, 0.0]))
+    for part in back:
+        slam.step({"ranges": ROBOT.max_ranges, "wheels": part})
+    drive(slam, np.array([-0.5, 0.3, 0.0]), 2.5, 0.0)
+    assert seen_first == {0}
+    assert len(slam.closures) <= 1
+    for closure in slam.closures:
+        assert closure.older == 0
+        assert closure.offset_after < closure.offset_before
+        assert closure.distance_after < closure.distance_before
+    assert np.hypot(*(slam.pose[:2] - [2.5, 0.3])) < 0.15
+
+
+def between_poses(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """Wheel travel of a way back in reverse, a straight line."""
+    distance = compose(inverse(start), end)[0]
+    return [np.full(2, distance / 60.0 * 1.02)] * 60
+
+
+def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
+    base = AgentConfig()
+    assert not ablated(base, "no-loop-closing").closing.enabled
+    assert not ablated(base, "no-ekf").filter.correct
+    assert ablated(base, "no-end-gate").association.max_end_gap == np.inf
+    assert ablated(base, "only-best-line").hough.only_best
+    with pytest.raises(ValueError, match="no ablation is called 'no-brain'"):
+        ablated(base, "no-brain")
+
+
+def test_a_landmark_is_a_wall_of_the_map_when_it_is_long_enough_and_seen_again():
+    config = AgentConfig(noise=NominalNoise(0.005), map=MapConfig(min_observations=2, min_length=0.5))
+    slam = LineSlam(ROBOT, config, np.array([-0.5, 0.3, 0.0]))
+    sizes, known = [], []
+    slam.on_association = lambda record: known.append(record.landmark)
+    true = np.array([-0.5, 0.3, 0.0])
+    for end in np.arange(0.0, 2.6, 0.1):
+        true = drive(slam, true, end, 0.0)
+        sizes.append((len(known), len(slam.segments)))
+    assert (1, 0) in sizes, "seen once, it is provisional"
+    assert sizes[-1][1] == 1
+    assert [mark.number for mark in slam.landmarks] == [0]
+    assert slam.landmarks[0].observations >= 2
