@@ -83,11 +83,10 @@ def associate(
         & alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance)
         & visible(observed, pose, segments, max_range + config.range_slack, config.max_end_gap + config.range_slack)
     )
-    floor = np.diag([config.floor_distance**2, config.floor_angle**2])
     matches = []
     for landmark in np.nonzero(possible)[0].tolist():
         difference, covariance = innovation(observed.line, observed.covariance, landmark)
-        squared = float(difference @ np.linalg.solve(covariance + floor, difference))
+        squared = float(difference @ np.linalg.solve(covariance, difference))
         if squared <= config.gate:
             matches.append(Match(landmark, squared))
     return sorted(matches, key=lambda match: match.distance)

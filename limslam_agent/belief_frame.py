@@ -28,7 +28,7 @@ class Event:
     other
         The older wall that ``wall`` is the same as, where a loop was closed.
     robot
-        Who saw it.
+        Who saw it; a loop is nobody's.
     """
 
     kind: Literal["new", "again", "loop"]
@@ -251,14 +251,15 @@ def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) 
         m.
     """
     farthest = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
-    half_bins = min(math.ceil((farthest + r_step) / r_step), _MOST_R_BINS // 2)
-    reach = max(half_bins * r_step, farthest * (1.0 + 1e-9))
+    step = max(r_step, 2.0 * farthest / _MOST_R_BINS)
+    # An odd number of bins: the one in the middle lies about r = 0, where a wall through all points has its votes.
+    half = math.ceil(farthest / step)
     theta = (np.arange(theta_bins) + 0.5) * (math.pi / theta_bins)
     r = points @ np.vstack((np.cos(theta), np.sin(theta)))
-    rows = np.clip(((r + reach) / reach * half_bins).astype(np.int64), 0, 2 * half_bins - 1)
+    rows = np.clip(np.round(r / step).astype(np.int64) + half, 0, 2 * half)
     bins = rows * theta_bins + np.arange(theta_bins)
-    votes = np.bincount(bins.ravel(), minlength=2 * half_bins * theta_bins)
-    return votes.reshape(2 * half_bins, theta_bins), reach
+    votes = np.bincount(bins.ravel(), minlength=(2 * half + 1) * theta_bins)
+    return votes.reshape(2 * half + 1, theta_bins), (half + 0.5) * step
 
 
 def _upper_half(lines: FloatArray) -> FloatArray:

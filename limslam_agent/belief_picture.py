@@ -39,6 +39,7 @@ _CHI2_95 = 5.991  # 95 % quantile of the chi-square distribution with two degree
 _WIDEST_BAND = 1.5  # m
 _SURE = 8  # a cell's value from which on it has its full colour
 _RADIUS = 0.10  # m
+_APART = 150  # pixels
 _TRAIL_POINTS = 1500
 
 
@@ -199,13 +200,16 @@ def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
     for name, middle in middles.items():
         if name not in frame.unsure and name not in glowing:
             sheet.label(str(name), middle, 10, WALL, mixed(PAPER, WALL, 0.06))
-    for name in glowing & set(middles):
-        sheet.label(str(name), middles[name], 14, INK, GLOW)
     for event in frame.events:
-        ends = np.array([middles[wall] for wall in event.walls if wall in middles])
+        known = [wall for wall in event.walls if wall in middles]
+        ends = np.array([middles[wall] for wall in known]).reshape(-1, 2)
         if len(ends) == 2:
             sheet.path(ends, GLOW, 2)
             sheet.label(f"{event.wall} = {event.other}", ends.mean(axis=0), 14, INK, GLOW)
+        # Labels that would lie over each other say nothing.
+        if len(ends) < 2 or np.hypot(*(ends[1] - ends[0])) * sheet.scale > _APART:
+            for wall, end in zip(known, ends, strict=True):
+                sheet.label(str(wall), end, 14, INK, GLOW)
 
 
 def _draw_extraction(sheet: Sheet, hough: HoughView) -> None:

@@ -46,5 +46,5 @@ class Bumper:
         least = np.minimum(before, robot.radius + _MARGIN)
         for share in _SHARES:
             if (np.hypot(*(points - share * way).T) >= least).all():
-                return wheels - (1.0 - share) * wheels.mean()
-        return wheels - wheels.mean()
+                return np.asarray(wheels - (1.0 - share) * wheels.mean())
+        return np.asarray(wheels - wheels.mean())

@@ -1,4 +1,4 @@
-"""The command line: ``limslam run``, ``replay``, ``play`` and ``worlds``.
+"""The command line: ``limslam run``, ``replay``, ``show``, ``play`` and ``worlds``.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -10,13 +10,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from limslam_agent.show_command import show
 from limslam_agent.world_commands import worlds
+
+if TYPE_CHECKING:
+    from limslam_agent.episode import Episode, RunConfig
+    from limslam_agent.team import LimSlamTeam
+    from limslam_env.parallel import LimSlamParallelEnv
 
 app = typer.Typer(
     add_completion=False,
@@ -26,6 +32,7 @@ app = typer.Typer(
 )
 
 app.add_typer(worlds)
+app.command()(show)
 
 _console = Console(stderr=True, highlight=False)
 
@@ -49,13 +56,15 @@ def run(
     laps: Annotated[int, typer.Option(help="Drive round the world's loop this often instead of exploring.")] = 0,
     robots: Annotated[int, typer.Option(help="How many explore together, 1 to 8.")] = 1,
     ablation: Annotated[str | None, typer.Option(help="Part of the method to leave out.", show_default="none")] = None,
+    video: Annotated[Path | None, typer.Option(help="Film it: FILE.mp4 or FILE.gif.", show_default="none")] = None,
     out: Out = None,
     force: Force = False,
 ) -> None:
     """Explore an unknown building and draw its map."""
-    from limslam_agent.episode import RunConfig, run_episode
+    from limslam_agent.episode import RunConfig
     from limslam_agent.export import new_folder
     from limslam_agent.results import write_episode
+    from limslam_agent.summary import run_summary
     from limslam_env.world import load_world
 
     place = load_world(world)
@@ -67,14 +76,36 @@ def run(
         + (f"-{ablation}" if ablation else "")
     )
     target = out or _unused(Path("runs") / name)
-    with new_folder(target, force=force) as folder:
-        with _bar("driving laps" if laps else "exploring", max_time) as advance:
-            episode = run_episode(
-                config, lambda _team, _env, time, coverage: advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
-            )
+    with new_folder(target, force=force) as folder, _bar("driving laps" if laps else "exploring", max_time) as advance:
+        episode = _filmed_run(config, advance, video, force=force)
         result = write_episode(folder, episode)
-    _report_run(result["metrics"], result["cost"])
+    for line in run_summary(result["metrics"], result["cost"]):
+        typer.echo(line)
+    if video is not None:
+        typer.echo(f"video       {video}")
     typer.echo(f"results     {target}")
+
+
+def _filmed_run(
+    config: "RunConfig", advance: Callable[[float, str], None], video: Path | None, *, force: bool
+) -> "Episode":
+    from limslam_agent.episode import run_episode
+
+    def show(time: float, coverage: float) -> None:
+        advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
+
+    if video is None:
+        return run_episode(config, lambda _team, _env, time, coverage: show(time, coverage))
+    from limslam_agent.recording import filming
+    from limslam_agent.results import title_of
+
+    with filming(video, config, title_of(config), force=force) as recorder:
+
+        def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
+            recorder.watch(team, env, time, coverage)
+            show(time, coverage)
+
+        return run_episode(config, watch, on_association=recorder.on_association, render_mode="rgb_array")
 
 
 @app.command()
@@ -115,6 +146,7 @@ def replay(
     from limslam_agent.replay import relation_scores, replay_log, write_replay
     from limslam_agent.replay_options import CalibrationRun, chosen_topics, numbers, odometry_config
     from limslam_agent.results import trajectory_scores, versions
+    from limslam_agent.summary import replay_summary
     from limslam_env.interface import NominalNoise
 
     config = replace(settings(preset, NominalNoise(noise)), odometry=odometry_config(odometry_noise, odometry_bias))
@@ -150,7 +182,8 @@ def replay(
         write_replay(folder, result, source, {**scores, **figures}, versions())
     if calibration:
         typer.echo(f"calibrated  {calibration.words}")
-    _report_replay(scores, len(result.landmarks))
+    for line in replay_summary({**scores, "landmarks": len(result.landmarks)}):
+        typer.echo(line)
     typer.echo(f"results     {target}")
 
 
@@ -212,37 +245,6 @@ def _unused(path: Path) -> Path:
     """The path, or the first numbered one that is not taken."""
     candidates = [path, *(path.with_name(f"{path.name}-{number}") for number in range(2, 10_000))]
     return next(candidate for candidate in candidates if not candidate.exists())
-
-
-def _report_run(metrics: dict[str, Any], cost: dict[str, float]) -> None:
-    typer.echo(f"stopped     {metrics['stop_reason']}")
-    if metrics["exploration_time_s"] is not None:
-        typer.echo(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
-    typer.echo(f"covered     {metrics['coverage_true']:.1%} of what can be seen, {metrics['collisions']} collisions")
-    _report_errors(metrics)
-    typer.echo(f"map         {metrics['landmarks']} walls, F1 {metrics['wall_f1_aligned']:.2f} at 10 cm when aligned")
-    typer.echo(f"speed       {cost['speed_x_real_time']:.0f} x real time")
-
-
-def _report_replay(scores: dict[str, Any], walls: int) -> None:
-    if "ate_m" in scores:
-        _report_errors(scores)
-    for prefix, words in (("", "estimate"), ("odometry_", "odometry, corrected"), ("raw_odometry_", "odometry, raw")):
-        if scores.get(f"{prefix}relation_error_m") is not None:
-            typer.echo(f"relations   {words:20}" + _relation_text(scores, prefix))
-    typer.echo(f"map         {walls} walls")
-
-
-def _relation_text(scores: dict[str, Any], prefix: str) -> str:
-    every, loops = (f"{prefix}{part}relation_error" for part in ("", "loop_"))
-    text = f"{scores[every + '_m']:7.3f} m {scores[every + '_deg']:6.2f} deg"
-    if scores[loops + "_m"] is None:
-        return text
-    return text + f"   loops {scores[loops + '_m']:7.3f} m {scores[loops + '_deg']:6.2f} deg"
-
-
-def _report_errors(metrics: dict[str, Any]) -> None:
-    typer.echo(f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ reported.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from limslam_env.interface import NominalNoise
 
@@ -97,8 +97,8 @@ class AssociationConfig:
     Attributes
     ----------
     gate
-        Largest squared Mahalanobis distance. Ours: wide, because the published filter is surer
-        of itself than it should be.
+        Largest squared Mahalanobis distance. Ours: wider than chi-square's, because the published filter is
+        surer of itself than it should be.
     max_end_gap
         Largest distance along the wall between the observation and the landmark's end points. Ours: a
         little more than the gap that ends a wall in the buffer, because both ends are known but roughly. Infinite
@@ -114,9 +114,7 @@ class AssociationConfig:
         The same as a share of the sensors' reach: those who see farther take their points farther apart. Ours.
     """
 
-    gate: float = 100.0
-    floor_distance: float = 0.0
-    floor_angle: float = 0.0
+    gate: float = 16.0
     max_end_gap: float = 0.35
     max_angle: float = math.radians(15.0)
     max_distance: float = 0.35
@@ -145,10 +143,10 @@ class LoopClosingConfig:
     """
 
     enabled: bool = True
-    gate: float = 50.0
-    min_overlap: float = 0.10
+    gate: float = 12.0
+    min_overlap: float = 0.20
     max_angle: float = math.radians(15.0)
-    max_distance: float = 0.50
+    max_distance: float = 0.35
     floor_distance: float = 0.01
     floor_angle: float = math.radians(0.5)
 
@@ -193,11 +191,16 @@ class FilterConfig:
     ----------
     min_range_std
         Least standard deviation that a range is credited with, m; quantities are never exact.
+    drift_share
+        An observed line is credited with its fit's covariance, and in angle with this share of the variance that
+        odometry's heading has gathered since its points were measured. Ours: the paper does not say what the
+        covariance of an observation is; 0 is the fit alone.
     correct
         False is the ablation without a filter: lines are drawn at the odometry's poses.
     """
 
     min_range_std: float = 0.005
+    drift_share: float = 1.0
     correct: bool = True
 
 
@@ -248,6 +251,8 @@ class PolicyConfig:
         the robot's width lie but two.
     view_distance
         A frontier cell counts as reached when the way to it is this short.
+    far_view_distance, small_frontier
+        A frontier of no more than so many cells is looked at from this far, where nothing stands between.
     replan_period
         Steps between two plans.
     patience
@@ -269,6 +274,8 @@ class PolicyConfig:
     min_frontier: int = 3
     min_last_frontier: int = 2
     view_distance: float = 0.35
+    far_view_distance: float = 1.0
+    small_frontier: int = 6
     replan_period: int = 5
     patience: int = 30
     back_steps: int = 8
@@ -307,28 +314,6 @@ class AgentConfig:
 
 
 PRESETS = ("paper", "odometry")
-
-ABLATIONS = ("no-ekf", "no-loop-closing", "no-end-gate", "only-best-line")
-"""Parts of the method that can be left out, to see what they are worth."""
-
-
-def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
-    """Settings with one part of the method left out.
-
-    Raises
-    ------
-    ValueError
-        If there is no such part.
-    """
-    if ablation == "no-ekf":
-        return replace(config, filter=replace(config.filter, correct=False))
-    if ablation == "no-loop-closing":
-        return replace(config, closing=replace(config.closing, enabled=False))
-    if ablation == "no-end-gate":
-        return replace(config, association=replace(config.association, max_end_gap=math.inf))
-    if ablation == "only-best-line":
-        return replace(config, hough=replace(config.hough, only_best=True))
-    raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
 
 
 def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:

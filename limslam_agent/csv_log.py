@@ -6,9 +6,9 @@
     0.0,0.000,0.000,0.00,1.20,,1.19
     0.1,0.031,0.000,0.01,1.21,nan,1.18
 
-``t`` in s, the pose in m and rad as odometry counted it, ranges in m. Nothing between two commas, ``nan`` and ``inf``
-say that a beam saw nothing. Columns may stand apart by spaces instead, and the header may be a comment with a
-remark in brackets.
+``t`` in s, the pose in m and rad as odometry counted it, ranges in m from the place of that pose. Nothing between two
+commas, ``nan`` and ``inf`` say that a beam saw nothing. Columns may stand apart by spaces instead, and the header may
+be a comment with a remark in brackets.
 """
 
 import math

@@ -10,12 +10,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from limslam_agent.video_style import hexadecimal, robot_colour
 from limslam_env.geometry import FloatArray
 
 TRUTH, WALLS = "0.72", "#c0392b"
 TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
-# One robot's path is blue, and its odometry's orange; of several robots each has a colour of its own for both.
-ROBOTS = ("#2667b2", "#288c5c", "#8454aa", "#b0583c", "#14808e", "#a83e6e")
 
 _DASHES = (0, (4, 2))
 
@@ -103,10 +102,10 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
 
 
 def path_colours(robots: int) -> list[tuple[str, str]]:
-    """For each robot the colours of its estimated path and of its odometry."""
+    """For each robot the colours of its estimated path and of its odometry: of several one for both, as in a video."""
     if robots == 1:
         return [(ESTIMATED_PATH, ODOMETRY_PATH)]
-    return [(ROBOTS[number % len(ROBOTS)],) * 2 for number in range(robots)]
+    return [(hexadecimal(robot_colour(number)),) * 2 for number in range(robots)]
 
 
 def legend(picture: MapPicture) -> list[Line2D]:

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config import AgentConfig, ablated, preset
+from limslam_agent.ablations import ablated
+from limslam_agent.config import AgentConfig, preset
 from limslam_agent.loop_closing import Closure
 from limslam_agent.motion import motion_of
 from limslam_agent.policies import Laps, Policy
@@ -173,7 +174,13 @@ class _Row:
     decide_ms: float
 
 
-def run_episode(config: RunConfig, watch: Watcher | None = None, *, render_mode: str | None = None) -> Episode:
+def run_episode(
+    config: RunConfig,
+    watch: Watcher | None = None,
+    *,
+    on_association: Callable[[AssociationRecord], None] | None = None,
+    render_mode: str | None = None,
+) -> Episode:
     """Let the robots loose, and record what happens.
 
     Parameters
@@ -182,6 +189,8 @@ def run_episode(config: RunConfig, watch: Watcher | None = None, *, render_mode:
         What is run.
     watch
         Told of each step.
+    on_association
+        Told what became of each observed line.
     render_mode
         Of the environment, for those who want pictures of the truth.
     """
@@ -192,7 +201,13 @@ def run_episode(config: RunConfig, watch: Watcher | None = None, *, render_mode:
     )  # fmt: skip
     team = LimSlamTeam(config.robot, config.agent, config.robots, _laps(config, world))
     clock, associations = time.perf_counter(), list[AssociationRecord]()
-    rows = _drive(config, env, team, associations.append, watch)
+
+    def note(record: AssociationRecord) -> None:
+        associations.append(record)
+        if on_association is not None:
+            on_association(record)
+
+    rows = _drive(config, env, team, note, watch)
     return Episode(
         config=config,
         world=world,

@@ -139,7 +139,9 @@ class Film:
         """Hold the last frame for a while, and say in words why the run is over."""
         if self._last is not None:
             truth, frame, scene = self._last
-            caption = Caption((), f"The end: {words}.", "Truth on the left, map on the right: how alike are they?")
+            caption = Caption(
+                (), f"{words[:1].upper()}{words[1:]}.", "Truth on the left, map on the right: how alike are they?"
+            )
             scene = replace(scene, caption=caption, is_paused=False)
             self._writer.write(compose(truth, replace(frame, events=()), scene), _LAST_FRAME)
 

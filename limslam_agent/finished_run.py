@@ -3,6 +3,7 @@
 import json
 import math
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -183,9 +184,10 @@ def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatA
     if not isinstance(axle, int | float) or not axle > 0.0:
         return []
     try:
-        with np.load(path, allow_pickle=False) as log:
+        # numpy would leave a file open that turns out to be none of its own.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as log:
             wheels = np.asarray(log["wheels"], dtype=float) if "wheels" in log else None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise FolderError(f"{path}: is damaged: {error}") from error
     if wheels is None:
         return []

@@ -5,7 +5,9 @@ import numpy as np
 from limslam_agent.config import AgentConfig
 from limslam_agent.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import Observation, RobotSpec
+from limslam_env.interface import Observation, RobotSpec, Side
+
+SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class FrontEnd:
@@ -39,7 +41,7 @@ class FrontEnd:
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.dropped: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.refused_readings = 0
-        self.buffers = {side: ScanBuffer(robot, side, config.buffer) for side in ("left", "right")}
+        self.buffers: dict[Side, ScanBuffer] = {side: ScanBuffer(robot, side, config.buffer) for side in SIDES}
 
     def accept(self, observation: Observation) -> None:
         """Take in the readings of the next step.
@@ -72,10 +74,13 @@ class FrontEnd:
         near_enough = self.ranges < self._robot.too_far
         return np.asarray(self.measured & (self.ranges > self._robot.too_near) & near_enough)
 
-    def collect(self, increment: FloatArray) -> list[Scan]:
-        """Carry the buffers along by a motion (3,), add the new points, and give back what is full or has ended."""
-        scans = []
-        for buffer in self.buffers.values():
-            buffer.carry(increment)
-            scans += buffer.add(self.ranges, self.measured, self.hits, self.step)
+    def collect(self, increment: FloatArray, turn_variance: float) -> list[tuple[Side, Scan]]:
+        """Carry the buffers along by a motion (3,), add the new points, and give back what is full or has ended.
+
+        ``turn_variance`` (rad^2) is that of the motion's heading.
+        """
+        scans: list[tuple[Side, Scan]] = []
+        for side, buffer in self.buffers.items():
+            buffer.carry(increment, turn_variance)
+            scans += [(side, scan) for scan in buffer.add(self.ranges, self.measured, self.hits, self.step)]
         return scans

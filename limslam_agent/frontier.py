@@ -2,9 +2,12 @@
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from limslam_agent.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+_ALL_AROUND = np.ones((3, 3), dtype=int)
 
 
 def frontier_cells(
@@ -40,15 +43,28 @@ def frontier_cells(
 
 def group_of(frontier: BoolArray, cell: IntArray) -> IntArray:
     """The cells (n, 2) of the group that a cell (2,), row and column, belongs to."""
-    _, labels = cv2.connectedComponents(frontier.astype(np.uint8), connectivity=8)
+    labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
     return np.argwhere(labels == labels[tuple(cell)])
 
 
 def group_places(grid: GridView, frontier: BoolArray) -> FloatArray:
     """For each group of frontier cells (rows, columns) the centre (n, 2), m, of the cell nearest to its middle."""
-    count, labels = cv2.connectedComponents(frontier.astype(np.uint8), connectivity=8)
-    places = [_middle(np.argwhere(labels == label)) for label in range(1, count)]
+    labels, count = ndimage.label(frontier, structure=_ALL_AROUND)
+    places = [_middle(np.argwhere(labels == label)) for label in range(1, count + 1)]
     return grid.centres(np.array(places, dtype=np.int64).reshape(-1, 2))
+
+
+def sight_begins(grid: GridView, path: FloatArray, distance: float) -> int:
+    """From which place of a path (k, 2), m, on its end is seen over free cells, from ``distance`` (m) or less."""
+    away = np.hypot(*(path - path[-1]).T)
+    shares = np.linspace(0.0, 1.0, 2 * int(distance / grid.cell) + 2)[:, None]
+    place = len(path) - 1
+    while place > 0 and away[place - 1] <= distance:
+        cells = grid.cells(path[place - 1] + shares * (path[-1] - path[place - 1]))
+        if not (grid.values[cells[:, 0], cells[:, 1]] > 0).all():
+            break
+        place -= 1
+    return place
 
 
 def _middle(cells: IntArray) -> IntArray:
@@ -64,8 +80,8 @@ def _closed_walls(occupied: BoolArray, gap: int) -> BoolArray:
 
 def _without_small(cells: BoolArray, min_size: int) -> BoolArray:
     """The cells in groups, corners touching, of at least ``min_size``."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= min_size
-    # The first row is what is left over.
+    labels, _ = ndimage.label(cells, structure=_ALL_AROUND)
+    keep = np.bincount(labels.ravel()) >= min_size
+    # The first is what is in no group.
     keep[0] = False
     return np.asarray(keep[labels])

@@ -9,7 +9,7 @@ from limslam_agent.belief import NO_PLAN, Belief
 from limslam_agent.bumper import Bumper
 from limslam_agent.config import PolicyConfig
 from limslam_agent.controller import back_off, nearest_beam, steer, wheel_speeds
-from limslam_agent.frontier import group_places
+from limslam_agent.frontier import group_places, sight_begins
 from limslam_agent.goal_memory import GoalMemory
 from limslam_agent.manners import Manners
 from limslam_agent.occupancy import GridView
@@ -33,15 +33,13 @@ _FROM_AFAR, _FROM_NEAR, _ALL_THE_WAY = range(3)
 class _Pursuit:
     """A target, and how the robot gets on with it.
 
-    ``boldness`` says how near to go, ``known`` and ``left`` are the most cells of the map and the least way to go, m,
-    and ``idle`` and ``standing`` count the steps without progress and without motion.
+    ``boldness`` says how near to go, ``left`` is the least way to go so far, m, and ``standing`` counts the steps
+    without motion.
     """
 
     target: Target
     boldness: int
-    known: int = 0
     left: float = math.inf
-    idle: int = 0
     standing: int = 0
 
 
@@ -77,6 +75,8 @@ class FrontierPolicy:
         self._bumper = Bumper(robot)
         self._manners = Manners(index, 5.0 * robot.radius, config.patience)
         self._step = self._until_plan = self._backing = 0
+        # Steps without progress towards any goal, and the most cells that the map had.
+        self._idle = self._known = 0
 
     @property
     def goal(self) -> FloatArray | None:
@@ -106,7 +106,7 @@ class FrontierPolicy:
     def _replan(self, belief: Belief) -> None:
         self._until_plan = self._config.replan_period
         target = self._target(belief)
-        while (target is None or not target.is_reachable) and self._memory.release():
+        while (target is None or (self._pursuit is None and not target.is_reachable)) and self._memory.release():
             target = self._target(belief)
         if target is None:
             self._pursuit, self.plan = None, NO_PLAN
@@ -133,10 +133,18 @@ class FrontierPolicy:
         if not target.is_reachable or boldness == _ALL_THE_WAY:
             return target.path
         if boldness == _FROM_AFAR:
-            return cut_short(target.path, self._config.view_distance)
+            return cut_short(target.path, self._view_distance(grid, target))
         cells = grid.cells(target.path)
         has_room = wall_distance(grid)[cells[:, 0], cells[:, 1]] >= self._robot.radius
         return target.path[: int(np.flatnonzero(has_room)[-1]) + 1] if has_room.any() else target.path[:1]
+
+    def _view_distance(self, grid: GridView, target: Target) -> float:
+        """How far from its end the way may be left, m: a small frontier is looked at from where nothing hides it."""
+        near, far = self._config.view_distance, self._config.far_view_distance
+        if len(target.group) > self._config.small_frontier or far <= near:
+            return near
+        seen_from = sight_begins(grid, target.path, far)
+        return max(near, float(np.hypot(*np.diff(target.path[seen_from:], axis=0).T).sum()))
 
     def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         away = np.linalg.norm(self.plan - belief.pose[:2], axis=1)
@@ -155,42 +163,49 @@ class FrontierPolicy:
     def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
         """Whether the robot has stood in front of something, or got no nearer and saw nothing new, for too long."""
         known = int(np.count_nonzero(grid.values))
-        if left < pursuit.left - _AHEAD or known > pursuit.known + _NEW_CELLS:
-            pursuit.left, pursuit.known, pursuit.idle = min(left, pursuit.left), max(known, pursuit.known), 0
-        pursuit.idle += 1
+        is_nearer = left < pursuit.left - _AHEAD and math.isfinite(pursuit.left)
+        self._idle = 0 if is_nearer or known > self._known + _NEW_CELLS else self._idle + 1
+        if self._idle == 0:
+            self._known = max(known, self._known)
+        if is_nearer or not math.isfinite(pursuit.left):
+            pursuit.left = left
         pursuit.standing = pursuit.standing + 1 if abs(float(action.sum())) < _CREEP else 0
-        return pursuit.standing > self._config.patience or pursuit.idle > 3 * self._config.patience
+        return pursuit.standing > self._config.patience or self._idle > 3 * self._config.patience
 
     def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         """Point a beam at the target from where it should be seen, and draw the conclusion."""
         aim = pursuit.target.aim
         beam, error = nearest_beam(belief.pose, aim, self._robot)
-        pursuit.idle += 1
-        if abs(error) > _POINTED and pursuit.idle <= 3 * self._config.patience:
+        self._idle += 1
+        if abs(error) > _POINTED and self._idle <= 3 * self._config.patience:
             turn_rate = float(np.clip(2.5 * error, -self._config.turn_rate, self._config.turn_rate))
             return wheel_speeds(0.0, turn_rate, self._robot)
         distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self._robot.beam_origins[beam]))
         reading = float(belief.ranges[beam])
         is_wall = reading < self._robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
         if not pursuit.target.is_reachable:
-            self._memory.give_up(pursuit.target.group)
-            self._drop()
+            self._set_aside(pursuit)
         elif is_wall or pursuit.boldness == _ALL_THE_WAY:
             self._memory.settle(pursuit.target.goal)
             self._drop()
         elif pursuit.boldness == _FROM_AFAR:
-            pursuit.boldness, pursuit.idle, pursuit.left = _FROM_NEAR, 0, math.inf
+            pursuit.boldness, pursuit.left, self._idle = _FROM_NEAR, math.inf, 0
             self._until_plan = 0
         else:
             self._set_aside(pursuit)
         return np.zeros(2)
 
     def _set_aside(self, pursuit: _Pursuit) -> None:
-        self._memory.set_aside(pursuit.target.goal, self._step)
+        """Leave a goal alone: for a while, or for good if no way leads there."""
+        if pursuit.target.is_reachable:
+            self._memory.set_aside(pursuit.target.goal, self._step)
+        else:
+            self._memory.give_up(pursuit.target.group)
         self._drop()
 
     def _drop(self) -> None:
-        self._pursuit, self.plan, self._until_plan = None, NO_PLAN, 0
+        self._pursuit, self.plan = None, NO_PLAN
+        self._until_plan = self._idle = 0
 
     def _reason(self, belief: Belief) -> str:
         grid = belief.grid
@@ -198,12 +213,13 @@ class FrontierPolicy:
         places = group_places(grid, open_frontier(grid, self._config.min_last_frontier, ignored, self._robot))
         if not len(places):
             return "explored: no frontier is left"
-        near = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]
-        if len(places) > _MOST_NAMED:
-            near[-1] += f" and {len(places) - _MOST_NAMED} more places"
-        named = " and ".join(near) if len(places) <= 2 else ", ".join(near[:-1]) + ", " + near[-1]
+        named = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]
+        more = len(places) - len(named)
+        if more:
+            named.append("1 more place" if more == 1 else f"{more} more places")
+        near = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
         what = "1 frontier is" if len(places) == 1 else f"{len(places)} frontiers are"
-        return f"explored: {what} left that cannot be reached, near {named}"
+        return f"explored: {what} left that cannot be reached, near {near}"
 
 
 def cut_short(path: FloatArray, distance: float) -> FloatArray:

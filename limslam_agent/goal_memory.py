@@ -11,7 +11,8 @@ from limslam_env.geometry import BoolArray, FloatArray
 MOST_TRIES = 3
 """A goal that was set aside this often is given up."""
 
-_SAME_PLACE = 0.25
+# Goals as near as this, m, are one goal, and one place.
+_SAME_PLACE, _SAME_CELL = 0.25, 0.05
 _FAR_AWAY_TIME = 1 << 60
 
 
@@ -42,13 +43,11 @@ class GoalMemory:
 
     def set_aside(self, place: FloatArray, step: int) -> None:
         """It did not work out this time; the goal (2,), m, is left alone for a while."""
-        found = self._at(place)
-        if found is None:
-            found = _Aside(place, 0, 0)
-            self._aside.append(found)
-        found.place = place
-        found.tries += 1
-        found.until = step + (self._wait << (found.tries - 1)) if found.tries < MOST_TRIES else _FAR_AWAY_TIME
+        tries = self.tries_at(place) + 1
+        until = step + (self._wait << (tries - 1)) if tries < MOST_TRIES else _FAR_AWAY_TIME
+        # Beside another try it counts as one more, but both places are left alone.
+        self._aside = [each for each in self._aside if np.hypot(*(each.place - place)) > _SAME_CELL]
+        self._aside.append(_Aside(place, until, tries))
 
     def give_up(self, places: FloatArray) -> None:
         """Never go to these places (n, 2), m, again."""
@@ -56,8 +55,8 @@ class GoalMemory:
 
     def tries_at(self, place: FloatArray) -> int:
         """How often a goal here (2,), m, was set aside."""
-        found = self._at(place)
-        return 0 if found is None else found.tries
+        near = [each.tries for each in self._aside if np.hypot(*(each.place - place)) < _SAME_PLACE]
+        return max(near, default=0)
 
     def release(self) -> bool:
         """Let all be tried again that were not tried too often. Whether there are any."""
@@ -74,10 +73,6 @@ class GoalMemory:
         """Cells (rows, columns) that no goal is to lie in at this step."""
         aside = [each.place for each in self._aside if each.until > step]
         return _around(grid, self._settled + aside)
-
-    def _at(self, place: FloatArray) -> _Aside | None:
-        near = [each for each in self._aside if np.hypot(*(each.place - place)) < _SAME_PLACE]
-        return min(near, key=lambda each: float(np.hypot(*(each.place - place)))) if near else None
 
 
 def _around(grid: GridView, places: list[FloatArray]) -> BoolArray:

@@ -124,7 +124,7 @@ class Narrator:
         new_goals = self._new_goals(frame)
         happening = _happenings(frame, self._last, new_goals)
         for event in frame.events:
-            self._note(frame.time, event.kind, _who(event.robot, several) + event.words)
+            self._note(frame.time, event.kind, _who(event.robot, several and event.kind != "loop") + event.words)
         for robot in new_goals:
             self._note(frame.time, "goal", _who(robot, several) + "goes to a frontier")
         about: dict[str, Event] = {event.kind: event for event in frame.events}
@@ -195,7 +195,7 @@ def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption
     said = {"drive": _captions_of_driving(len(frame.poses))}
     for robot in new_goals:
         said["goal"] = Caption(
-            (6,), f"Explore: {_who(robot, several)}a new goal, where known floor meets the unknown.",
+            (6,), f"Explore{_whose(robot, several)}: a new goal, where known floor meets the unknown.",
             "Of all frontiers it is the one that costs least to reach.",
         )  # fmt: skip
     if frame.hough is not None:
@@ -207,7 +207,7 @@ def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption
             f"Its {len(hough.points)} points voted; every peak over the threshold is taken, so a corner gives two.",
         )  # fmt: skip
     for event in frame.events:
-        said[event.kind] = _caption_of(event, _who(event.robot, several))
+        said[event.kind] = _caption_of(event, _whose(event.robot, several))
     return said
 
 
@@ -219,18 +219,18 @@ def _captions_of_driving(robots: int) -> Caption:
     )  # fmt: skip
 
 
-def _caption_of(event: Event, who: str) -> Caption:
+def _caption_of(event: Event, whose: str) -> Caption:
     words = {
         "loop": (
-            (5,), f"Close the loop: {who}wall {event.wall} is the older wall {event.other}.",
+            (5,), f"Close the loop: wall {event.wall} is the older wall {event.other}.",
             "All that came in between is corrected at once.",
         ),
         "new": (
-            (3, 4), f"Add: {who}a line that fits no known wall becomes wall {event.wall}.",
+            (3, 4), f"Add{whose}: a line that fits no known wall becomes wall {event.wall}.",
             "It enters the state with its covariance with everything that is in it.",
         ),
         "again": (
-            (3, 4), f"Associate and correct: {who}this line is wall {event.wall}, seen again.",
+            (3, 4), f"Associate and correct{whose}: this line is wall {event.wall}, seen again.",
             "The difference between expected and seen corrects the robot and all walls.",
         ),
     }  # fmt: skip
@@ -239,3 +239,7 @@ def _caption_of(event: Event, who: str) -> Caption:
 
 def _who(robot: int, several: bool) -> str:
     return f"robot {robot + 1}: " if several else ""
+
+
+def _whose(robot: int, several: bool) -> str:
+    return f" (robot {robot + 1})" if several else ""

@@ -18,7 +18,7 @@ _TIGHT = 20.0
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 # No way is this long. Steps of infinite cost are left out of a search with any limit, and of no other.
 _ANYWHERE = 1e15
-_WIDER = 4.0
+_WIDER = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +134,9 @@ def _search(
     if wanted.size:
         columns = grid.values.shape[1]
         away = np.hypot(wanted // columns - start // columns, wanted % columns - start % columns)
-        limit = grid.cell * (2.0 * float(away.min()) + 5.0)
+        limit = grid.cell * (1.25 * float(away.min()) + 2.0)
     while True:
-        cost, predecessors = csgraph.dijkstra(graph, indices=start, return_predecessors=True, limit=limit)
-        if limit >= _ANYWHERE or np.isfinite(cost[wanted]).any():
-            return cost, predecessors
+        cost, predecessors = csgraph.dijkstra(graph, indices=np.array([start]), return_predecessors=True, limit=limit)
+        if limit >= _ANYWHERE or np.isfinite(cost[0, wanted]).any():
+            return cost[0], predecessors[0]
         limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE

@@ -2,6 +2,6 @@
 
 from limslam_agent.belief import Belief, Policy
 from limslam_agent.frontier_policy import FrontierPolicy
-from limslam_agent.simple_policies import Laps
+from limslam_agent.simple_policies import Laps, RandomPolicy, WallFollower
 
-__all__ = ["Belief", "FrontierPolicy", "Laps", "Policy"]
+__all__ = ["Belief", "FrontierPolicy", "Laps", "Policy", "RandomPolicy", "WallFollower"]

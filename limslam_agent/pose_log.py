@@ -50,9 +50,19 @@ def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None)
         if len(beams) <= SPARSE_BEAMS:
             return list(range(len(beams)))
         beams_deg = DEFAULT_BEAMS_DEG
+    return nearest_beams(np.degrees([beam.angle for beam in beams]), beams_deg)
+
+
+def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
+    """Indices of the angles (n,), deg, nearest to the given directions, deg.
+
+    Raises
+    ------
+    ValueError
+        As :func:`choose_beams` does.
+    """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
-    angles = np.degrees([beam.angle for beam in beams])
     chosen: list[int] = []
     for wanted in beams_deg:
         index = _nearest(angles, wanted)
@@ -100,7 +110,7 @@ def pose_log(
     seen = np.where(np.isnan(ranges), largest, np.clip(ranges, least, largest))
     seen[~has_scan] = largest
     return RecordedLog(
-        robot=RobotSpec(radius=BODY_RADIUS, control_period=_median_spacing(time), beams=tuple(beams)),
+        robot=RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=tuple(beams)),
         time=time,
         ranges=seen.astype(np.float32),
         has_scan=has_scan,
@@ -136,7 +146,7 @@ def _nearest(angles: FloatArray, wanted: float) -> int:
     return index
 
 
-def _median_spacing(time: FloatArray) -> float:
+def median_spacing(time: FloatArray) -> float:
     """Median time (s) between two events; the default period where the log is too short to tell."""
     steps = np.diff(time)
     steps = steps[steps > 0.0]

@@ -71,7 +71,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         before = time.perf_counter()
         slam.step(observation)
         slam_ms[number] = 1e3 * (time.perf_counter() - before)
-        grid.update(slam.pose, log.robot, slam.ranges, slam.robots[0].measured)
+        grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
         increment = motion_of(observation, log.robot, config.noise, config.odometry).increment
         by_odometry = compose(by_odometry, increment)
         estimated[number], odometry[number], covariances[number] = slam.pose, by_odometry, slam.covariance

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.cost import run_cost
-from limslam_agent.episode import Episode
+from limslam_agent.episode import Episode, RunConfig
 from limslam_agent.export import map_content, write_grid, write_json, write_tum
 from limslam_env import metrics
 from limslam_env.association_metrics import (
@@ -24,6 +24,7 @@ from limslam_env.association_metrics import (
 )
 from limslam_env.coverage import CELL
 from limslam_env.geometry import FloatArray
+from limslam_env.world import load_world
 
 
 def trajectory_scores(
@@ -135,18 +136,23 @@ def _write_log(path: Path, episode: Episode) -> None:
     )  # fmt: skip
 
 
-def _draw(path: Path, episode: Episode) -> None:
-    from limslam_agent.drawing import MapPicture, draw_map
-
-    config = episode.config
+def title_of(config: RunConfig) -> str:
+    """What was run, in a line."""
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
     noise = f"range noise {100 * config.noise:g} cm"
-    title = f"{episode.world.name}, {team}{noise}, {config.preset}{ablation}, seed {config.seed}"
-    picture = MapPicture(
-        title, episode.snapshot.segments, episode.estimated[:, 0, :2], episode.odometry[:, 0, :2],
-        episode.world.edges, episode.true[:, 0, :2],
-    )  # fmt: skip
+    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}, seed {config.seed}"
+
+
+def _draw(path: Path, episode: Episode) -> None:
+    from limslam_agent.drawing import MapPicture, draw_map
+
+    config, title = episode.config, title_of(episode.config)
+    estimated, odometry, true = (
+        [poses[:, number, :2] for number in range(config.robots)]
+        for poses in (episode.estimated, episode.odometry, episode.true)
+    )
+    picture = MapPicture(title, episode.snapshot.segments, estimated, odometry, episode.world.edges, true)
     draw_map(path, picture)
 
 

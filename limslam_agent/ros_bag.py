@@ -33,7 +33,7 @@ class Told:
 
 
 def is_bag(path: FilePath) -> bool:
-    """Whether a path is a bag: by a file's first bytes or ending, or by the ``metadata.yaml`` in a folder.
+    """Whether a path can only be a bag: by a file's first bytes or ending; of all logs, only ROS 2 bags are folders.
 
     Raises
     ------
@@ -41,9 +41,7 @@ def is_bag(path: FilePath) -> bool:
         If the file cannot be read.
     """
     place = Path(path)
-    if place.is_dir():
-        return (place / METADATA).is_file()
-    return place.suffix in _MAGIC.values() or _ending_by_content(path) is not None
+    return place.is_dir() or place.suffix in _MAGIC.values() or _ending_by_content(path) is not None
 
 
 class Bag:

@@ -41,10 +41,7 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
     paint_map(axes, picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
-    axes.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=min(len(handles), 3), frameon=False,
-        fontsize=8.5,
-    )  # fmt: skip
+    figure.legend(handles=handles, loc="outside lower left", ncols=min(len(handles), 5), frameon=False, fontsize=8.5)
     upper = figure.add_subplot(grid[0, 1])
     lower = figure.add_subplot(grid[1, 1], sharex=upper)
     _draw_errors(upper, lower, run)
@@ -58,7 +55,7 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
 
 def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     """Errors against the truth; without it, how far the estimate has gone from odometry."""
-    reference, compared = (run.true, "error") if run.true else (run.odometry, "difference to odometry")
+    reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
     colours = path_colours(len(run.estimated))
     time = run.time - run.time[0]
     curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, "-", "estimated")]
@@ -71,8 +68,8 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
             upper.plot(time, position_error(poses, other), color=colour, linestyle=style, linewidth=1.2, label=of_whom)
             turned = np.degrees(heading_error(poses, other))
             lower.plot(time, _without_jumps(turned), color=colour, linestyle=style, linewidth=1.2)
-    upper.set_ylabel(f"position: {compared}, m", fontsize=9)
-    lower.set_ylabel("heading, deg", fontsize=9)
+    upper.set_ylabel(f"position {compared}, m", fontsize=9)
+    lower.set_ylabel(f"heading {compared}, deg", fontsize=9)
     lower.set_xlabel("time, s", fontsize=9)
     upper.set_ylim(bottom=0.0)
     upper.tick_params(labelsize=8, labelbottom=False)

@@ -22,21 +22,24 @@ class Scan:
         Where each of those beams began (n, 2), m.
     readings
         (n, 2): the step and the beam that each point comes from.
+    drift
+        How uncertain the heading has become by odometry since each point was measured (n,), rad^2.
     """
 
     points: FloatArray
     origins: FloatArray
     readings: IntArray
+    drift: FloatArray
 
     def __len__(self) -> int:
         return len(self.points)
 
     def select(self, chosen: IntArray) -> "Scan":
         """The points with the given indices."""
-        return Scan(self.points[chosen], self.origins[chosen], self.readings[chosen])
+        return Scan(self.points[chosen], self.origins[chosen], self.readings[chosen], self.drift[chosen])
 
 
-_EMPTY = Scan(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2), dtype=np.int64))
+_EMPTY = Scan(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros(0))
 
 
 class ScanBuffer:
@@ -66,11 +69,12 @@ class ScanBuffer:
         """What is in the buffer now."""
         return self._scan
 
-    def carry(self, increment: FloatArray) -> None:
-        """Move the points into the frame after a motion (3,)."""
+    def carry(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
+        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
         back = inverse(increment)
         scan = self._scan
-        self._scan = Scan(transform_points(back, scan.points), transform_points(back, scan.origins), scan.readings)
+        points, origins = transform_points(back, scan.points), transform_points(back, scan.origins)
+        self._scan = Scan(points, origins, scan.readings, scan.drift + turn_variance)
         distance = float(np.hypot(increment[0], increment[1]))
         self._since_hit += distance
         self._moved += distance
@@ -120,5 +124,8 @@ class ScanBuffer:
         readings = np.column_stack((np.full(len(beams), step), beams))
         scan = self._scan
         self._scan = Scan(
-            np.vstack((scan.points, points)), np.vstack((scan.origins, origins)), np.vstack((scan.readings, readings))
+            np.vstack((scan.points, points)),
+            np.vstack((scan.origins, origins)),
+            np.vstack((scan.readings, readings)),
+            np.concatenate((scan.drift, np.zeros(len(beams)))),
         )

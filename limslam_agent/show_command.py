@@ -76,7 +76,10 @@ def open_window(run: "FinishedRun", lines: list[str], edges: "FloatArray | None"
 
     from limslam_agent.run_picture import SIZE, draw_run
 
-    figure = plt.figure(f"LimSLAM: {run.folder.name}", figsize=SIZE, layout="constrained")
+    try:
+        figure = plt.figure(f"LimSLAM: {run.folder.name}", figsize=SIZE, layout="constrained")
+    except ImportError:  # the toolkit that Matplotlib is told to use cannot be had
+        return False
     try:
         # Without a toolkit for windows, Matplotlib falls back to one that only writes files.
         if type(figure.canvas).required_interactive_framework is None:

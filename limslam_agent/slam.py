@@ -15,9 +15,9 @@ from limslam_agent.loop_closing import Closure, agree, closing_pair, offset, squ
 from limslam_agent.motion import motion_of
 from limslam_agent.scan_buffer import Scan
 from limslam_agent.teammates import may_hit_others
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
-from limslam_env.interface import Observation, RobotSpec
+from limslam_env.interface import Observation, RobotSpec, Side
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,21 +48,23 @@ class Extraction:
 
     Attributes
     ----------
-    robot, step
-        Whose scan it was, and when.
+    robot, side, step
+        Whose scan it was, of which side, and when.
     pose
         Where the robot believed to be (3,).
     points
         The scan (n, 2), m, in the robot's frame.
-    lines
-        What was found in it (k, 2): r and theta, in the robot's frame.
+    lines, ends
+        What was found in it (k, 2): r and theta, in the robot's frame, and the end points (k, 2, 2), m.
     """
 
     robot: int
+    side: Side
     step: int
     pose: FloatArray
     points: FloatArray
     lines: FloatArray
+    ends: FloatArray
 
 
 class LineSlam:
@@ -112,23 +114,23 @@ class LineSlam:
         """
         if len(observations) != len(self.robots):
             raise ValueError(f"{len(observations)} observations for {len(self.robots)} robots")
-        increments = []
+        motions = []
         for number, observation in enumerate(observations):
             self.robots[number].accept(observation)
             motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
             self._filter.predict(motion.increment, motion.covariance, number)
-            increments.append(motion.increment)
+            motions.append(motion)
         if len(self.robots) > 1:
             self._drop_beams_on_robots()
-        for number, increment in enumerate(increments):
-            for scan in self.robots[number].collect(increment):
-                self._use(number, scan)
+        for number, motion in enumerate(motions):
+            for side, scan in self.robots[number].collect(motion.increment, float(motion.covariance[2, 2])):
+                self._use(number, side, scan)
 
     def finish(self) -> None:
         """Use the points that are left in the buffers: nothing more will come."""
         for number, front in enumerate(self.robots):
-            for buffer in front.buffers.values():
-                self._use(number, buffer.take())
+            for side, buffer in front.buffers.items():
+                self._use(number, side, buffer.take())
 
     @property
     def pose(self) -> FloatArray:
@@ -159,19 +161,30 @@ class LineSlam:
     @property
     def landmarks(self) -> list[Landmark]:
         """The walls of the map with all that is known of them."""
+        every = self.all_landmarks
+        return [every[index] for index in self._confirmed.tolist()]
+
+    @property
+    def all_landmarks(self) -> list[Landmark]:
+        """The walls of the map, and those that are provisional, by number."""
         lines, segments = self._filter.lines, self._all_segments
         return [
             Landmark(
                 float(lines[index, 0]), float(lines[index, 1]), self._filter.line_covariance(index),
-                segments[index].reshape(2, 2), self._map.observations(index), index,
+                segments[index].reshape(2, 2).copy(), self._map.observations(index), index,
             )
-            for index in self._confirmed.tolist()
+            for index in range(len(lines))
         ]  # fmt: skip
 
     @property
     def ranges(self) -> FloatArray:
         """The first robot's latest readings (n_beams,), m."""
         return self.robots[0].ranges
+
+    @property
+    def measured(self) -> BoolArray:
+        """Which of the first robot's readings (n_beams,) are new, finite, and from no other robot."""
+        return self.robots[0].measured
 
     @property
     def refused_readings(self) -> int:
@@ -199,19 +212,21 @@ class LineSlam:
                 )
             )  # fmt: skip
 
-    def _use(self, robot: int, scan: Scan) -> None:
+    def _use(self, robot: int, side: Side, scan: Scan) -> None:
         lines = extract_lines(scan.points, self.config.hough, self.config.range_std)
         found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
+        ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
         step, pose = self.robots[robot].step, self._filter.poses[robot]
-        self.last_extraction = Extraction(robot, step, pose, scan.points, found)
+        self.last_extraction = Extraction(robot, side, step, pose, scan.points, found, ends)
         for line in lines:
             self._incorporate(robot, line, scan.select(line.members))
 
     def _incorporate(self, robot: int, line: ExtractedLine, scan: Scan) -> None:
         """Take an observed line for a landmark that is known, or for a new one; or close a loop with it."""
         fit, pose = line.fit, self._filter.poses[robot]
+        covariance = fit.covariance + np.diag([0.0, self.config.filter.drift_share * float(scan.drift.mean())])
         matches = associate(
-            ObservedLine(fit.line, fit.covariance, fit.ends, scan.origins, scan.points), pose, self._filter.lines,
+            ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points), pose, self._filter.lines,
             self._all_segments, lambda line, covariance, index: self._filter.innovation(line, covariance, index, robot),
             self.robot.reach, self.config.association,
         )  # fmt: skip
@@ -220,13 +235,13 @@ class LineSlam:
         if matches:
             landmark = matches[0].landmark
             if self.config.filter.correct:
-                self._filter.observe_line(fit.line, fit.covariance, landmark, robot)
+                self._filter.observe_line(fit.line, covariance, landmark, robot)
             pose = self._filter.poses[robot]
             self._map.grow(landmark, self._filter.lines[landmark], transform_points(pose, fit.ends))
         elif fit.length < self._min_new_length:
             return
         else:
-            landmark = self._filter.augment(fit.line, fit.covariance, robot)
+            landmark = self._filter.augment(fit.line, covariance, robot)
             self._map.add(transform_points(pose, fit.ends))
         self._drawn = None
         if self.on_association is not None:

@@ -11,7 +11,9 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
         lines.append(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
     if _has(metrics, "coverage_true", "collisions"):
         share, collisions = metrics["coverage_true"], metrics["collisions"]
-        lines.append(f"covered     {share:.1%} of what can be seen, {collisions:g} collisions")
+        lines.append(
+            f"covered     {share:.1%} of what can be seen, {collisions:g} collision{'' if collisions == 1 else 's'}"
+        )
     lines += _errors(metrics)
     if _has(metrics, "landmarks", "wall_f1_aligned"):
         walls, f1 = metrics["landmarks"], metrics["wall_f1_aligned"]

@@ -25,6 +25,8 @@ _WORTH = 0.5
 _SPACING = 0.05
 # Free regions of fewer cells that no way leads to are mistakes of the map.
 _ISLAND = 15
+# Cells of the smallest frontier that no way leads to and that is looked at all the same.
+_WORTH_A_LOOK = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,33 +77,38 @@ def next_target(
 
     Small frontiers come after large ones, and those that no way leads to come last.
     """
+    ways: list[Routes] = []
     for size in (config.min_frontier, config.min_last_frontier):
         cells = open_frontier(belief.grid, size, ignored, robot)
-        kept = _beside(belief.grid, cells, old_goal)
-        for wanted in (kept, cells):
-            found = _cheapest(belief, wanted, cells, robot, config) if wanted.any() else None
+        for wanted in (_beside(belief.grid, cells, old_goal), cells):
+            if not wanted.any():
+                continue
+            # A search that found nothing went everywhere, so one is enough.
+            ways = ways or _ways(belief, wanted, robot, config)
+            found = _cheapest(belief, ways, wanted, cells)
             if found is not None:
                 return _reachable(belief.grid, cells, *found)
-    large = open_frontier(belief.grid, config.min_frontier, ignored | islands(belief.grid, belief.pose), robot)
-    return _unreachable(belief, large, old_goal, robot, config) if large.any() else None
+    ignored = ignored | islands(belief.grid, belief.pose)
+    large = open_frontier(belief.grid, max(config.min_frontier, _WORTH_A_LOOK), ignored, robot)
+    return _unreachable(belief, ways[-1], large, old_goal, robot) if large.any() else None
+
+
+def _ways(belief: Belief, wanted: BoolArray, robot: RobotSpec, config: PolicyConfig) -> list[Routes]:
+    """Ways to the nearest of some cells or, with other robots about, to all: first round them, then as if through."""
+    grid, start, radius = belief.grid, belief.pose[:2], robot.radius + config.margin
+    if not len(belief.other_poses):
+        return [routes(grid, start, radius, config.clearance, targets=wanted)]
+    taken = taken_cells(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
+    return [routes(grid, start, radius, config.clearance, closed=closed) for closed in (taken, None)]
 
 
 def _cheapest(
-    belief: Belief, wanted: BoolArray, cells: BoolArray, robot: RobotSpec, config: PolicyConfig
+    belief: Belief, ways: list[Routes], wanted: BoolArray, cells: BoolArray
 ) -> tuple[IntArray, Routes] | None:
-    """The cell (2,) of least cost among those wanted, or one of all that costs far less, and the ways.
-
-    Other robots are driven round if that is possible.
-    """
-    grid, start, radius = belief.grid, belief.pose[:2], robot.radius + config.margin
-    if not len(belief.other_poses):
-        ways = routes(grid, start, radius, config.clearance, targets=wanted)
-        return _least(ways, ways.cost, wanted, cells)
-    toll = parting(grid, belief.pose, belief.other_poses, belief.other_goals)
-    taken = taken_cells(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
-    for closed in (taken, None):
-        ways = routes(grid, start, radius, config.clearance, closed=closed)
-        found = _least(ways, ways.cost + toll, wanted, cells)
+    """The cell (2,) of least cost among those wanted, or one of all that costs far less, and the ways to it."""
+    toll = parting(belief.grid, belief.pose, belief.other_poses, belief.other_goals)
+    for each in ways:
+        found = _least(each, each.cost + toll, wanted, cells)
         if found is not None:
             return found
     return None
@@ -135,11 +142,10 @@ def _reachable(grid: GridView, cells: BoolArray, cell: IntArray, ways: Routes) -
 
 
 def _unreachable(
-    belief: Belief, cells: BoolArray, old_goal: FloatArray | None, robot: RobotSpec, config: PolicyConfig
+    belief: Belief, ways: Routes, cells: BoolArray, old_goal: FloatArray | None, robot: RobotSpec
 ) -> Target | None:
     """What lies behind a wall, and the way to the place from which to look at that wall."""
     grid = belief.grid
-    ways = routes(grid, belief.pose[:2], robot.radius + config.margin, config.clearance)
     room = np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius)
     if not room.any():
         return None

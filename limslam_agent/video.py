@@ -117,26 +117,25 @@ class VideoWriter:
         """
         if self._beside is None:
             raise VideoError(f"{self.path}: frames are written within the writer's context")
-        if (
-            image.dtype != np.uint8
-            or image.ndim != 3
-            or image.shape[2] != 3
-            or image.shape[0] % 2
-            or image.shape[1] % 2
-        ):
+        if image.dtype != np.uint8 or image.shape[2:] != (3,) or image.shape[0] % 2 or image.shape[1] % 2:
             raise VideoError(f"{self.path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
         if self._encoder is None:
+            self._shape = image.shape
             self._encoder = (
-                _Mp4(self._beside, self._program, image, self.fps) if self._program else _Gif(self._beside, self.fps)
+                _Mp4(self._beside, self._program, self.path, image, self.fps)
+                if self._program
+                else _Gif(self._beside, self.fps)
             )
+        if image.shape != self._shape:
+            raise VideoError(f"{self.path}: a frame of {image.shape} has another size than the first, {self._shape}")
         self._encoder.add(image, hold)
 
 
 class _Mp4:
     """Frames through a pipe to ffmpeg."""
 
-    def __init__(self, path: Path, program: str, image: Image, fps: float) -> None:
-        self._path, self._fps, self._shape = path, fps, image.shape
+    def __init__(self, beside: Path, program: str, path: Path, image: Image, fps: float) -> None:
+        self._path, self._fps = path, fps
         # Its complaints go to a file: a pipe that nobody reads fills up, and then everything waits.
         self._complaints: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
         height, width = image.shape[:2]
@@ -144,7 +143,7 @@ class _Mp4:
             program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{width}x{height}",
             "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", "20",
             "-colorspace", "smpte170m", "-color_primaries", "smpte170m", "-color_trc", "smpte170m",
-            "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path),
+            "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(beside),
         ]  # fmt: skip
         # A session of its own: an interrupt at the keyboard is for us, and ffmpeg ends when we say so.
         self._process = subprocess.Popen(  # noqa: S603 (the program is imageio-ffmpeg's)
@@ -152,8 +151,6 @@ class _Mp4:
         )
 
     def add(self, image: Image, hold: float) -> None:
-        if image.shape != self._shape:
-            raise VideoError(f"{self._path}: a frame of {image.shape} follows one of {self._shape}")
         # Half as many bytes as RGB, and converted once however long the frame is held.
         pixels = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).data
         try:
@@ -200,10 +197,7 @@ class _Gif:
             self._owed += time
             return
         small = _small(image)
-        if not self._frames:
-            self._size = (small.shape[1], small.shape[0])
-        elif self._size != (small.shape[1], small.shape[0]):
-            raise VideoError(f"{self._path}: a frame of {image.shape} has another size than the first")
+        self._size = (small.shape[1], small.shape[0])
         if self._frames:
             last, shown = self._frames[-1]
             self._frames[-1] = (last, shown + self._owed)

@@ -9,11 +9,9 @@ import pytest
 
 from limslam_agent.agent import LimSlamAgent, Snapshot
 from limslam_agent.config import AgentConfig, preset
-from limslam_env.config import NoiseConfig
+from limslam_env.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
-from limslam_env.simulation import Simulation
-from limslam_env.world import load_world
 
 ROBOT = RobotSpec()
 CONFIG = preset("paper", NominalNoise(0.02))
@@ -24,17 +22,17 @@ Recording = tuple[FloatArray, list[Observation], FloatArray]
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     """Start pose, observations and the actions (n, 2) that an agent gave while they were recorded in Env1."""
-    simulation = Simulation(load_world("env1"), ROBOT)
-    observations, truth = simulation.reset(np.random.SeedSequence(5), NoiseConfig(sensor_noise=0.02))
-    start = truth.poses[0].copy()
+    env = LimSlamEnv("env1", sensor_noise=0.02)
+    observation, info = env.reset(seed=5)
+    start = info["pose"].copy()
     agent = LimSlamAgent(ROBOT, CONFIG)
     agent.reset(start)
     seen, actions = [], []
     for _ in range(STEPS):
-        seen.append(observations[0])
-        actions.append(np.array(agent.act(observations[0])))
-        observations, truth = simulation.step(actions[-1][None])
-    assert np.hypot(*(truth.poses[0] - start)[:2]) > 0.5  # it went somewhere
+        seen.append(observation)
+        actions.append(np.array(agent.act(observation)))
+        observation, _, _, _, info = env.step(actions[-1])
+    assert np.hypot(*(info["pose"] - start)[:2]) > 0.5  # it went somewhere
     return start, seen, np.array(actions)
 
 
@@ -112,13 +110,13 @@ def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
     agent.slam.on_association = records.append
     for number, observation in enumerate(recording[1]):
         agent.act(observation)
-        if number > 100 and all(len(buffer.scan) > 12 for buffer in agent.slam._buffers):
+        if number > 100 and all(len(buffer.scan) > 12 for buffer in agent.slam.robots[0].buffers.values()):
             break
     before = len(records)
     agent.finish()
     assert len(records) > before
     assert sum(landmark.observations for landmark in agent.slam.landmarks) == len(records)
-    assert all(len(buffer.scan) == 0 for buffer in agent.slam._buffers)
+    assert all(len(buffer.scan) == 0 for buffer in agent.slam.robots[0].buffers.values())
 
 
 WITHOUT_PHYSICS = """

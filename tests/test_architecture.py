@@ -30,7 +30,7 @@ ON_DEMAND = {"world": {"readers", "map_server"}, "painter": {"rendering", "windo
 # Data and the package's own front door; no room of the house.
 NO_LAYER = {"", "worlds"}
 
-COMPOSITION_ROOT = {"episode", "evaluate", "results", "cli", "world_commands"}
+COMPOSITION_ROOT = {"episode", "evaluate", "results", "cli", "world_commands", "show_command", "recording"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 LONGEST_FILE = 330
 # numba's cache notices a change in the file of a kernel only, not in one that it calls: kernels stay together.

@@ -15,7 +15,7 @@ from limslam_env.geometry.line import from_frame, normalise, through, to_frame
 from limslam_env.geometry.se2 import transform_points
 
 # Given here, not left to the defaults: the scenes are drawn around these gaps.
-CONFIG = AssociationConfig(max_end_gap=0.25, range_slack=0.25)
+CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
 MAX_RANGE = 1.6
 ROBOT = np.zeros(3)
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the

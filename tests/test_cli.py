@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from bags import odometry, scan, write_bag
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
@@ -49,7 +50,7 @@ def test_a_run_writes_its_whole_folder_and_nothing_beside_it(short_run):
 
 def test_result_has_the_promised_parts_and_metrics(short_run):
     result = json.loads((short_run / "result.json").read_text())
-    assert set(result) == {"metrics", "cost", "config", "versions", "seed"}
+    assert {"metrics", "cost", "config", "versions", "seed"} <= set(result)
     promised = {
         "ate_m", "ate_aligned_m", "heading_rmse_deg", "final_error_m", "rpe_m_per_m", "anees", "nees_in_95",
         "wall_recall", "wall_precision", "wall_f1", "wall_f1_5cm", "wall_f1_aligned", "spurious_walls", "spurious_m",
@@ -161,6 +162,10 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("replay", "{log}", "--odometry-noise", "1,2,-3"), "--odometry-noise"),
         (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
         (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
+        (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
+        (("replay", "{log}", "--calibrate", "{log}", "--calibrate-until", "nan"), "--calibrate-until"),
+        (("replay", "{log}", "--odometry-topic", "/odom"), "is no ROS bag"),
+        (("replay", "{log}", "--range-topics", "/left:somewhere"), "'somewhere' is no direction"),
     ],
 )
 def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
@@ -215,6 +220,72 @@ def test_replay_of_a_corridor_finds_its_walls_and_is_scored(carmen_log, tmp_path
     assert metrics["raw_odometry_relation_error_m"] == pytest.approx(0.0, abs=1e-9)
 
 
+def known_motions(path, seconds, metres):
+    """Relations of the corridor's robot, each over one second: what it truly drove, 0.5 m by its own account."""
+    path.write_text("".join(f"{100 + at} {101 + at} {metres} 0 0 0 0 0.01\n" for at in range(seconds)))
+    return path
+
+
+def test_the_bias_comes_from_a_calibration_run_that_is_not_scored(carmen_log, tmp_path):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.525)
+    result = limslam(
+        "replay", carmen_log, "--calibrate", relations, "--calibrate-until", "4.05", "--relations", relations,
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "calibrated  1.146 +- " in result.stdout
+    assert "scale 1.0500 +- " in result.stdout
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    metrics, config = content["metrics"], content["config"]
+    assert metrics["calibration_turn_deg_per_m"] == pytest.approx(np.degrees(0.02), abs=1e-6)
+    assert (metrics["calibration_relations"], metrics["relations"]) == (4, 3)
+    assert metrics["odometry_relation_error_m"] < 0.01 < metrics["raw_odometry_relation_error_m"]
+    assert config["agent"]["odometry"]["distance_scale"] == pytest.approx(1.05, abs=1e-4)
+    assert config["calibration"] == "known.relations"
+    assert config["calibration_until"] == "4.05 s"
+
+
+def test_the_calibration_run_may_be_another_log(carmen_log, tmp_path):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.4)
+    other = tmp_path / "calibration.csv"
+    rows = [f"{100 + 0.1 * step},{0.025 * step},0,0,1,1" for step in range(80)]
+    other.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
+    result = limslam(
+        "replay", carmen_log, "--beams", "-90,90", "--calibrate", relations, "--calibrate-log", other,
+        "--relations", relations, "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "scale 1.6000 +- " in result.stdout
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert metrics["relations"] == 7
+
+
+def test_a_calibration_leaves_something_to_score(carmen_log, tmp_path):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.525)
+    result = limslam("replay", carmen_log, "--calibrate", relations, "--relations", relations, "--out", tmp_path / "no")
+    assert_refused(result, "none of its relations is left to score")
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_table_and_a_bag_are_replayed_like_any_log(tmp_path):
+    places = [0.05 * step for step in range(80)]
+    table = tmp_path / "corridor.csv"
+    rows = [f"{100 + 0.1 * step},{x},0,0,2,,2" for step, x in enumerate(places)]
+    table.write_text("\n".join(["t,x,y,theta,r_-90,r_0,r_90", *rows]) + "\n")
+    messages = []
+    for step, x in enumerate(places):
+        at = 100 + 0.1 * step
+        messages += [odometry(at, x), odometry(at, 0.0, topic="/other"), scan(at, [2.0, np.inf, 2.0])]
+    bag = write_bag(tmp_path, messages, "mcap", "corridor")
+    for log, options in ((table, ()), (bag, ("--odometry-topic", "/odom"))):
+        out = tmp_path / f"out-{log.suffix}"
+        result = limslam("replay", log, *options, "--out", out)
+        assert result.returncode == 0, result.stderr
+        segments = np.array(json.loads((out / "map.json").read_text())["segments"])
+        assert len(segments) == 2
+        np.testing.assert_allclose(np.abs(segments[:, [1, 3]]), 2.0, atol=0.02)
+
+
 def assert_refused(result, words):
     assert result.returncode == 2, (result.stdout, result.stderr)
     assert result.stderr.count("\n") == 1, result.stderr
@@ -223,7 +294,7 @@ def assert_refused(result, words):
 
 
 def test_importing_the_command_line_is_light():
-    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib'}"
+    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags'}"
     loaded = f"import sys, limslam_agent.cli; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from limslam_agent.bumper import Bumper
 from limslam_agent.config import PolicyConfig
-from limslam_agent.controller import free_ahead, steer, turn_towards, wheel_speeds
+from limslam_agent.controller import back_off, free_ahead, nearest_beam, steer, turn_towards, wheel_speeds
+from limslam_agent.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, transform_points, wheels_to_arc, wrap_angle
 from limslam_env.interface import RobotSpec
@@ -213,3 +215,112 @@ def test_where_both_cannot_be_had_the_speed_gives_way() -> None:
     np.testing.assert_allclose(wheel_speeds(0.3, 1.0, ROBOT), [0.14 / 0.3, 1.0], atol=1e-12)
     np.testing.assert_allclose(wheel_speeds(-0.3, 1.0, ROBOT), [-1.0, -0.14 / 0.3], atol=1e-12)
     np.testing.assert_allclose(wheel_speeds(0.3, 100.0, ROBOT), [-1.0, 1.0], atol=1e-12)
+
+
+@settings(deadline=None, max_examples=100)
+@given(angles, angles)
+def test_the_nearest_beam_needs_the_least_turn(yaw: float, bearing: float) -> None:
+    pose = np.array([0.3, -0.7, yaw])
+    beam, turn = nearest_beam(pose, ahead_of(pose, bearing), ROBOT)
+    turns = [abs(float(wrap_angle(bearing - angle))) for angle in ROBOT.beam_angles]
+    assert abs(turn) == pytest.approx(min(turns), abs=1e-9)
+    # After the turn, that beam points at the place.
+    assert float(wrap_angle(turn + ROBOT.beam_angles[beam] - bearing)) == pytest.approx(0.0, abs=1e-9)
+
+
+def ground(*occupied: tuple[int, int]) -> GridView:
+    """Free ground of 2 x 2 m about the origin, and some occupied cells given as (row, column)."""
+    values = np.full((20, 20), 5, dtype=np.int16)
+    for cell in occupied:
+        values[cell] = -4
+    return GridView(np.array([-1.0, -1.0]), 0.1, values)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi])
+def test_it_backs_off_over_ground_that_is_known_to_be_free(yaw: float) -> None:
+    pose = np.array([0.05, 0.05, yaw])
+    left, right = back_off(pose, ground(), ROBOT, CONFIG)
+    assert left == right < 0.0
+    # What stands right behind it forbids it; the same ahead does not.
+    behind = np.floor((pose[:2] - 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
+    ahead = np.floor((pose[:2] + 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
+    np.testing.assert_array_equal(back_off(pose, ground((behind[1], behind[0])), ROBOT, CONFIG), [0.0, 0.0])
+    assert (back_off(pose, ground((ahead[1], ahead[0])), ROBOT, CONFIG) < 0.0).all()
+
+
+def test_it_does_not_back_out_of_the_map() -> None:
+    np.testing.assert_array_equal(back_off(np.array([-0.85, 0.0, 0.0]), ground(), ROBOT, CONFIG), [0.0, 0.0])
+
+
+# A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.
+POST = np.array([0.15, 0.15])
+AHEAD = np.array([0.6, 0.6])
+
+
+def reading_of(post: FloatArray, beam: int) -> FloatArray:
+    """Readings at the origin with a post on one beam, at its distance."""
+    ranges = CLEAR.copy()
+    ranges[beam] = np.hypot(*post) - ROBOT.radius
+    return ranges
+
+
+def test_the_bumper_lets_pass_what_is_clear() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), CLEAR)
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)
+
+
+def test_the_bumper_remembers_what_no_beam_sees_any_more_and_keeps_the_turn() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    # It has come nearer, and the post stands between two beams, on the left.
+    pose, curve = np.array([0.08, 0.05, 0.0]), np.array([0.5, 0.8])
+    bumper.note(pose, CLEAR)
+    softened = bumper.soften(pose, curve)
+    assert softened.sum() < 0.5 * curve.sum()
+    assert softened[1] - softened[0] == pytest.approx(curve[1] - curve[0])
+    # Away from it the robot may go as fast as it likes.
+    np.testing.assert_array_equal(bumper.soften(pose, -curve), -curve)
+    np.testing.assert_array_equal(bumper.soften(np.array([0.08, 0.05, math.pi]), AHEAD), AHEAD)
+
+
+def test_the_bumper_forgets_after_some_seconds() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    pose = np.array([0.08, 0.05, 0.5])
+    for _ in range(39):
+        bumper.note(pose, CLEAR)
+    assert bumper.soften(pose, AHEAD).sum() < AHEAD.sum()
+    bumper.note(pose, CLEAR)
+    np.testing.assert_array_equal(bumper.soften(pose, AHEAD), AHEAD)
+
+
+def test_ghosts_inside_the_body_do_not_hold_it() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    bumper.note(np.array([*POST, 0.0]), CLEAR)
+    np.testing.assert_array_equal(bumper.soften(np.array([*POST, 0.0]), AHEAD), AHEAD)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(-1.2, 1.2), st.floats(0.16, 0.5), st.floats(-0.3, 0.3))
+def test_a_post_that_was_seen_is_not_run_into(bearing: float, distance: float, turn: float) -> None:
+    post = distance * np.array([math.cos(bearing), math.sin(bearing)])
+    bumper, pose = Bumper(ROBOT), np.zeros(3)
+    beam = 1 if bearing > 0.0 else 4
+    robot_sees = CLEAR.copy()
+    robot_sees[beam] = distance - ROBOT.radius
+    # The reading is taken by a robot that looks so that the beam meets the post.
+    bumper.note(np.array([0.0, 0.0, bearing - ROBOT.beam_angles[beam]]), robot_sees)
+    for _ in range(30):
+        pose = drive(pose, bumper.soften(pose, np.array([0.6 - turn, 0.6 + turn])))
+        assert np.hypot(*(pose[:2] - post)) > ROBOT.radius
+
+
+@NONSENSE
+def test_the_bumper_notes_no_nonsense(reading: float) -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), np.full(6, reading))
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)

@@ -208,10 +208,11 @@ def test_files_that_cannot_be_read_are_refused(write, tmp_path):
         is_csv(tmp_path / "absent.txt")
 
 
-@pytest.mark.parametrize("kept", [40, 45, 50])
+@pytest.mark.parametrize("kept", [1, 4, 8, 11])
 def test_a_last_row_that_is_cut_is_refused(write, kept):
     text = f"{HEAD}0.0,0,0,0,1,1,1\n0.1,0,0,0,1,1,1\n"
-    assert "line 3: cut short: " in refusal(write(text[: len(HEAD) + kept - 20]))
+    first = text.index("0.1,")
+    assert "line 3: cut short: " in refusal(write(text[: first + kept]))
 
 
 def test_a_gzip_stream_that_is_cut_is_refused(write):

@@ -152,9 +152,11 @@ def test_the_jacobian_of_an_observation_equals_central_differences(
     reference = ekf._observed(ekf.x, ekf.columns_of(1))
     differences = np.zeros((2, 7))
     for column, unit in enumerate(np.eye(7)):
-        above, below = (nearest_form(ekf._observed(ekf.x + sign * step * unit, ekf.columns_of(1)), reference) for sign in (1.0, -1.0))
+        shifted = (ekf.x + sign * step * unit for sign in (1.0, -1.0))
+        above, below = (nearest_form(ekf._observed(x, ekf.columns_of(1)), reference) for x in shifted)
         differences[:, column] = (above - below) / (2.0 * step)
-    np.testing.assert_allclose(ekf._line_jacobian(ekf.x, ekf.columns_of(1)), differences[:, ekf.columns_of(1)], atol=1e-6)
+    columns = ekf.columns_of(1)
+    np.testing.assert_allclose(ekf._line_jacobian(ekf.x, columns), differences[:, columns], atol=1e-6)
     # The Jacobian's other columns are zero, as update takes them to be.
     np.testing.assert_allclose(np.delete(differences, ekf.columns_of(1), axis=1), 0.0, atol=1e-9)
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.frontier import frontier_cells
+from limslam_agent.frontier import frontier_cells, group_of, group_places, sight_begins
 from limslam_agent.occupancy import GridView
-from limslam_agent.planner import routes
+from limslam_agent.planner import routes, wall_distance
 from limslam_env.geometry import BoolArray, FloatArray
 
 LOW = np.array([-1.0, 2.0])
@@ -93,6 +93,51 @@ def test_ignored_cells_are_no_frontier_and_what_they_leave_counts_by_itself() ->
     assert drawn(frontier_cells(grid, 3, ignored)) == ["-" * 9, "-xxx-----", "-" * 9]
     assert not frontier_cells(grid, 4, ignored).any()
     assert not frontier_cells(grid, 1, np.ones_like(ignored)).any()
+
+
+def test_holes_in_a_wall_that_are_too_narrow_to_pass_are_wall() -> None:
+    # Holes of two and of three cells in the lower wall, and one beside the corner.
+    grid = grid_of("####??#####???####", *["#" + "." * 16 + "#"] * 2, "#" * 16 + "?#")
+    every = frontier_cells(grid, 1)
+    assert drawn(every)[1] == "----xx-----xxx----"
+    assert drawn(frontier_cells(grid, 1, gap=1))[1] == "-----------xxx----"
+    assert every[2, 16]
+    assert not frontier_cells(grid, 1, gap=1)[2].any()
+    # What is free stays free, however narrow.
+    slit = grid_of("###.###", "#.....#", "#######")
+    assert drawn(frontier_cells(slit, 1, gap=1))[0] == "---x---"
+
+
+def test_pockets_that_hide_nothing_are_left_alone() -> None:
+    grid = grid_of("#" * 12, "#" + "." * 10 + "#", "#..?....??.#", "#.......??.#", "#" + "." * 10 + "#", "#" * 12)
+    assert frontier_cells(grid, 1)[:, :6].any()
+    assert not frontier_cells(grid, 1, pocket=3)[:, :6].any()
+    assert frontier_cells(grid, 1, pocket=4)[:, 6:].any()
+    assert not frontier_cells(grid, 1, pocket=5).any()
+
+
+def test_groups_have_cells_and_a_place_each() -> None:
+    grid = grid_of("#########", "#.......#", "??.???...")
+    frontier = np.zeros(grid.values.shape, dtype=bool)
+    frontier[1, 1:4] = frontier[2, 7:9] = True
+    assert group_of(frontier, np.array([1, 1])).tolist() == [[1, 1], [1, 2], [1, 3]]
+    assert group_of(frontier, np.array([2, 8])).tolist() == [[2, 7], [2, 8]]
+    np.testing.assert_allclose(group_places(grid, frontier), [place(1, 2), place(2, 7)])
+    assert group_places(grid, np.zeros_like(frontier)).shape == (0, 2)
+
+
+def test_the_end_of_a_way_is_seen_from_where_nothing_stands_between() -> None:
+    grid = grid_of("." * 12, "......#.....", "......#.....", "......#.....")
+    # Up in column 3, along row 0, and down in column 9.
+    cells = [(row, 3) for row in (3, 2, 1, 0)] + [(0, column) for column in range(4, 10)] + [(1, 9), (2, 9), (3, 9)]
+    path = np.array([place(*cell) for cell in cells])
+    assert cells[sight_begins(grid, path, 1.0)] == (0, 6)
+    assert cells[sight_begins(grid, path, 0.25)] == (1, 9)
+    assert sight_begins(grid, path[-1:], 1.0) == 0
+    # Along a straight way the distance decides.
+    straight = np.array([place(0, column) for column in range(12)])
+    assert sight_begins(grid, straight, 0.55) == 6
+    assert sight_begins(grid, straight, 5.0) == 0
 
 
 # A plain Dijkstra, cell by cell.
@@ -314,3 +359,55 @@ def test_comfort_gives_way_where_there_is_none() -> None:
     grid = grid_of("#" * 12, *["." * 12] * 3, "#" * 12)
     cost = routes(grid, place(2, 0), 0.1, 0.5).cost[2, 11]
     assert 1.1 < cost <= 3.3
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 100_000))
+def test_a_search_for_targets_finds_the_cheapest_at_its_cost(seed: int) -> None:
+    grid, start = random_grid(seed, 0.15)
+    everywhere = routes(grid, place(*start), 0.07, 0.1)
+    targets = np.random.default_rng(seed).random(grid.values.shape) < 0.1
+    found = routes(grid, place(*start), 0.07, 0.1, targets=targets)
+    assert np.where(targets, found.cost, np.inf).min() == np.where(targets, everywhere.cost, np.inf).min()
+    # What it reached at all, it reached at its least cost; when it found no target it went everywhere.
+    reached = np.isfinite(found.cost)
+    np.testing.assert_array_equal(found.cost[reached], everywhere.cost[reached])
+    if not np.isfinite(everywhere.cost[targets]).any():
+        np.testing.assert_array_equal(reached, np.isfinite(everywhere.cost))
+
+
+def test_a_near_target_is_found_without_going_everywhere() -> None:
+    grid = grid_of(*["." * 60] * 60)
+    targets = np.zeros(grid.values.shape, dtype=bool)
+    targets[30, 34] = targets[0, 59] = True
+    cost = routes(grid, place(30, 30), 0.1, 0.1, targets=targets).cost
+    assert cost[30, 34] == pytest.approx(0.4)
+    assert np.isfinite(cost).sum() < 400
+
+
+def test_closed_cells_are_driven_round_though_they_are_free() -> None:
+    grid = grid_of(*["." * 9] * 5)
+    closed = np.zeros(grid.values.shape, dtype=bool)
+    closed[:4, 4] = True
+    ways = routes(grid, place(0, 0), 0.1, 0.1, closed=closed)
+    assert ways.path_to((0, 8))[:, 0].max() == 4
+    assert np.isinf(ways.cost[:4, 4]).all()
+    closed[:, 4] = True
+    assert np.isinf(routes(grid, place(0, 0), 0.1, 0.1, closed=closed).cost[:, 5:]).all()
+    # Its own cell never is.
+    assert np.isfinite(routes(grid, place(0, 4), 0.1, 0.1, closed=closed).cost).all(axis=0)[5:].all()
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 100_000))
+def test_distances_from_walls_are_those_of_trying_all(seed: int) -> None:
+    grid, _ = random_grid(seed, 0.1)
+    np.testing.assert_allclose(wall_distance(grid), plain_distances(grid), atol=1e-6)
+
+
+def test_a_plan_does_not_change_its_grid() -> None:
+    grid = grid_of("..#..", ".....", "..#..")
+    grid.values.setflags(write=False)
+    before = grid.values.copy()
+    routes(grid, place(0, 2), 0.1, 0.1, targets=np.ones((3, 5), dtype=bool), closed=np.ones((3, 5), dtype=bool))
+    np.testing.assert_array_equal(grid.values, before)

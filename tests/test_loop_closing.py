@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config import AgentConfig, LoopClosingConfig, MapConfig, ablated
+from limslam_agent.ablations import ablated
+from limslam_agent.config import AgentConfig, LoopClosingConfig, MapConfig
 from limslam_agent.ekf import LineEKF
 from limslam_agent.loop_closing import agree, closing_pair, offset, squared_distance
 from limslam_agent.slam import LineSlam
-from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.geometry.segment import polygon_edges
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
 CONFIG = LoopClosingConfig()
@@ -91,8 +94,8 @@ def test_the_difference_of_two_landmarks_has_their_joint_covariance():
     ekf = drifted_filter()
     difference, covariance = ekf.difference(0, 1)
     np.testing.assert_allclose(difference, ekf.lines[0] - ekf.lines[1], atol=1e-12)
-    P = ekf.P
-    expected = P[3:5, 3:5] + P[5:7, 5:7] - P[3:5, 5:7] - P[5:7, 3:5]
+    joint = ekf.P
+    expected = joint[3:5, 3:5] + joint[5:7, 5:7] - joint[3:5, 5:7] - joint[5:7, 3:5]
     np.testing.assert_allclose(covariance, expected, atol=1e-15)
 
 
@@ -130,33 +133,6 @@ def ranges_at(pose: np.ndarray) -> np.ndarray:
     return found
 
 
-
-def test_the_wall_is_recognised_after_a_blind_detour_and_the_closure_is_recorded():
-    config = AgentConfig(noise=NominalNoise(0.005, 2e-4))
-    slam, records = LineSlam(ROBOT, config, np.array([-0.5, 0.3, 0.0])), []
-    slam.on_association = records.append
-    true = drive(slam, np.array([-0.5, 0.3, 0.0]), 2.5, 0.0)
-    seen_first = {record.landmark for record in records}
-    # A blind way back, on which the wheels tell a little too much.
-    back = between_poses(true, np.array([-0.5, 0.3, 0.0]))
-    for part in back:
-        slam.step({"ranges": ROBOT.max_ranges, "wheels": part})
-    drive(slam, np.array([-0.5, 0.3, 0.0]), 2.5, 0.0)
-    assert seen_first == {0}
-    assert len(slam.closures) <= 1
-    for closure in slam.closures:
-        assert closure.older == 0
-        assert closure.offset_after < closure.offset_before
-        assert closure.distance_after < closure.distance_before
-    assert np.hypot(*(slam.pose[:2] - [2.5, 0.3])) < 0.15
-
-
-def between_poses(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
-    """Wheel travel of a way back in reverse, a straight line."""
-    distance = compose(inverse(start), end)[0]
-    return [np.full(2, distance / 60.0 * 1.02)] * 60
-
-
 def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
     base = AgentConfig()
     assert not ablated(base, "no-loop-closing").closing.enabled
@@ -180,3 +156,69 @@ def test_a_landmark_is_a_wall_of_the_map_when_it_is_long_enough_and_seen_again()
     assert sizes[-1][1] == 1
     assert [mark.number for mark in slam.landmarks] == [0]
     assert slam.landmarks[0].observations >= 2
+
+
+def walled_loop() -> tuple[FloatArray, FloatArray]:
+    """A round trip of a robot in a square corridor: true poses (n, 3), and the outer and inner walls (8, 4)."""
+    corners = np.array([[0.6, 0.6], [3.4, 0.6], [3.4, 3.4], [0.6, 3.4]])
+    poses = []
+    for side in range(5):
+        start, end = corners[side % 4], corners[(side + 1) % 4]
+        heading = wrap_angle(float(np.pi / 2 * side))
+        poses += [[*place, heading] for place in np.linspace(start, end, 140, endpoint=False)]
+        poses += [[*end, wrap_angle(heading + turn)] for turn in np.linspace(0.0, np.pi / 2, 16, endpoint=False)]
+    outer = polygon_edges(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]))
+    inner = polygon_edges(np.array([[1.2, 1.2], [2.8, 1.2], [2.8, 2.8], [1.2, 2.8]]))
+    return np.array(poses), np.vstack((outer, inner))
+
+
+def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str, FloatArray]]:
+    """What the robot reads on the way; its wheels tell ``drift`` (rad per m) too much of a turn."""
+    observations, before = [], poses[0]
+    for pose in poses:
+        ahead, _, turn = compose(inverse(before), pose)
+        half = 0.5 * ROBOT.axle * (turn + drift * ahead)
+        observations.append({"ranges": ray_lengths(pose, walls), "wheels": np.array([ahead - half, ahead + half])})
+        before = pose
+    return observations
+
+
+def ray_lengths(pose: FloatArray, walls: FloatArray) -> FloatArray:
+    found = ROBOT.max_ranges.copy()
+    for number, beam in enumerate(ROBOT.beams):
+        x, y = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        dx, dy = np.cos(pose[2] + beam.angle), np.sin(pose[2] + beam.angle)
+        for x1, y1, x2, y2 in walls:
+            ex, ey = x2 - x1, y2 - y1
+            cross = dx * ey - dy * ex
+            if abs(cross) < 1e-12:
+                continue
+            distance = ((x1 - x) * ey - (y1 - y) * ex) / cross
+            share = ((x1 - x) * dy - (y1 - y) * dx) / cross
+            if 0.0 <= distance < found[number] and 0.0 <= share <= 1.0:
+                found[number] = distance
+    return found
+
+
+@pytest.mark.parametrize("drift", [0.012, -0.012])
+def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
+    poses, walls = walled_loop()
+    observations = sensed(poses, walls, drift)
+    errors, slams = [], []
+    for enabled in (True, False):
+        config = AgentConfig(noise=NominalNoise(0.005, 2e-4), closing=LoopClosingConfig(enabled=enabled))
+        slam = LineSlam(ROBOT, config, poses[0])
+        for observation in observations:
+            slam.step(observation)
+        slams.append(slam)
+        errors.append(np.hypot(*(slam.pose[:2] - poses[-1, :2])))
+    closing, without = slams
+    assert closing.closures, "no loop was closed, and the test shows nothing"
+    assert not without.closures
+    for closure in closing.closures:
+        assert closure.older < closure.younger
+        # Two that lie on each other already cannot come closer.
+        assert closure.distance_after < max(closure.distance_before, 0.1)
+        assert closure.offset_after <= closure.offset_before + 0.005
+    assert errors[0] < 0.30
+    assert errors[0] < errors[1] + 0.05

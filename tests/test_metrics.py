@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from limslam_env.association_metrics import AssociationEvent, association_metrics
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.geometry.segment import distances
-from limslam_env.association_metrics import AssociationEvent, association_metrics
 from limslam_env.metrics import (
     WallSamples,
     consistency_metrics,

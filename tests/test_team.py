@@ -73,19 +73,19 @@ def test_a_wall_that_both_see_ties_their_poses_together():
 
 def test_the_filter_of_two_equals_the_dense_one():
     ekf = moved_pair()
-    x, P = ekf.x.copy(), ekf.P.copy()
-    seen = to_frame(ekf.lines[0], ekf.poses[1]) + [0.02, -0.01]
+    x, covariance = ekf.x.copy(), ekf.P.copy()
+    seen = to_frame(ekf.lines[0], ekf.poses[1]) + np.array([0.02, -0.01])
     columns = ekf.columns_of(0, 1)
-    H = np.zeros((2, len(x)))
+    jacobian = np.zeros((2, len(x)))
     for column in columns:
         step = np.zeros(len(x))
         step[column] = 1e-6
-        H[:, column] = (ekf._observed(x + step, columns) - ekf._observed(x - step, columns)) / 2e-6
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + LINE_NOISE)
-    expected = x + K @ (seen - ekf._observed(x, columns))
+        jacobian[:, column] = (ekf._observed(x + step, columns) - ekf._observed(x - step, columns)) / 2e-6
+    gain = covariance @ jacobian.T @ np.linalg.inv(jacobian @ covariance @ jacobian.T + LINE_NOISE)
+    expected = x + gain @ (seen - ekf._observed(x, columns))
     ekf.observe_line(seen, LINE_NOISE, 0, 1)
     np.testing.assert_allclose(ekf.x, expected, atol=1e-8)
-    np.testing.assert_allclose(ekf.P, (np.eye(len(x)) - K @ H) @ P, atol=1e-9)
+    np.testing.assert_allclose(ekf.P, (np.eye(len(x)) - gain @ jacobian) @ covariance, atol=1e-9)
 
 
 def test_covariance_stays_symmetric_and_positive_with_eight_robots():

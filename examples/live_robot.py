@@ -1,0 +1,156 @@
+"""The loop for a live robot: read wheels and ranges from anywhere, let the agent think, send wheel speeds.
+
+    python examples/live_robot.py --out my_room
+
+``FakeRobot`` stands in for yours: it moves and measures in an empty room, by itself. Write a class with the same four
+methods that talks to your robot (a serial port, a UDP socket, a ROS node), say in ``SPEC`` where its beams are, and
+keep the loop. Nothing of the simulator is imported here, so this also runs on the robot.
+"""
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent import LimSlamAgent, preset
+from limslam_agent.export import map_content, write_grid, write_json
+from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
+
+# Measure your own: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.
+RADIUS = 0.08
+SPEC = RobotSpec(
+    radius=RADIUS,
+    axle=0.14,
+    max_wheel_speed=0.30,
+    control_period=0.1,
+    beams=beams_on_rim((90.0, 45.0, 15.0, -15.0, -45.0, -90.0), RADIUS, max_range=1.5),
+)
+RANGE_STD = 0.01
+WHEEL_VARIANCE = 2e-5
+
+
+class Robot(Protocol):
+    """What the loop asks of a robot."""
+
+    def read_wheels(self) -> tuple[float, float]:
+        """Left and right wheel travel since the last call, m (ticks times metres per tick)."""
+
+    def read_ranges(self) -> list[float]:
+        """What each beam of ``SPEC`` reads, m; not a number or infinity where it sees nothing."""
+
+    def send_wheel_speeds(self, left: float, right: float) -> None:
+        """Wheel speeds, m/s, to be kept until the next ones come."""
+
+    def wait(self) -> None:
+        """Come back when it is time for the next readings."""
+
+
+class FakeRobot:
+    """A robot in an empty room of 3 x 2 m: put yours in its place.
+
+    On a serial port ``read_ranges`` might be ``[float(word) for word in port.readline().split()]``, and
+    ``send_wheel_speeds`` might be ``port.write(b"%.3f %.3f;" % (left, right))``.
+    """
+
+    ROOM = np.array([3.0, 2.0])
+
+    def __init__(self, *, in_real_time: bool) -> None:
+        self._random = np.random.default_rng(0)
+        self._pose, self._travel = np.array([1.0, 0.6, 0.3]), np.zeros(2)
+        self._pace = SPEC.control_period if in_real_time else 0.0
+
+    def read_wheels(self) -> tuple[float, float]:
+        """Encoders err by a variance for each metre."""
+        told = self._travel + self._random.normal(size=2) * np.sqrt(WHEEL_VARIANCE * np.abs(self._travel))
+        self._travel = np.zeros(2)
+        return float(told[0]), float(told[1])
+
+    def read_ranges(self) -> list[float]:
+        """Each beam ends at the first of the room's four walls."""
+        x, y, heading = self._pose
+        ranges = []
+        for beam in SPEC.beams:
+            angle = heading + beam.angle
+            start = np.array([x, y]) + RADIUS * np.array([math.cos(angle), math.sin(angle)])
+            towards = np.array([math.cos(angle), math.sin(angle)])
+            wall = np.where(towards > 0.0, self.ROOM, 0.0)
+            distance = float(np.min((wall - start) / np.where(np.abs(towards) < 1e-9, 1e-9, towards)))
+            seen = distance + self._random.normal(0.0, RANGE_STD)
+            ranges.append(max(seen, 0.0) if seen < beam.max_range else math.inf)
+        return ranges
+
+    def send_wheel_speeds(self, left: float, right: float) -> None:
+        """The wheels turn for one period; walls stop the body and let the wheels spin."""
+        self._travel = np.array([left, right]) * SPEC.control_period
+        ahead, turn = self._travel.mean(), (self._travel[1] - self._travel[0]) / SPEC.axle
+        middle = self._pose[2] + 0.5 * turn
+        place = self._pose[:2] + ahead * np.array([math.cos(middle), math.sin(middle)])
+        self._pose = np.array([*np.clip(place, RADIUS, self.ROOM - RADIUS), self._pose[2] + turn])
+
+    def wait(self) -> None:
+        """A real robot's readings come at their own pace."""
+        time.sleep(self._pace)
+
+
+def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = None) -> int:
+    """Drive until the agent is done, or for so many steps; the number of steps driven.
+
+    ``log`` is a text that ``limslam replay`` reads.
+    """
+    rows = ["t,x,y,theta," + ",".join(f"r_{math.degrees(beam.angle):g}" for beam in SPEC.beams)]
+    by_wheels = np.zeros(3)
+    step = 0
+    try:
+        while step < steps and not agent.done:
+            wheels, ranges = robot.read_wheels(), robot.read_ranges()
+            by_wheels = moved(by_wheels, *wheels)
+            # In a log ranges are counted from the robot's centre, and these beams start on its rim.
+            from_centre = [reading + RADIUS for reading in ranges]
+            rows.append(",".join(f"{value:.6g}" for value in (step * SPEC.control_period, *by_wheels, *from_centre)))
+            # The agent wants a beam's maximum where nothing was seen.
+            readings = np.nan_to_num(ranges, nan=np.inf).clip(0.0, SPEC.max_ranges)
+            action = agent.act({"wheels": np.array(wheels), "ranges": readings})
+            left, right = SPEC.max_wheel_speed * action
+            robot.send_wheel_speeds(float(left), float(right))
+            robot.wait()
+            step += 1
+    finally:  # whatever happens, a robot must not drive on
+        robot.send_wheel_speeds(0.0, 0.0)
+        if log is not None:
+            log.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    agent.finish()
+    return step
+
+
+def moved(pose: NDArray[np.float64], left: float, right: float) -> NDArray[np.float64]:
+    """A pose (3,) by wheel travel alone, as odometry would have it."""
+    ahead, turn = 0.5 * (left + right), (right - left) / SPEC.axle
+    x, y, heading = pose
+    middle = heading + 0.5 * turn
+    return np.array([x + ahead * math.cos(middle), y + ahead * math.sin(middle), heading + turn])
+
+
+def main() -> None:
+    """Explore, then write ``map.json``, ``map.pgm`` with ``map.yaml``, and ``log.csv``."""
+    parser = argparse.ArgumentParser(description="Explore with a live robot.")
+    parser.add_argument("--out", type=Path, default=Path("live_robot"), help="folder for the map and the log")
+    parser.add_argument("--steps", type=int, default=6000, help="longest run")
+    parser.add_argument("--real-time", action="store_true", help="as slowly as a robot would")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+
+    agent = LimSlamAgent(SPEC, preset("paper", NominalNoise(RANGE_STD, WHEEL_VARIANCE)))
+    robot = FakeRobot(in_real_time=options.real_time)
+    steps = explore(robot, agent, options.steps, options.out / "log.csv")
+    belief = agent.snapshot()
+    write_json(options.out / "map.json", map_content(belief.landmarks))
+    write_grid(options.out, belief.grid)
+    print(f"{steps} steps: {agent.stop_reason or 'time is up'}; {len(belief.segments)} walls in {options.out}/map.json")
+
+
+if __name__ == "__main__":
+    main()

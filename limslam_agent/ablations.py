@@ -1,0 +1,27 @@
+"""Parts of the method that can be left out, to see what they are worth."""
+
+import math
+from dataclasses import replace
+
+from limslam_agent.config import AgentConfig
+
+ABLATIONS = ("no-ekf", "no-loop-closing", "no-end-gate", "only-best-line")
+
+
+def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
+    """Settings with one part of the method left out.
+
+    Raises
+    ------
+    ValueError
+        If there is no such part.
+    """
+    if ablation == "no-ekf":
+        return replace(config, filter=replace(config.filter, correct=False))
+    if ablation == "no-loop-closing":
+        return replace(config, closing=replace(config.closing, enabled=False))
+    if ablation == "no-end-gate":
+        return replace(config, association=replace(config.association, max_end_gap=math.inf))
+    if ablation == "only-best-line":
+        return replace(config, hough=replace(config.hough, only_best=True))
+    raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
