@@ -6,24 +6,16 @@ The lines that count are, with the odometry as the *second* pose of a scan::
     ODOM x y theta tv rv accel  ipc_time host logger_time
 """
 
-import math
 from array import array
 from collections.abc import Sequence
 from os import fspath
 
 import numpy as np
 
+from limslam_agent.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
 from limslam_agent.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
-
-MIN_RANGE = 0.02
-"""Shorter readings (m) are how lasers say "no reading", or dirt on the window."""
-
-BODY_RADIUS = 0.2
-"""Radius (m) given to a robot whose log does not tell it."""
-
-WORST_BEAM_MISMATCH_DEG = 1.0
 
 # SICK lasers, which most of these logs were taken with, code "no return" and errors as their topmost readings: 8183 to
 # 8191 counts of 1 mm or 1 cm, by their setting.
@@ -61,8 +53,10 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
         If the file cannot be read, is cut short, holds something that is not a finite number where one is used, has
         no scan or no odometry, or has no beam within 1 degree of a given angle.
     """
-    if not (math.isfinite(max_range) and max_range > MIN_RANGE):
-        raise LogError(f"{fspath(path)}: the largest range must be above {MIN_RANGE} m, not {max_range}")
+    try:
+        check_max_range(max_range)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
     if not len(beams_deg):
         raise LogError(f"{fspath(path)}: at least one beam must be chosen")
     events = _Events(beams_deg)
@@ -154,7 +148,7 @@ class _Events:
             raise ValueError("FLASER is not followed by the number of beams")
         count = int(text[:9])
         if not self.columns:
-            self.columns = [2 + beam for beam in _nearest_beams(count, self.beams_deg)]
+            self.columns = [2 + beam for beam in nearest_beams(beam_angles_deg(count), self.beams_deg)]
             self.beam_count = count
         elif count != self.beam_count:
             raise ValueError(f"a scan of {count} beams after scans of {self.beam_count}")
@@ -168,25 +162,6 @@ class _Events:
         if not self.time and (stamped or bare):
             raise ValueError("has no odometry: the scan comes without its poses")
         raise ValueError(f"FLASER has {len(fields)} fields where {2 + count + _SCAN_TAIL} are needed")
-
-
-def _nearest_beams(count: int, beams_deg: Sequence[float]) -> list[int]:
-    angles = beam_angles_deg(count)
-    chosen: list[int] = []
-    for wanted in beams_deg:
-        if not math.isfinite(wanted):
-            raise ValueError(f"a beam angle must be a finite number, not {wanted}")
-        mismatch = np.abs((angles - wanted + 180.0) % 360.0 - 180.0)
-        beam = int(np.argmin(mismatch))
-        if mismatch[beam] > WORST_BEAM_MISMATCH_DEG + 1e-9:
-            reach = f"the log's {count} beams reach from {angles[0]:g} to {angles[-1]:g} deg"
-            raise ValueError(f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: {reach}")
-        if beam in chosen:
-            # The same reading twice would count as two measurements.
-            other = beams_deg[chosen.index(beam)]
-            raise ValueError(f"{other:g} deg and {wanted:g} deg are the same beam, at {angles[beam]:g} deg")
-        chosen.append(beam)
-    return chosen
 
 
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
@@ -235,14 +210,7 @@ def _robot(angles: FloatArray, mount: FloatArray, max_range: float, time: FloatA
     x, y = float(mount[0]), float(mount[1])
     turned = [float(se2.wrap_angle(angle + mount[2])) for angle in angles]
     beams = tuple(SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned)
-    return RobotSpec(radius=BODY_RADIUS, control_period=_median_spacing(time), beams=beams)
-
-
-def _median_spacing(time: FloatArray) -> float:
-    """Median time (s) between two events; the default period where the log is too short to tell."""
-    steps = np.diff(time)
-    steps = steps[steps > 0.0]
-    return float(np.median(steps)) if len(steps) else RobotSpec().control_period
+    return RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=beams)
 
 
 def _is_number(field: bytes) -> bool:

@@ -100,9 +100,8 @@ class AssociationConfig:
         Largest squared Mahalanobis distance. Ours: wider than chi-square's, because the published filter is
         surer of itself than it should be.
     max_end_gap
-        Largest distance along the wall between the observation and the landmark's end points. Ours: a
-        little more than the gap that ends a wall in the buffer, because both ends are known but roughly. Infinite
-        is the ablation without this gate.
+        Largest distance along the wall between the observation and the landmark's end points. Ours: a little
+        more than the gap that ends a wall in the buffer. Infinite is the ablation without this gate.
     max_angle, max_distance
         Largest difference of direction, and distance of the observation's middle from the line. Ours.
     range_slack
@@ -169,7 +168,7 @@ class MapConfig:
 
 @dataclass(frozen=True)
 class TeamConfig:
-    """Beams that may have hit another robot.
+    """Several robots: beams that may have hit another one, and who looks again.
 
     Attributes
     ----------
@@ -177,10 +176,13 @@ class TeamConfig:
         How many standard deviations of the other's believed place are allowed for. Ours.
     slack
         What is added to that. Ours: the published filter is surer of itself than it should be.
+    news
+        A robot that had nothing left to do looks again when the others have found more cells than this. Ours.
     """
 
     sigmas: float = 3.0
     slack: float = 0.05
+    news: int = 50
 
 
 @dataclass(frozen=True)
@@ -192,9 +194,8 @@ class FilterConfig:
     min_range_std
         Least standard deviation that a range is credited with, m; quantities are never exact.
     drift_share
-        An observed line is credited with its fit's covariance, and in angle with this share of the variance that
-        odometry's heading has gathered since its points were measured. Ours: the paper does not say what the
-        covariance of an observation is; 0 is the fit alone.
+        Besides its fit's covariance, an observed line is credited in angle with this share of the variance that
+        odometry's heading has gathered since its points were measured. Ours; 0 is the fit alone.
     correct
         False is the ablation without a filter: lines are drawn at the odometry's poses.
     """

@@ -5,10 +5,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.carmen import BODY_RADIUS, MIN_RANGE, WORST_BEAM_MISMATCH_DEG
 from limslam_agent.recorded_log import RecordedLog
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec
+
+MIN_RANGE = 0.02
+"""Shorter readings (m) are how lasers say "no reading", or dirt on the window."""
+
+BODY_RADIUS = 0.2
+"""Radius (m) given to a robot whose log does not tell it."""
+
+WORST_BEAM_MISMATCH_DEG = 1.0
 
 DEFAULT_BEAMS_DEG = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 """Chosen out of a rich sensor's beams when nobody says which."""

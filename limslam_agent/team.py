@@ -102,8 +102,10 @@ class LimSlamTeam:
         self.slam = LineSlam(self.robot, self.config, poses)
         self._grid = OccupancyGrid(self.config.grid)
         self.policies: list[Policy] = list(
-            self._given_policies or [FrontierPolicy(self.robot, self.config.policy) for _ in self.names]
+            self._given_policies or [self._new_policy(number) for number in range(self.num_robots)]
         )
+        # How many cells were known when each robot stopped.
+        self._known_at_stop: dict[int, int] = {}
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
         """Wheel speeds (2,) of each robot by its name, fractions of the maximum, in answer to their observations."""
@@ -121,6 +123,7 @@ class LimSlamTeam:
         for pose, front in zip(poses, slam.robots, strict=True):
             self._grid.update(pose, self.robot, front.ranges, front.measured)
         view, actions = self._grid.view, []
+        self._call_up_who_stopped(view)
         for number, policy in enumerate(self.policies):
             belief = Belief(
                 poses[number], covariances[number], slam.robots[number].ranges, segments, view,
@@ -154,6 +157,20 @@ class LimSlamTeam:
         grid = GridView(view.low, view.cell, values)
         plans = [policy.plan.copy() for policy in self.policies]
         return Snapshot(slam.poses, slam.covariances, slam.landmarks, slam.segments, grid, plans)
+
+    def _new_policy(self, number: int) -> Policy:
+        return FrontierPolicy(self.robot, self.config.policy, number)
+
+    def _call_up_who_stopped(self, view: GridView) -> None:
+        """Who saw nothing left to do looks again when the others have found enough that is new."""
+        if self._given_policies is not None or self.num_robots == 1 or self.done:
+            return
+        known = int(np.count_nonzero(view.values))
+        for number, policy in enumerate(self.policies):
+            if policy.stop_reason is None:
+                self._known_at_stop.pop(number, None)
+            elif known - self._known_at_stop.setdefault(number, known) > self.config.team.news:
+                self.policies[number] = self._new_policy(number)
 
     def _goals_besides(self, number: int) -> FloatArray:
         goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]

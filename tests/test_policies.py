@@ -14,6 +14,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.world import World
 
 ROBOT = RobotSpec()
 CONFIG = PolicyConfig()
@@ -326,18 +327,32 @@ def test_laps_end_after_their_last_corner() -> None:
     np.testing.assert_array_equal(action, [0.0, 0.0])
 
 
-def explored(world: str, policy: Policy, max_time: float) -> tuple[float, int]:
+def explored(world: World | str, policy: Policy, max_time: float, seed: int = 100) -> tuple[float, int]:
     """True coverage and contacts begun of an agent with a policy, 2 cm noise."""
     noise = NoiseConfig(sensor_noise=0.02)
     env = LimSlamEnv(world, robot=ROBOT, noise=noise, coverage_goal=None)
     agent = LimSlamAgent(ROBOT, preset("paper", NominalNoise(0.02)), policy)
-    observation, info = env.reset(seed=100)
+    observation, info = env.reset(seed=seed)
     agent.reset(info["pose"])
     contacts = [False]
     while info["time"] < max_time and policy.stop_reason is None:
         observation, _, _, _, info = env.step(agent.act(observation))
         contacts.append(info["collision"])
     return float(info["coverage"]), int(np.count_nonzero(np.diff(contacts, prepend=False)[1:] & contacts[1:]))
+
+
+@pytest.mark.parametrize("seed", [100, 102, 103, 104])
+@pytest.mark.parametrize("width", [0.40, 0.45, 0.60])
+def test_narrow_corridors_are_explored_to_their_end(width: float, seed: int) -> None:
+    corners = [(0.0, 0.0), (4.0, 0.0), (4.0, width), (0.0, width)]
+    walls = np.array([(*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)])
+    world = World("corridor", (4.0, width), walls, starts=np.array([[0.3, 0.5 * width, 0.0]]))
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    coverage, contacts = explored(world, policy, 120.0, seed)
+    assert coverage > 0.95
+    assert contacts == 0
+    assert policy.stop_reason is not None
+    assert policy.stop_reason.startswith("explored: ")
 
 
 def test_a_wall_follower_goes_round() -> None:
