@@ -297,6 +297,19 @@ def test_the_bumper_forgets_after_some_seconds() -> None:
     np.testing.assert_array_equal(bumper.soften(pose, AHEAD), AHEAD)
 
 
+def test_the_bumper_goes_no_nearer_to_what_is_too_near_to_be_measured() -> None:
+    bumper, close = Bumper(ROBOT), CLEAR.copy()
+    close[1] = 0.05
+    bumper.note(np.zeros(3), close)
+    np.testing.assert_allclose(bumper.soften(np.zeros(3), AHEAD), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), -AHEAD), -AHEAD)
+    # Beside the robot it is not in the way, and a moment later it is forgotten: it may have been noise.
+    close[:2] = 0.05, 1.5
+    for _ in range(3):
+        bumper.note(np.zeros(3), close)
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)
+
+
 def test_ghosts_inside_the_body_do_not_hold_it() -> None:
     bumper = Bumper(ROBOT)
     bumper.note(np.zeros(3), reading_of(POST, 1))
