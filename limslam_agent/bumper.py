@@ -11,7 +11,7 @@ from limslam_env.interface import RobotSpec
 # Steps for which a place is remembered, and a beam that was too near to measure one.
 _MEMORY, _TOUCH = 40, 3
 # Such a beam's thing is taken to be at this share of its least range.
-_TOUCHING = 0.6
+_TOUCHING = 0.4
 _LOOK_AHEAD = 0.3
 _MARGIN = 0.025
 # A point deeper inside the body was never there: noise, or the pose has been corrected since.

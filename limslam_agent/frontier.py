@@ -1,6 +1,5 @@
 """Frontiers: where what is free meets what is unknown (Yamauchi 1997)."""
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -11,7 +10,7 @@ _ALL_AROUND = np.ones((3, 3), dtype=int)
 
 
 def frontier_cells(
-    grid: GridView, min_size: int, ignored: BoolArray | None = None, *, gap: int = 0, pocket: int = 1
+    grid: GridView, min_size: int, ignored: BoolArray | None = None, *, close_gaps: bool = False, pocket: int = 1
 ) -> BoolArray:
     """Free cells (rows, columns) with an unknown one beside them, in groups of at least ``min_size``.
 
@@ -23,15 +22,15 @@ def frontier_cells(
         Cells of the smallest group.
     ignored
         Cells that are no frontier; what they leave of a group counts by itself.
-    gap
-        Unknown cells between walls that are up to twice this many cells apart count as wall: beams left them out.
+    close_gaps
+        Whether a single unknown cell between two occupied ones counts as wall: beams left it out.
     pocket
         Cells of the smallest unknown region that is worth a look.
     """
     # What lies past the grid's edge is unknown too.
     unknown = np.pad(grid.unknown, 1, constant_values=True)
-    if gap:
-        unknown &= ~_closed_walls(np.pad(grid.occupied, 1), gap)
+    if close_gaps:
+        unknown &= ~_closed_walls(np.pad(grid.occupied, 1))
     if pocket > 1:
         unknown = _without_small(unknown, pocket)
     beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
@@ -71,11 +70,17 @@ def _middle(cells: IntArray) -> IntArray:
     return np.asarray(cells[int(np.argmin(np.hypot(*(cells - cells.mean(axis=0)).T)))])
 
 
-def _closed_walls(occupied: BoolArray, gap: int) -> BoolArray:
-    """Occupied cells (rows, columns) and what lies between them, up to twice ``gap`` cells wide."""
-    around = np.pad(occupied, gap).astype(np.uint8)
-    closed = cv2.morphologyEx(around, cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 2 * gap + 1), dtype=np.uint8))
-    return np.asarray(closed[gap:-gap, gap:-gap] > 0)
+def _closed_walls(occupied: BoolArray) -> BoolArray:
+    """Cells (rows, columns) between two occupied ones, on opposite sides of them."""
+    around = np.pad(occupied, 1)
+    rows, columns = occupied.shape
+    side = {
+        (down, right): around[1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
+        for down in (-1, 0, 1)
+        for right in (-1, 0, 1)
+    }
+    pairs = [side[way] & side[-way[0], -way[1]] for way in ((0, 1), (1, 0), (1, 1), (1, -1))]
+    return np.asarray(pairs[0] | pairs[1] | pairs[2] | pairs[3])
 
 
 def _without_small(cells: BoolArray, min_size: int) -> BoolArray:

@@ -14,7 +14,7 @@ from limslam_agent.goal_memory import GoalMemory
 from limslam_agent.manners import Manners
 from limslam_agent.occupancy import GridView
 from limslam_agent.planner import wall_distance
-from limslam_agent.targets import Target, islands, next_target, open_frontier
+from limslam_agent.targets import Target, is_walled_in, islands, next_target, open_frontier
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -25,6 +25,8 @@ _CREEP = 0.05
 # It is progress when the way has grown shorter by so much, m, or the map larger by so many cells.
 _AHEAD, _NEW_CELLS = 0.05, 2
 _MOST_NAMED = 3
+# Times that a robot that seems walled in looks round before it believes it.
+_MOST_ROUNDS = 3
 
 _FROM_AFAR, _FROM_NEAR, _ALL_THE_WAY = range(3)
 
@@ -74,7 +76,7 @@ class FrontierPolicy:
         self._memory = GoalMemory(config.aside_steps)
         self._bumper = Bumper(robot)
         self._manners = Manners(index, 5.0 * robot.radius, config.patience)
-        self._step = self._until_plan = self._backing = 0
+        self._step = self._until_plan = self._backing = self._turning = self._rounds = 0
         # Steps without progress towards any goal, and the most cells that the map had.
         self._idle = self._known = 0
 
@@ -96,9 +98,12 @@ class FrontierPolicy:
         if self._backing > 0:
             self._backing -= 1
             return back_off(belief.pose, belief.grid, self._robot, self._config)
-        if self._until_plan <= 0 or self._pursuit is None:
+        if self._turning == 0 and (self._until_plan <= 0 or self._pursuit is None):
             self._replan(belief)
         self._until_plan -= 1
+        if self._turning > 0:
+            self._turning -= 1
+            return wheel_speeds(0.0, self._config.turn_rate, self._robot)
         if self._pursuit is None or self._manners.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
         return self._follow(belief, self._pursuit)
@@ -108,8 +113,13 @@ class FrontierPolicy:
         target = self._target(belief)
         while (target is None or (self._pursuit is None and not target.is_reachable)) and self._memory.release():
             target = self._target(belief)
-        if target is None:
-            self._pursuit, self.plan = None, NO_PLAN
+        is_lost = target is None or not target.is_reachable
+        if is_lost and self._rounds < _MOST_ROUNDS and is_walled_in(belief.grid, belief.pose):
+            self._rounds += 1
+            self._turning = math.ceil(2.0 * math.pi / (self._config.turn_rate * self._robot.control_period))
+            self._drop()
+        elif target is None:
+            self._drop()
             self.stop_reason = self._reason(belief)
         else:
             self._take_up(belief.grid, target)
@@ -186,7 +196,8 @@ class FrontierPolicy:
         if not pursuit.target.is_reachable:
             self._set_aside(pursuit)
         elif is_wall or pursuit.boldness == _ALL_THE_WAY:
-            self._memory.settle(pursuit.target.goal)
+            # From far off the beam may have met a wall beside the way on.
+            self._memory.settle(pursuit.target.goal, is_near=distance < 1.5 * self._config.view_distance)
             self._drop()
         elif pursuit.boldness == _FROM_AFAR:
             pursuit.boldness, pursuit.left, self._idle = _FROM_NEAR, math.inf, 0

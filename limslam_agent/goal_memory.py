@@ -35,11 +35,12 @@ class GoalMemory:
     def __init__(self, wait: int) -> None:
         self._wait = wait
         self._settled: list[FloatArray] = []
+        self._seen: list[FloatArray] = []
         self._aside: list[_Aside] = []
 
-    def settle(self, place: FloatArray) -> None:
-        """All that the beams can tell about a place (2,), m, is known."""
-        self._settled.append(place)
+    def settle(self, place: FloatArray, *, is_near: bool = True) -> None:
+        """All that the beams can tell about a place (2,), m, is known; from near by, of the cells beside it too."""
+        (self._settled if is_near else self._seen).append(place)
 
     def set_aside(self, place: FloatArray, step: int) -> None:
         """It did not work out this time; the goal (2,), m, is left alone for a while."""
@@ -67,20 +68,20 @@ class GoalMemory:
 
     def settled_cells(self, grid: GridView) -> BoolArray:
         """Cells (rows, columns) of settled places and those beside them."""
-        return _around(grid, self._settled)
+        return _around(grid, self._settled) | _around(grid, self._seen, 0)
 
     def ignored_cells(self, grid: GridView, step: int) -> BoolArray:
         """Cells (rows, columns) that no goal is to lie in at this step."""
         aside = [each.place for each in self._aside if each.until > step]
-        return _around(grid, self._settled + aside)
+        return _around(grid, self._settled + aside) | _around(grid, self._seen, 0)
 
 
-def _around(grid: GridView, places: list[FloatArray]) -> BoolArray:
-    """The cells (rows, columns) of some places and those beside them."""
+def _around(grid: GridView, places: list[FloatArray], width: int = 1) -> BoolArray:
+    """The cells (rows, columns) of some places, and those up to ``width`` cells beside them."""
     mask = np.zeros(grid.values.shape, dtype=np.uint8)
     if places:
         cells = grid.cells(np.array(places))
         inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
         mask[cells[inside, 0], cells[inside, 1]] = 1
-        mask = np.asarray(cv2.dilate(mask, np.ones((3, 3), dtype=np.uint8)), dtype=np.uint8)
+        mask = np.asarray(cv2.dilate(mask, np.ones((2 * width + 1, 2 * width + 1), dtype=np.uint8)), dtype=np.uint8)
     return mask > 0

@@ -56,8 +56,9 @@ class Target:
 
 def open_frontier(grid: GridView, size: int, ignored: BoolArray, robot: RobotSpec) -> BoolArray:
     """Frontier cells (rows, columns) in groups of ``size`` that may lead on: gaps that the robot cannot pass do not."""
-    gap = int(robot.radius / grid.cell + 1e-9)
-    return frontier_cells(grid, size, ignored, gap=gap, pocket=_POCKET)
+    # Two cells may be a passage: walls take more room on the grid than they have.
+    close_gaps = grid.cell < 2.0 * robot.radius
+    return frontier_cells(grid, size, ignored, close_gaps=close_gaps, pocket=_POCKET)
 
 
 def islands(grid: GridView, pose: FloatArray) -> BoolArray:
@@ -68,6 +69,17 @@ def islands(grid: GridView, pose: FloatArray) -> BoolArray:
     if 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]:
         small[labels[row, column]] = False
     return np.asarray(small[labels] & (labels > 0))
+
+
+def is_walled_in(grid: GridView, pose: FloatArray) -> bool:
+    """Whether most of the free ground is cut off from the robot at a pose (3,), though it came from there."""
+    row, column = grid.cells(pose[None, :2])[0]
+    labels, _ = ndimage.label(grid.free)
+    if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
+        return True
+    around = labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    own = np.isin(labels, np.unique(around[around > 0]))
+    return bool(2 * np.count_nonzero(own) < np.count_nonzero(labels))
 
 
 def next_target(
@@ -146,7 +158,9 @@ def _unreachable(
 ) -> Target | None:
     """What lies behind a wall, and the way to the place from which to look at that wall."""
     grid = belief.grid
-    room = np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius)
+    there = np.isfinite(ways.cost)
+    room = there & (wall_distance(grid) >= robot.radius)
+    room = room if room.any() else there
     if not room.any():
         return None
     away, (rows, columns) = ndimage.distance_transform_edt(~room, sampling=grid.cell, return_indices=True)

@@ -95,17 +95,21 @@ def test_ignored_cells_are_no_frontier_and_what_they_leave_counts_by_itself() ->
     assert not frontier_cells(grid, 1, np.ones_like(ignored)).any()
 
 
-def test_holes_in_a_wall_that_are_too_narrow_to_pass_are_wall() -> None:
-    # Holes of two and of three cells in the lower wall, and one beside the corner.
-    grid = grid_of("####??#####???####", *["#" + "." * 16 + "#"] * 2, "#" * 16 + "?#")
+def test_single_holes_in_a_wall_are_wall() -> None:
+    # Holes of one and of two cells in the lower wall, and one cell beside the corner.
+    grid = grid_of("####?######??#####", *["#" + "." * 16 + "#"] * 2, "#" * 16 + "?#")
     every = frontier_cells(grid, 1)
-    assert drawn(every)[1] == "----xx-----xxx----"
-    assert drawn(frontier_cells(grid, 1, gap=1))[1] == "-----------xxx----"
+    assert drawn(every)[1] == "----x------xx-----"
+    assert drawn(frontier_cells(grid, 1, close_gaps=True))[1] == "-----------xx-----"
     assert every[2, 16]
-    assert not frontier_cells(grid, 1, gap=1)[2].any()
+    assert not frontier_cells(grid, 1, close_gaps=True)[2].any()
+    # A slanted wall has such holes as well.
+    slanted = grid_of("?.....", "#.....", "??....", "??#...", "????..", "????#.")
+    assert not frontier_cells(slanted, 1, close_gaps=True)[4, 4]
+    assert frontier_cells(slanted, 1)[4, 4]
     # What is free stays free, however narrow.
     slit = grid_of("###.###", "#.....#", "#######")
-    assert drawn(frontier_cells(slit, 1, gap=1))[0] == "---x---"
+    assert drawn(frontier_cells(slit, 1, close_gaps=True))[0] == "---x---"
 
 
 def test_pockets_that_hide_nothing_are_left_alone() -> None:

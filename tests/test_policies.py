@@ -223,7 +223,7 @@ def test_a_far_cheaper_frontier_changes_its_mind_and_a_slightly_cheaper_one_does
 
 def test_a_gap_that_beams_left_in_a_wall_is_no_frontier() -> None:
     holes = grid_of(
-        "#" * 12, *["#" + "." * 10 + "#"] * 3, "#" + "." * 10 + "?", *["#" + "." * 10 + "#"] * 4, "##??" + "#" * 8
+        "#" * 12, *["#" + "." * 10 + "#"] * 3, "#" + "." * 10 + "?", *["#" + "." * 10 + "#"] * 4, "##?" + "#" * 9
     )
     policy = FrontierPolicy(ROBOT, CONFIG)
     policy.act(belief_of(place(4, 4), holes))

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 import yaml
+from data import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +19,6 @@ from limslam_env.geometry.segment import distances, inside_polygon, lengths
 from limslam_env.map_server import read_map_server, read_pgm
 from limslam_env.readers import read_house_expo, read_json, read_wall_list
 from limslam_env.world import World, WorldError, load_world
-from tests.data import data_folder
 
 RADIUS = 0.10
 PLAN = {"id": "plan", "wall_thickness": 0.1, "walls": [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]}
