@@ -92,6 +92,24 @@ def test_from_the_nearest_place_a_beam_is_pointed_at_it() -> None:
     assert policy.goal is None
 
 
+def test_a_robot_that_seems_walled_in_looks_round_before_it_believes_it() -> None:
+    cut_off = grid_of("#" * 30, *["#...#" + "." * 25] * 5, "#" * 30)
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    actions = actions_until_stopped(policy, belief_of(place(3, 2), cut_off))
+    spin = (actions[:96, 1] - actions[:96, 0]) * ROBOT.max_wheel_speed / ROBOT.axle
+    np.testing.assert_allclose(spin, CONFIG.turn_rate)
+    assert 3 * 2.0 * math.pi < spin.sum() * ROBOT.control_period < 3 * 2.0 * math.pi + 1.0
+    assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
+    # What it sees meanwhile opens the way.
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    for _ in range(10):
+        policy.act(belief_of(place(3, 2), cut_off))
+    for _ in range(40):
+        policy.act(belief_of(place(3, 2), CORRIDOR))
+    assert policy.goal is not None
+    assert policy.goal[0] > 2.5
+
+
 def test_specks_of_free_ground_behind_walls_are_no_frontier() -> None:
     specks = grid_of("#" * 18, *["#" + "." * 10 + "#" + "..????"] * 4, *["#" + "." * 10 + "#" * 7] * 4, "#" * 18)
     policy = FrontierPolicy(ROBOT, CONFIG)
