@@ -10,10 +10,17 @@ if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.config import AgentConfig, preset
     from limslam_agent.slam import LineSlam
+    from limslam_agent.team import LimSlamTeam
 
-__all__ = ["AgentConfig", "LimSlamAgent", "LineSlam", "preset"]
+__all__ = ["AgentConfig", "LimSlamAgent", "LimSlamTeam", "LineSlam", "preset"]
 
-_HOMES = {"LimSlamAgent": "agent", "AgentConfig": "config", "preset": "config", "LineSlam": "slam"}
+_HOMES = {
+    "LimSlamAgent": "agent",
+    "LimSlamTeam": "team",
+    "AgentConfig": "config",
+    "preset": "config",
+    "LineSlam": "slam",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,9 +1,11 @@
 """Parts of the method that can be left out, to see what they are worth."""
 
-import math
 from dataclasses import replace
 
 from limslam_agent.config import AgentConfig
+
+NO_GATE = 1e6
+"""A gap, m, that no end points have. A finite one, since settings are written as JSON."""
 
 ABLATIONS = ("no-ekf", "no-loop-closing", "no-end-gate", "only-best-line")
 
@@ -21,7 +23,7 @@ def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
     if ablation == "no-loop-closing":
         return replace(config, closing=replace(config.closing, enabled=False))
     if ablation == "no-end-gate":
-        return replace(config, association=replace(config.association, max_end_gap=math.inf))
+        return replace(config, association=replace(config.association, max_end_gap=NO_GATE))
     if ablation == "only-best-line":
         return replace(config, hough=replace(config.hough, only_best=True))
     raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")

@@ -44,6 +44,9 @@ class Match:
 _BEHIND = 0.05
 """A beam may begin this far, m, behind a line that noise has moved."""
 
+_MOST_UNSEEN = 0.35
+"""A landmark may go on this far, m, beyond its known ends, and what noise adds to that."""
+
 Innovation = Callable[[FloatArray, FloatArray, int], tuple[FloatArray, FloatArray]]
 
 
@@ -77,11 +80,13 @@ def associate(
     if len(lines) == 0:
         return []
     ends = transform_points(pose, observed.ends)
+    # Without the gate for ends, beams must still meet the landmark.
+    seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
     possible = (
         near_ends(ends, lines, segments, config.max_end_gap)
         & in_range(pose, segments, max_range + config.range_slack)
         & alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance)
-        & visible(observed, pose, segments, max_range + config.range_slack, config.max_end_gap + config.range_slack)
+        & visible(observed, pose, segments, max_range + config.range_slack, seen_past_ends)
     )
     matches = []
     for landmark in np.nonzero(possible)[0].tolist():

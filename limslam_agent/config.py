@@ -101,7 +101,7 @@ class AssociationConfig:
         surer of itself than it should be.
     max_end_gap
         Largest distance along the wall between the observation and the landmark's end points. Ours: a little
-        more than the gap that ends a wall in the buffer. Infinite is the ablation without this gate.
+        more than the gap that ends a wall in the buffer. `ablations` leaves this gate out.
     max_angle, max_distance
         Largest difference of direction, and distance of the observation's middle from the line. Ours.
     range_slack

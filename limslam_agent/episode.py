@@ -247,6 +247,7 @@ def _drive(
     team.reset(odometry, config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
+    agent = config.agent
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
         observations = [told[name] for name in team.names]
@@ -256,7 +257,7 @@ def _drive(
         actions = team.decide()
         end = time.perf_counter()
         odometry = np.array(
-            [_moved(pose, seen, config) for pose, seen in zip(odometry, observations, strict=True)]
+            [_moved(pose, seen, config.robot, agent) for pose, seen in zip(odometry, observations, strict=True)]
         )  # fmt: skip
         truth = infos[team.names[0]]
         rows.append(
@@ -274,10 +275,9 @@ def _drive(
         told, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
 
 
-def _moved(pose: FloatArray, observation: Observation, config: RunConfig) -> FloatArray:
+def _moved(pose: FloatArray, observation: Observation, robot: RobotSpec, agent: AgentConfig) -> FloatArray:
     """Where odometry alone puts a robot."""
-    agent = config.agent
-    return compose(pose, motion_of(observation, config.robot, agent.noise, agent.odometry).increment)
+    return compose(pose, motion_of(observation, robot, agent.noise, agent.odometry).increment)
 
 
 def _laps(config: RunConfig, world: World) -> list[Policy] | None:

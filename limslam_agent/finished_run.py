@@ -71,7 +71,8 @@ class FinishedRun:
             str(config.get("world", self.folder.name)),
             f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
             f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
-            str(preset),
+            " ".join(filter(None, (str(preset), config.get("ablation")))),
+            f"{config['laps']} laps" if config.get("laps") else "",
             f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
         )
         return ", ".join(filter(None, parts))

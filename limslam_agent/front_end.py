@@ -43,22 +43,26 @@ class FrontEnd:
         self.refused_readings = 0
         self.buffers: dict[Side, ScanBuffer] = {side: ScanBuffer(robot, side, config.buffer) for side in SIDES}
 
-    def accept(self, observation: Observation) -> None:
-        """Take in the readings of the next step.
+    def check(self, observation: Observation) -> None:
+        """Make sure that readings can be accepted.
 
         Raises
         ------
         ValueError
             If there are ranges of the wrong shape.
         """
+        if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
+            shape = np.shape(observation["ranges"])
+            raise ValueError(f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}")
+
+    def accept(self, observation: Observation) -> None:
+        """Take in the readings of the next step, which have been checked."""
         self.step += 1
         self.dropped = np.zeros(len(self._robot.beams), dtype=bool)
         if "ranges" not in observation:
             self.measured = np.zeros(len(self._robot.beams), dtype=bool)
             return
         ranges = np.asarray(observation["ranges"], dtype=float)
-        if ranges.shape != (len(self._robot.beams),):
-            raise ValueError(f"ranges must be {len(self._robot.beams)} numbers, not of shape {ranges.shape}")
         finite = np.isfinite(ranges)
         self.refused_readings += int(np.count_nonzero(~finite))
         self.ranges, self.measured = ranges, finite & self._robot.measures(self.step)

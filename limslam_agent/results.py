@@ -140,8 +140,9 @@ def title_of(config: RunConfig) -> str:
     """What was run, in a line."""
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
+    laps = f", {config.laps} laps" if config.laps else ""
     noise = f"range noise {100 * config.noise:g} cm"
-    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}, seed {config.seed}"
+    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{laps}, seed {config.seed}"
 
 
 def _draw(path: Path, episode: Episode) -> None:

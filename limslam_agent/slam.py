@@ -114,12 +114,13 @@ class LineSlam:
         """
         if len(observations) != len(self.robots):
             raise ValueError(f"{len(observations)} observations for {len(self.robots)} robots")
-        motions = []
-        for number, observation in enumerate(observations):
+        # Nothing is taken in before all of it can be.
+        for front, observation in zip(self.robots, observations, strict=True):
+            front.check(observation)
+        motions = [motion_of(seen, self.robot, self.config.noise, self.config.odometry) for seen in observations]
+        for number, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
             self.robots[number].accept(observation)
-            motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
             self._filter.predict(motion.increment, motion.covariance, number)
-            motions.append(motion)
         if len(self.robots) > 1:
             self._drop_beams_on_robots()
         for number, motion in enumerate(motions):

@@ -96,9 +96,16 @@ class LimSlamTeam:
         """Forget everything and begin at known poses (n, 3), m, m, rad.
 
         ``seed`` is for minds that draw numbers; this one draws none.
+
+        Raises
+        ------
+        ValueError
+            If there is not one pose for each robot.
         """
         del seed
-        poses = np.asarray(start_poses, dtype=float).reshape(self.num_robots, 3)
+        poses = np.asarray(start_poses, dtype=float)
+        if poses.shape != (self.num_robots, 3):
+            raise ValueError(f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not {poses.shape}")
         self.slam = LineSlam(self.robot, self.config, poses)
         self._grid = OccupancyGrid(self.config.grid)
         self.policies: list[Policy] = list(
@@ -171,6 +178,7 @@ class LimSlamTeam:
                 self._known_at_stop.pop(number, None)
             elif known - self._known_at_stop.setdefault(number, known) > self.config.team.news:
                 self.policies[number] = self._new_policy(number)
+                self._known_at_stop[number] = known
 
     def _goals_besides(self, number: int) -> FloatArray:
         goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]

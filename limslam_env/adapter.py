@@ -124,8 +124,21 @@ class Stage:
             raise gym.error.ResetNeeded("there is no floor plan before the first reset")
         return self._simulation
 
+    @property
+    def running(self) -> Simulation:
+        """The simulation, once an episode has begun.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            Before that.
+        """
+        if not self._is_running:
+            raise gym.error.ResetNeeded("nothing has been seen before the first reset")
+        return self.simulation
+
     def reset(self, generator: np.random.Generator, options: dict[str, Any] | None) -> tuple[Readings, Truth]:
-        """Begin an episode; a reset that is refused leaves things as they were.
+        """Begin an episode; a reset that is refused leaves the running one as it was.
 
         Raises
         ------

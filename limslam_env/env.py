@@ -128,12 +128,12 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
     @property
     def coverage_grid(self) -> CoverageGrid:
         """The cells that count for coverage. Known after the first reset."""
-        return self._stage.simulation.coverage_grid
+        return self._stage.running.coverage_grid
 
     @property
     def seen(self) -> BoolArray:
         """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
-        return self._stage.simulation.seen
+        return self._stage.running.seen
 
     @property
     def overlay(self) -> Sequence[Overlay]:

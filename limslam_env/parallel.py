@@ -129,12 +129,12 @@ class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
     @property
     def coverage_grid(self) -> CoverageGrid:
         """The cells that count for coverage. Known after the first reset."""
-        return self._stage.simulation.coverage_grid
+        return self._stage.running.coverage_grid
 
     @property
     def seen(self) -> BoolArray:
         """Which cells of the coverage grid some robot has truly seen (rows, columns); a copy, for scoring only."""
-        return self._stage.simulation.seen
+        return self._stage.running.seen
 
     @property
     def overlay(self) -> Sequence[Overlay]:
@@ -142,8 +142,8 @@ class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
         return self._painter.overlay
 
     @overlay.setter
-    def overlay(self, overlay: Sequence[Overlay]) -> None:
-        self._painter.overlay = tuple(overlay)
+    def overlay(self, overlay: Overlay | Sequence[Overlay]) -> None:
+        self._painter.overlay = (overlay,) if isinstance(overlay, Overlay) else tuple(overlay)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

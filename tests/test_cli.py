@@ -298,3 +298,33 @@ def test_importing_the_command_line_is_light():
     loaded = f"import sys, limslam_agent.cli; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("ablation", ["no-ekf", "no-loop-closing", "no-end-gate", "only-best-line"])
+def test_every_ablation_can_be_run_and_is_written_down(tmp_path, ablation):
+    result = limslam("run", "--max-time", "4", "--ablation", ablation, "--out", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    written = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert written["config"]["ablation"] == ablation
+
+
+def test_two_robots_write_a_trajectory_each_and_their_log_is_refused_with_the_reason(tmp_path):
+    result = limslam("run", "--max-time", "4", "--robots", "2", "--out", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"trajectory_true_0.tum", "trajectory_true_1.tum", "trajectory_est_0.tum", "trajectory_est_1.tum"} <= names
+    refused = limslam("replay", tmp_path / "run" / "log.npz", "--out", tmp_path / "replay")
+    assert refused.returncode == 2
+    assert "is the log of 2 robots" in refused.stderr
+
+
+def test_a_run_can_be_filmed(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    film = tmp_path / "run.mp4"
+    result = limslam("run", "--max-time", "3", "--video", film, "--out", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    assert film.stat().st_size > 10_000
+    refused = limslam("run", "--max-time", "3", "--video", tmp_path / "run.avi", "--out", tmp_path / "other")
+    assert refused.returncode == 2
+    assert ".mp4" in refused.stderr
+    assert not (tmp_path / "other").exists()

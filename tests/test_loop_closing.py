@@ -137,7 +137,7 @@ def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_sw
     base = AgentConfig()
     assert not ablated(base, "no-loop-closing").closing.enabled
     assert not ablated(base, "no-ekf").filter.correct
-    assert ablated(base, "no-end-gate").association.max_end_gap == np.inf
+    assert ablated(base, "no-end-gate").association.max_end_gap > 1e3
     assert ablated(base, "only-best-line").hough.only_best
     with pytest.raises(ValueError, match="no ablation is called 'no-brain'"):
         ablated(base, "no-brain")

@@ -222,3 +222,33 @@ def test_bad_teams_are_refused():
         LimSlamTeam(ROBOT, num_robots=0)
     with pytest.raises(ValueError, match="1 policies for 2 robots"):
         LimSlamTeam(ROBOT, policies=[FrontierPolicy(ROBOT, AgentConfig().policy)])
+
+
+def test_an_observation_that_is_refused_changes_nothing_for_anybody():
+    slam = LineSlam(ROBOT, AgentConfig(), STARTS)
+    good = {"ranges": ROBOT.max_ranges, "wheels": np.array([0.02, 0.02])}
+    for bad in ({**good, "wheels": np.array([np.nan, 0.0])}, {**good, "ranges": np.ones(3)}):
+        with pytest.raises(ValueError, match=r"wheel|ranges"):
+            slam.step(good, bad)
+        np.testing.assert_array_equal(slam.poses, STARTS)
+        assert [front.step for front in slam.robots] == [-1, -1]
+
+
+def test_who_had_nothing_left_to_do_looks_again_once_for_each_piece_of_news():
+    env = LimSlamParallelEnv("env1", num_robots=2, coverage_goal=None)
+    told, infos = env.reset(seed=105)
+    team = LimSlamTeam(ROBOT, preset("paper"), 2)
+    team.reset(np.array([infos[name]["pose"] for name in team.names]))
+    team.policies[1].stop_reason = "explored: for a test"
+    seen = {id(team.policies[1]): team.policies[1]}
+    for _ in range(120):
+        told, *_ = env.step(team.act(told))
+        seen[id(team.policies[1])] = team.policies[1]
+        team.policies[1].stop_reason = "explored: for a test"
+    known = np.count_nonzero(team.snapshot().grid.values)
+    assert 2 <= len(seen) <= 2 + known / team.config.team.news
+
+
+def test_a_team_needs_a_start_for_each():
+    with pytest.raises(ValueError, match=r"2 robots need start poses \(2, 3\)"):
+        LimSlamTeam(ROBOT).reset(np.zeros((3, 3)))
