@@ -69,6 +69,35 @@ def list_walls(edges: FloatArray, grid: FloatArray, cell_starts: IntArray, cell_
 
 
 @inlined
+def crossings(place: float, direction: float, side: float) -> tuple[int, int, float, float]:
+    """How a ray crosses the cells of a grid along one axis.
+
+    The walk from cell to cell is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987).
+
+    Parameters
+    ----------
+    place
+        Where it starts, in cells.
+    direction
+        Its unit vector's part on this axis.
+    side
+        Of a cell, in the unit of the ray's length.
+
+    Returns
+    -------
+    cell, step
+        Where it starts, and 1 or -1.
+    first, spacing
+        How far along the ray its first crossing lies, and further ones from each other; infinite if there are none.
+    """
+    cell = math.floor(place)
+    if direction == 0.0:
+        return cell, -1, np.inf, np.inf
+    first = ((cell + (direction > 0.0)) - place) * side / direction
+    return cell, (1 if direction > 0.0 else -1), first, abs(side / direction)
+
+
+@inlined
 def cast_ray(
     x: float,
     y: float,
@@ -82,17 +111,11 @@ def cast_ray(
 ) -> tuple[float, int]:
     """Distance (m) and index of the first wall on a ray; ``reach`` and -1 where there is none.
 
-    The ray starts inside the cell list's grid. It goes from cell to cell as in :func:`mark_ray`, and stops in
-    the first one that holds a hit.
+    The ray starts inside the cell list's grid, goes from cell to cell, and stops in the first one that holds a hit.
     """
     side, columns, rows = grid[2], int(grid[3]), int(grid[4])
-    start_x, start_y = (x - grid[0]) / side, (y - grid[1]) / side
-    column, row = math.floor(start_x), math.floor(start_y)
-    column_step, row_step = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-    per_column = abs(side / dx) if dx != 0.0 else np.inf
-    per_row = abs(side / dy) if dy != 0.0 else np.inf
-    next_column = ((column + (dx > 0.0)) - start_x) * side / dx if dx != 0.0 else np.inf
-    next_row = ((row + (dy > 0.0)) - start_y) * side / dy if dy != 0.0 else np.inf
+    column, column_step, next_column, per_column = crossings((x - grid[0]) / side, dx, side)
+    row, row_step, next_row, per_row = crossings((y - grid[1]) / side, dy, side)
     best, hit, travelled = reach, NOTHING, 0.0
     while travelled <= best and 0 <= column < columns and 0 <= row < rows:
         cell = row * columns + column
@@ -139,22 +162,14 @@ def cast_at_discs(
 def mark_ray(
     seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, dx: float, dy: float, reach: float
 ) -> int:
-    """Set every cell that a ray crosses; the number of coverable cells that are new.
-
-    The walk from cell to cell is that of Amanatides and Woo, "A fast voxel traversal algorithm
-    for ray tracing" (1987).
-    """
+    """Set every cell that a ray crosses; the number of coverable cells that are new."""
     cell = area[2]
     x, y = (x - area[0]) / cell, (y - area[1]) / cell
     # A ray ends before the wall it hits, so that it never marks the cell behind.
     end = reach / cell - 1e-6
     rows, columns = seen.shape
-    column, row = math.floor(x), math.floor(y)
-    column_step, row_step = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-    per_column = abs(1.0 / dx) if dx != 0.0 else np.inf
-    per_row = abs(1.0 / dy) if dy != 0.0 else np.inf
-    next_column = ((column + (dx > 0.0)) - x) / dx if dx != 0.0 else np.inf
-    next_row = ((row + (dy > 0.0)) - y) / dy if dy != 0.0 else np.inf
+    column, column_step, next_column, per_column = crossings(x, dx, 1.0)
+    row, row_step, next_row, per_row = crossings(y, dy, 1.0)
     travelled, new = 0.0, 0
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
