@@ -1,21 +1,27 @@
-"""What the adapters share: spaces, the check of actions, info, and a simulation whose world a reset may change."""
+"""What the adapters share: spaces, actions, info, a simulation whose world a reset may change, and its pictures."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from limslam_env.config import NoiseConfig, Setting
+from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
+from limslam_env.coverage import CoverageGrid
 from limslam_env.floor_plans import FloorPlanConfig, floor_plan
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.overlay import Overlay
+from limslam_env.painter import Painter
 from limslam_env.simulation import Readings, Simulation, Truth
-from limslam_env.world import WorldSource, load_world
+from limslam_env.world import World, WorldSource, load_world
+
+if TYPE_CHECKING:
+    from limslam_env.window import Window
 
 PlaceSource: TypeAlias = WorldSource | FloorPlanConfig
 """A world, its name or its file; or what floor plans are drawn by at each reset, or ``"random"`` for the default."""
@@ -71,12 +77,6 @@ def info_of(truth: Truth, robot: int) -> dict[str, Any]:
         "collision": truth.contact[robot],
         "wall_seen": truth.wall_seen[robot],
     }
-
-
-def with_sensor_noise(noise: NoiseConfig | None, sensor_noise: Setting | None) -> NoiseConfig:
-    """The noise, its ``sensor_noise`` replaced if one is given."""
-    noise = noise or NoiseConfig()
-    return noise if sensor_noise is None else replace(noise, sensor_noise=sensor_noise)
 
 
 class Stage:
@@ -179,6 +179,82 @@ class Stage:
             task = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(_TASK_SEED,)))
             return Simulation(floor_plan(source, task, self._robot.radius), self._robot, self._num_robots)
         return Simulation(load_world(source), self._robot, self._num_robots)
+
+
+class Staged:
+    """What the environments have in common: a stage, a painter, and all that is asked of the two but reset and step.
+
+    Attributes
+    ----------
+    robot, noise, task
+        What each robot is, how noisy it is, and what is asked of it.
+    render_mode
+        As Gymnasium and PettingZoo name it.
+    """
+
+    render_mode: str | None
+
+    def _set_up(
+        self,
+        world: PlaceSource,
+        num_robots: int,
+        robot: RobotSpec | None,
+        sensor_noise: Setting | None,
+        noise: NoiseConfig | None,
+        coverage_goal: float | None,
+        rewards: RewardConfig | None,
+        render_mode: str | None,
+    ) -> None:
+        """Take an environment's arguments; see its class for what they mean, and what is refused."""
+        self.render_mode = render_mode
+        self._painter = Painter(render_mode)
+        self.robot = robot or RobotSpec()
+        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
+        noise = noise or NoiseConfig()
+        self.noise = noise if sensor_noise is None else replace(noise, sensor_noise=sensor_noise)
+        self._stage = Stage(world, self.robot, num_robots, self.noise)
+
+    @property
+    def world(self) -> World:
+        """Where the robots are."""
+        return self._stage.simulation.world
+
+    @property
+    def coverage_grid(self) -> CoverageGrid:
+        """The cells that count for coverage. Known after the first reset."""
+        return self._stage.running.coverage_grid
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
+        return self._stage.running.seen
+
+    @property
+    def overlay(self) -> Sequence[Overlay]:
+        """What agents believe, drawn over later pictures, the first in the colour of the first robot.
+
+        Set it at any time, to one or to several; an empty one draws nothing.
+        """
+        return self._painter.overlay
+
+    @overlay.setter
+    def overlay(self, overlay: Overlay | Sequence[Overlay]) -> None:
+        self._painter.overlay = (overlay,) if isinstance(overlay, Overlay) else tuple(overlay)
+
+    @property
+    def window(self) -> "Window | None":
+        """The window of the human mode, once it is open."""
+        return self._painter.window
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture (height, width, 3) of world, robots, beams and paths; None without a render mode or in a window."""
+        if self.render_mode is None:
+            return None
+        return self._painter.paint(self._stage.simulation)
+
+    def close(self) -> None:
+        """Close the window, if there is one. May be called again."""
+        self._painter.close()
 
 
 def _is_random(source: PlaceSource) -> TypeGuard[str]:

@@ -1,6 +1,5 @@
 """The single-robot environment of Gymnasium: a thin adapter over the simulation."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -10,28 +9,23 @@ from numpy.typing import NDArray
 from limslam_env.adapter import (
     Action,
     PlaceSource,
-    Stage,
+    Staged,
     action_space,
     info_of,
     observation_of,
     observation_space,
     wheel_speeds,
-    with_sensor_noise,
 )
-from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
-from limslam_env.coverage import CoverageGrid
-from limslam_env.geometry import BoolArray
+from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.interface import Observation, RobotSpec
-from limslam_env.overlay import Overlay
-from limslam_env.painter import RENDER_FPS, RENDER_MODES, Painter
+from limslam_env.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.task import is_done, reward
-from limslam_env.world import World
 
 if TYPE_CHECKING:
-    from limslam_env.window import Window
+    pass
 
 
-class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
+class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
     """Explore an unknown building with a few range beams and wheel encoders.
 
     ## Description
@@ -111,43 +105,9 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
         rewards: RewardConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self.render_mode = render_mode
-        self._painter = Painter(render_mode)
-        self.robot = robot or RobotSpec()
-        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
-        self.noise = with_sensor_noise(noise, sensor_noise)
-        self._stage = Stage(world, self.robot, 1, self.noise)
+        self._set_up(world, 1, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)
         self.action_space = action_space()  # type: ignore[assignment]
         self.observation_space = observation_space(self.robot)  # type: ignore[assignment]
-
-    @property
-    def world(self) -> World:
-        """The world that the robot is in."""
-        return self._stage.simulation.world
-
-    @property
-    def coverage_grid(self) -> CoverageGrid:
-        """The cells that count for coverage. Known after the first reset."""
-        return self._stage.running.coverage_grid
-
-    @property
-    def seen(self) -> BoolArray:
-        """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
-        return self._stage.running.seen
-
-    @property
-    def overlay(self) -> Sequence[Overlay]:
-        """What an agent believes, drawn over later pictures. Set it at any time; an empty one draws nothing."""
-        return self._painter.overlay
-
-    @overlay.setter
-    def overlay(self, overlay: Overlay | Sequence[Overlay]) -> None:
-        self._painter.overlay = (overlay,) if isinstance(overlay, Overlay) else tuple(overlay)
-
-    @property
-    def window(self) -> "Window | None":
-        """The window of the human mode, once it is open."""
-        return self._painter.window
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -177,18 +137,7 @@ class LimSlamEnv(gym.Env[Observation, NDArray[np.floating[Any]]]):
             If there was no reset yet.
         """
         readings, truth = self._stage.step((wheel_speeds(action),))
-        if self.render_mode is not None:
-            self._painter.follow(self._stage.simulation, readings, truth)
+        self._painter.follow(self._stage.simulation, readings, truth)
         value = reward(self.task.reward, truth.new_area[0], truth.contact[0])
         is_over = is_done(self.task, truth.coverage)
         return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture (height, width, 3) of world, robot, beams and path; None without a render mode or in a window."""
-        if self.render_mode is None:
-            return None
-        return self._painter.paint(self._stage.simulation)
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called again."""
-        self._painter.close()

@@ -71,8 +71,8 @@ class Painter:
             self.paint(simulation)
 
     def paint(self, simulation: Simulation) -> NDArray[np.uint8] | None:
-        """The picture (height, width, 3); None without a mode, before a reset, and when it is shown in the window."""
-        if self.mode is None or self._last is None:
+        """The picture (height, width, 3); None before a reset, and when it is shown in the window."""
+        if self._last is None:
             return None
         from limslam_env.rendering import RenderState, render
 

@@ -1,13 +1,11 @@
 """The environment of PettingZoo for several robots in one building: a thin adapter over the simulation."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
@@ -15,27 +13,22 @@ from limslam_env.adapter import (
     RESET_OPTIONS,
     Action,
     PlaceSource,
-    Stage,
+    Staged,
     action_space,
     info_of,
     observation_of,
     observation_space,
     wheel_speeds,
-    with_sensor_noise,
 )
-from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
-from limslam_env.coverage import CoverageGrid
-from limslam_env.geometry import BoolArray
+from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.interface import Observation, RobotSpec
-from limslam_env.overlay import Overlay
-from limslam_env.painter import RENDER_FPS, RENDER_MODES, Painter
+from limslam_env.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.task import is_done, reward
-from limslam_env.world import World
 
 MAX_ROBOTS = 8
 
 
-class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
+class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
     """Explore an unknown building with several robots, each with a few range beams and wheel encoders.
 
     Robots are called `robot_0`, `robot_1`, ...; they see and push each other's bodies, and all act at once.
@@ -100,12 +93,7 @@ class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
             raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {num_robots}")
         if max_cycles is not None and max_cycles < 1:
             raise ValueError(f"max_cycles must be 1 or more, or None, not {max_cycles}")
-        self.render_mode = render_mode
-        self._painter = Painter(render_mode)
-        self.robot = robot or RobotSpec()
-        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
-        self.noise = with_sensor_noise(noise, sensor_noise)
-        self._stage = Stage(world, self.robot, num_robots, self.noise)
+        self._set_up(world, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)
         self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
         self._generator: np.random.Generator | None = None
         self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
@@ -120,30 +108,6 @@ class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
     def action_space(self, agent: str) -> spaces.Box:
         """The action space of a robot: the same object at each call."""
         return self.action_spaces[agent]
-
-    @property
-    def world(self) -> World:
-        """The world that the robots are in."""
-        return self._stage.simulation.world
-
-    @property
-    def coverage_grid(self) -> CoverageGrid:
-        """The cells that count for coverage. Known after the first reset."""
-        return self._stage.running.coverage_grid
-
-    @property
-    def seen(self) -> BoolArray:
-        """Which cells of the coverage grid some robot has truly seen (rows, columns); a copy, for scoring only."""
-        return self._stage.running.seen
-
-    @property
-    def overlay(self) -> Sequence[Overlay]:
-        """What agents believe, drawn over later pictures, the first in the colour of the first robot."""
-        return self._painter.overlay
-
-    @overlay.setter
-    def overlay(self, overlay: Overlay | Sequence[Overlay]) -> None:
-        self._painter.overlay = (overlay,) if isinstance(overlay, Overlay) else tuple(overlay)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -199,16 +163,6 @@ class LimSlamParallelEnv(ParallelEnv[str, Observation, Action]):
             {name: is_late for _, name in robots},
             {name: info_of(truth, number) for number, name in robots},
         )
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture (height, width, 3) of world and robots; None without a render mode or in a window."""
-        if self.render_mode is None:
-            return None
-        return self._painter.paint(self._stage.simulation)
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called again."""
-        self._painter.close()
 
     def _rewards(self, new_area: list[float], contact: list[bool]) -> list[float]:
         each = [reward(self.task.reward, area, touches) for area, touches in zip(new_area, contact, strict=True)]
