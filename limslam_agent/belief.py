@@ -3,14 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-
 from limslam_agent.occupancy import GridView
-from limslam_env.geometry import FloatArray
-
-
-def _rows(width: int) -> FloatArray:
-    return np.zeros((0, width))
+from limslam_env.geometry import FloatArray, no_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +32,8 @@ class Belief:
     ranges: FloatArray
     segments: FloatArray
     grid: GridView
-    other_poses: FloatArray = field(default_factory=lambda: _rows(3))
-    other_goals: FloatArray = field(default_factory=lambda: _rows(2))
+    other_poses: FloatArray = field(default_factory=lambda: no_rows(3))
+    other_goals: FloatArray = field(default_factory=lambda: no_rows(2))
 
 
 class Policy(Protocol):
@@ -61,5 +55,5 @@ class Policy(Protocol):
         ...
 
 
-NO_PLAN = _rows(2)
+NO_PLAN = no_rows(2)
 NO_PLAN.setflags(write=False)

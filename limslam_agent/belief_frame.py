@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
 
@@ -105,10 +105,6 @@ class HoughView:
     threshold: int = 0
 
 
-def _rows(width: int) -> FloatArray:
-    return np.zeros((0, width))
-
-
 @dataclass(frozen=True, eq=False)
 class BeliefFrame:
     """What is believed at one moment. Arrays are in the world frame, m and rad; there are n robots and k walls.
@@ -152,15 +148,15 @@ class BeliefFrame:
     time: float
     poses: FloatArray
     covariances: FloatArray
-    segments: FloatArray = field(default_factory=lambda: _rows(4))
-    lines: FloatArray = field(default_factory=lambda: _rows(2))
+    segments: FloatArray = field(default_factory=lambda: no_rows(4))
+    lines: FloatArray = field(default_factory=lambda: no_rows(2))
     line_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
     numbers: tuple[int, ...] | None = None
     unsure: frozenset[int] = frozenset()
     grid_low: FloatArray = field(default_factory=lambda: np.zeros(2))
     grid_cell: float = 0.10
     grid_values: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int16))
-    frontier: FloatArray = field(default_factory=lambda: _rows(2))
+    frontier: FloatArray = field(default_factory=lambda: no_rows(2))
     plans: Sequence[FloatArray] = ()
     goals: Sequence[FloatArray | None] = ()
     paths: Sequence[FloatArray] = ()

@@ -29,13 +29,13 @@ from limslam_agent.video_style import (
     write,
 )
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.shapes import ellipse, thinned
 
 EXTRACTION_SHOWN = 1.0
 """How long, s of the run, points and lines of an extraction are shown in the map."""
 
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _FAR = 100_000  # pixels
-_CHI2_95 = 5.991  # 95 % quantile of the chi-square distribution with two degrees of freedom
 _WIDEST_BAND = 1.5  # m
 _SURE = 8  # a cell's value from which on it has its full colour
 _RADIUS = 0.10  # m
@@ -130,7 +130,7 @@ def draw_belief(
     sheet = _sheet(size, window or _extent(frame))
     _draw_grid(sheet, frame)
     for number, path in enumerate(frame.paths):
-        sheet.path(_thinned(path), mixed(robot_colour(number), FREE, 0.5), 2)
+        sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
     sheet.wash(np.clip(wall_bands(frame), *_band_limits(frame)), WALL, 0.22)
     _draw_walls(sheet, frame)
     for buffer in frame.buffers:
@@ -238,31 +238,18 @@ def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: 
     angles = heading + np.linspace(-spread, spread, 13)
     arc = pose[:2] + 0.55 * np.column_stack((np.cos(angles), np.sin(angles)))
     sheet.wash(np.vstack((pose[:2], arc))[None], colour, 0.30)
-    ellipse = pose[:2] + _ellipse(covariance[:2, :2])
-    sheet.wash(ellipse[None], colour, 0.30)
+    outline = pose[:2] + ellipse(covariance[:2, :2], 40)
+    sheet.wash(outline[None], colour, 0.30)
     size = max(_RADIUS * sheet.scale, 4.0)
     sheet.discs(pose[:2], size, colour)
     sheet.discs(pose[:2], size, mixed(colour, INK, 0.4), 1)
     corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (1.25 * size / sheet.scale)
     cos, sin = math.cos(heading), math.sin(heading)
     sheet.wash((pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]))[None], PAPER)
-    sheet.path(ellipse, mixed(colour, INK, 0.4), 1, closed=True)
-
-
-def _ellipse(covariance: FloatArray) -> FloatArray:
-    """The ellipse (40, 2), m, around the origin that holds 95 % of a normal distribution."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    angles = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
-    half_axes = np.sqrt(_CHI2_95 * np.maximum(values, 0.0))
-    return np.asarray(np.column_stack((np.cos(angles), np.sin(angles))) * half_axes @ vectors.T)
+    sheet.path(outline, mixed(colour, INK, 0.4), 1, closed=True)
 
 
 def _band_limits(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
     """Corners for each wall, (k, 1, 2) each: a band that is wider says no more."""
     ends = frame.segments.reshape(-1, 2, 2)
     return ends.min(axis=1, keepdims=True) - _WIDEST_BAND, ends.max(axis=1, keepdims=True) + _WIDEST_BAND
-
-
-def _thinned(path: FloatArray) -> FloatArray:
-    every = -(-len(path) // _TRAIL_POINTS)
-    return path if every <= 1 else np.vstack((path[:-1:every], path[-1:]))

@@ -12,6 +12,7 @@ from limslam_agent.belief import NO_PLAN, Belief
 from limslam_agent.config import AgentConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, transform_points
+from limslam_env.geometry.shapes import places_around
 from limslam_env.interface import RobotSpec
 
 Observation: TypeAlias = dict[str, Any]
@@ -91,10 +92,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
                 "ranges": ranges,
             }
         )
-        offsets = (0.5 * (size - 1) - np.arange(size)) * self._agent.config.grid.cell
-        # Row 0 lies ahead, column 0 to the left; x of the robot's frame is ahead, y left.
-        ahead, left = np.meshgrid(offsets, offsets, indexing="ij")
-        self._places, self._size = np.column_stack((ahead.ravel(), left.ravel())), size
+        self._places, self._size = places_around(size, self._agent.config.grid.cell), size
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
         """Start a new episode and a new map; the start pose is all that is taken from `info`."""

@@ -45,13 +45,6 @@ class CoverageGrid:
         return int(np.count_nonzero(self.coverable))
 
 
-# The largest floor plans have grids of tens of megabytes.
-@functools.lru_cache(maxsize=8)
-def remembered_free_space(world: World, radius: float) -> FreeSpace:
-    """Where a disc of ``radius`` (m) fits; remembered for later calls."""
-    return world.free_space(radius)
-
-
 @functools.lru_cache(maxsize=16)
 def _coverage_grid(
     world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
@@ -61,7 +54,7 @@ def _coverage_grid(
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
     columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)
     coverable = np.zeros((rows, columns), dtype=bool)
-    space = remembered_free_space(world, robot.radius)
+    space = world.free_space(robot.radius)
     reachable = np.isin(space.labels, list(regions))
     # Whoever stands in a cell has seen it. Found by row and by column: in a large building places are millions.
     standing_columns, standing_rows = (
@@ -82,7 +75,7 @@ def _coverage_grid(
 
 def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> CoverageGrid:
     """What robots (all alike) that start at poses (n, 3) could cover; remembered for later calls."""
-    space = remembered_free_space(world, robot.radius)
+    space = world.free_space(robot.radius)
     labels = [space.label_of(start[:2]) for start in starts]
     # A robot may stand where the grid of free space is too coarse to hold it.
     loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)

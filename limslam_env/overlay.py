@@ -4,11 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray
-
-
-def _rows(width: int) -> FloatArray:
-    return np.zeros((0, width))
+from limslam_env.geometry import FloatArray, no_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +32,9 @@ class Overlay:
 
     pose: FloatArray | None = None
     covariance: FloatArray | None = None
-    segments: FloatArray = field(default_factory=lambda: _rows(4))
-    frontier: FloatArray = field(default_factory=lambda: _rows(2))
-    plan: FloatArray = field(default_factory=lambda: _rows(2))
+    segments: FloatArray = field(default_factory=lambda: no_rows(4))
+    frontier: FloatArray = field(default_factory=lambda: no_rows(2))
+    plan: FloatArray = field(default_factory=lambda: no_rows(2))
 
     def __post_init__(self) -> None:
         for name, shape in (("pose", (3,)), ("covariance", (3, 3))):

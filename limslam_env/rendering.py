@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
 from limslam_env.overlay import Overlay
 from limslam_env.world import World
@@ -23,7 +24,6 @@ _NARROWEST, _WIDEST = 420, 1600
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _FAR = 100_000  # pixels
 _OUTSIDE_GAP = 0.30  # m; what is narrower does not let the outside in
-_CHI2_95 = 5.991  # 95 % quantile of the chi-square distribution with two degrees of freedom
 _TRAIL_POINTS = 2000
 
 Image: TypeAlias = NDArray[np.uint8]
@@ -155,7 +155,7 @@ def render(state: RenderState) -> Image:
         )
     for number, path in enumerate(state.paths):
         if len(path) > 1:
-            canvas.path(_thinned(path), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
+            canvas.path(thinned(path, _TRAIL_POINTS), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
     for number in range(len(state.poses)):
         _draw_beams(canvas, state, number)
     for number, pose in enumerate(state.poses):
@@ -284,16 +284,7 @@ def _draw_ghost(canvas: _Canvas, pose: FloatArray, covariance: FloatArray | None
     canvas.disc(pose[:2], size, _BELIEF, 1)
     canvas.path(np.vstack((pose[:2], nose)), _BELIEF, 1)
     if covariance is not None:
-        canvas.path(pose[:2] + _ellipse(covariance[:2, :2]), _BELIEF, 1, closed=True)
-
-
-def _ellipse(covariance: FloatArray) -> FloatArray:
-    """The ellipse (48, 2), m, around the origin that holds 95 % of a normal distribution: 2.45 standard deviations."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    angles = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
-    # Rounding can make a variance of nothing negative.
-    half_axes = np.sqrt(_CHI2_95 * np.maximum(values, 0.0))
-    return np.asarray(np.column_stack((np.cos(angles), np.sin(angles))) * half_axes @ vectors.T)
+        canvas.path(pose[:2] + ellipse(covariance[:2, :2], 48), _BELIEF, 1, closed=True)
 
 
 def _draw_caption(image: Image, time: float, coverage: float) -> None:
@@ -308,12 +299,6 @@ def _draw_caption(image: Image, time: float, coverage: float) -> None:
 
 def _text(image: Image, words: str, x: int, y: int) -> None:
     cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _TEXT, 1, cv2.LINE_AA)
-
-
-def _thinned(path: FloatArray) -> FloatArray:
-    """A long path with fewer points, so that hours of driving are drawn as fast as minutes."""
-    every = -(-len(path) // _TRAIL_POINTS)
-    return path if every == 1 else np.vstack((path[:-1:every], path[-1:]))
 
 
 def _robot_colour(number: int) -> Colour:

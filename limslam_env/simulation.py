@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_env.config import NoiseConfig
-from limslam_env.coverage import CELL, CoverageGrid, coverage_grid, remembered_free_space
+from limslam_env.coverage import CELL, CoverageGrid, coverage_grid
 from limslam_env.draws import StepDraws
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
@@ -181,7 +181,7 @@ class Simulation:
         return np.array(poses)
 
     def _draw_starts(self, generator: np.random.Generator, poses: list[FloatArray]) -> None:
-        space = remembered_free_space(self.world, self.robot.radius)
+        space = self.world.free_space(self.robot.radius)
         region = space.region_of(poses[0][:2]) if poses else space.largest_closed_region()
         cells = np.flatnonzero(region)
         tries = generator.choice(cells, _TRIES) if len(cells) else cells

@@ -1,5 +1,6 @@
 """A world: walls, obstacles, doors and starts; read from TOML, refused with a reason when it cannot be."""
 
+import functools
 import hashlib
 import math
 import os
@@ -7,7 +8,6 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from limslam_env.free_space import FreeSpace, cell_for, free_space
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
 
 MAX_SIDE = 500.0
@@ -28,10 +28,6 @@ _KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
 
 class WorldError(ValueError):
     """A world, or the file that describes one, that cannot be used. The message says where and why."""
-
-
-def _rows(width: int) -> FloatArray:
-    return np.zeros((0, width))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +56,9 @@ class World:
     size: tuple[float, float]
     walls: FloatArray
     obstacles: tuple[FloatArray, ...] = ()
-    doors: FloatArray = field(default_factory=lambda: _rows(4))
-    starts: FloatArray = field(default_factory=lambda: _rows(3))
-    loop: FloatArray = field(default_factory=lambda: _rows(2))
+    doors: FloatArray = field(default_factory=lambda: no_rows(4))
+    starts: FloatArray = field(default_factory=lambda: no_rows(3))
+    loop: FloatArray = field(default_factory=lambda: no_rows(2))
 
     def __post_init__(self) -> None:
         _check_name(self.name)
@@ -75,14 +71,14 @@ class World:
         object.__setattr__(self, "size", (float(self.size[0]), float(self.size[1])))
         _check_edges(self)
 
-    @cached_property
+    @functools.cached_property
     def edges(self) -> FloatArray:
         """All that stops a beam, (k, 4): the walls first, then the obstacles' edges in order."""
         edges = np.vstack((self.walls, *(polygon_edges(polygon) for polygon in self.obstacles)))
         edges.setflags(write=False)
         return edges
 
-    @cached_property
+    @functools.cached_property
     def digest(self) -> str:
         """A name for the content: equal worlds have equal digests."""
         arrays = (self.walls, *self.obstacles, self.doors, self.starts, self.loop)
@@ -103,8 +99,8 @@ class World:
         return World, tuple(getattr(self, part.name) for part in fields(self))
 
     def free_space(self, radius: float) -> FreeSpace:
-        """Where a disc of ``radius`` (m) fits outside every obstacle."""
-        return free_space(self.edges, radius, cell_for(self.edges, radius), self.obstacles)
+        """Where a disc of ``radius`` (m) fits outside every obstacle; remembered for later calls."""
+        return _free_space(self, radius)
 
     def check(self, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) can start here and never leave.
@@ -158,6 +154,12 @@ class World:
             raise WorldError(
                 f"world {self.name!r}: {label} {_text(start)} collides: a robot of {radius:g} m radius {reason}"
             )
+
+
+# Checks, starts, coverage and metrics all ask for it. The largest floor plans have grids of tens of megabytes.
+@functools.lru_cache(maxsize=8)
+def _free_space(world: World, radius: float) -> FreeSpace:
+    return free_space(world.edges, radius, cell_for(world.edges, radius), world.obstacles)
 
 
 WorldSource: TypeAlias = str | os.PathLike[str] | World
@@ -278,7 +280,7 @@ def number_array(value: Any, key: str, dimensions: int) -> Any:
 def _frozen(value: Any, name: str, width: int) -> FloatArray:
     array = np.array(value, dtype=float)
     if array.shape == (0,):
-        array = _rows(width)
+        array = no_rows(width)
     if array.ndim != 2 or array.shape[1] != width:
         raise WorldError(f"{name} must have {width} numbers a row, not shape {array.shape}")
     if not np.isfinite(array).all():

@@ -19,6 +19,7 @@ from limslam_env.env import LimSlamEnv
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import sample
+from limslam_env.geometry.shapes import places_around
 
 __all__ = [
     "DiscreteAction",
@@ -158,10 +159,7 @@ class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
         self._truth = truth
         picture = spaces.Box(0, 255, (1, size, size), np.uint8)
         self.observation_space = spaces.Dict({**_dict_space(env).spaces, "local_map": picture})
-        offsets = (np.arange(size) - 0.5 * (size - 1)) * CELL
-        # Row 0 lies ahead, column 0 to the left; x of the robot's frame is ahead, y left.
-        ahead, left = np.meshgrid(-offsets, -offsets, indexing="ij")
-        self._places, self._size = np.column_stack((ahead.ravel(), left.ravel())), size
+        self._places, self._size = places_around(size, CELL), size
         self._walls = np.zeros((0, 0), dtype=bool)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:

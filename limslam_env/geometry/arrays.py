@@ -9,3 +9,8 @@ FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.signedinteger[Any]]
 ReadingArray: TypeAlias = NDArray[np.float32]
+
+
+def no_rows(width: int) -> FloatArray:
+    """An array of no rows (0, width)."""
+    return np.zeros((0, width))
