@@ -13,6 +13,7 @@ from limslam_env.interface import RobotSpec
 _FRONT = math.radians(60.0)
 _BODY_MARGIN = 0.03
 _TURN_IN_PLACE = math.radians(40.0)
+_TURN_GAIN = 2.5
 
 
 def steer(
@@ -23,21 +24,27 @@ def steer(
     Far off its heading the robot turns where it stands; else it drives, more slowly the less
     room the beams show ahead.
     """
-    offset = target - pose[:2]
-    error = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
-    turn_rate = float(np.clip(2.5 * error, -config.turn_rate, config.turn_rate))
+    error = bearing_of(pose, target)
     if abs(error) > _TURN_IN_PLACE:
-        return wheel_speeds(0.0, turn_rate, robot)
+        return turn_by(error, robot, config)
     room = free_ahead(ranges, robot) - config.stop_distance
     speed = cruise * math.cos(error) * min(max(room / 0.2, 0.0), 1.0)
-    return wheel_speeds(speed, turn_rate, robot)
+    return wheel_speeds(speed, _turn_rate(error, config), robot)
 
 
-def turn_towards(pose: FloatArray, target: FloatArray, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
-    """Wheel speeds (2,) that turn the robot on the spot towards a point (2,), m."""
-    offset = target - pose[:2]
-    error = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
-    return wheel_speeds(0.0, float(np.clip(2.5 * error, -config.turn_rate, config.turn_rate)), robot)
+def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
+    """Wheel speeds (2,) on the spot for a robot that has ``error`` (rad) left to turn, counter-clockwise."""
+    return wheel_speeds(0.0, _turn_rate(error, config), robot)
+
+
+def bearing_of(pose: FloatArray, place: FloatArray) -> float:
+    """Where a place (2,), m, lies as seen from a pose (3,), rad from ahead."""
+    offset = place - pose[:2]
+    return wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
+
+
+def _turn_rate(error: float, config: PolicyConfig) -> float:
+    return float(np.clip(_TURN_GAIN * error, -config.turn_rate, config.turn_rate))
 
 
 def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:

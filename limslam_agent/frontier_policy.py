@@ -8,7 +8,7 @@ import numpy as np
 from limslam_agent.belief import NO_PLAN, Belief
 from limslam_agent.bumper import Bumper
 from limslam_agent.config import PolicyConfig
-from limslam_agent.controller import back_off, nearest_beam, steer, wheel_speeds
+from limslam_agent.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
 from limslam_agent.frontier import group_places, sight_begins
 from limslam_agent.goal_memory import GoalMemory
 from limslam_agent.manners import Manners
@@ -188,8 +188,7 @@ class FrontierPolicy:
         beam, error = nearest_beam(belief.pose, aim, self._robot)
         self._idle += 1
         if abs(error) > _POINTED and self._idle <= 3 * self._config.patience:
-            turn_rate = float(np.clip(2.5 * error, -self._config.turn_rate, self._config.turn_rate))
-            return wheel_speeds(0.0, turn_rate, self._robot)
+            return turn_by(error, self._robot, self._config)
         distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self._robot.beam_origins[beam]))
         reading = float(belief.ranges[beam])
         is_wall = reading < self._robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell

@@ -18,27 +18,30 @@ def parting(grid: GridView, pose: FloatArray, other_poses: FloatArray, other_goa
 
     Where another robot goes to or stands within 2.5 m, and where another one is nearer than this one at ``pose`` (3,).
     """
-    rows, columns = grid.values.shape
-    y, x = np.ogrid[0:rows, 0:columns]
-    x, y = grid.low[0] + (x + 0.5) * grid.cell, grid.low[1] + (y + 0.5) * grid.cell
-    toll = np.zeros((rows, columns))
+    toll = np.zeros(grid.values.shape)
     for place in np.vstack((other_poses[:, :2], other_goals)):
-        toll += _PART_WEIGHT * np.clip(_PART_WITHIN - np.hypot(x - place[0], y - place[1]), 0.0, None)
-    own = np.hypot(x - pose[0], y - pose[1])
+        toll += _PART_WEIGHT * np.clip(_PART_WITHIN - _away(grid, place), 0.0, None)
+    own = _away(grid, pose)
     for place in other_poses:
-        toll += np.clip(own - np.hypot(x - place[0], y - place[1]), 0.0, None)
+        toll += np.clip(own - _away(grid, place), 0.0, None)
     return toll
 
 
 def taken_cells(grid: GridView, other_poses: FloatArray, distance: float) -> BoolArray:
     """Cells (rows, columns) whose centres are nearer than ``distance`` (m) to another robot's."""
+    taken = np.zeros(grid.values.shape, dtype=bool)
+    for place in other_poses:
+        taken |= _away(grid, place) < distance
+    return taken
+
+
+def _away(grid: GridView, place: FloatArray) -> FloatArray:
+    """How far the cells' centres (rows, columns) lie from a place, of which x and y come first, m."""
     rows, columns = grid.values.shape
     y, x = np.ogrid[0:rows, 0:columns]
-    taken = np.zeros((rows, columns), dtype=bool)
-    for place in other_poses:
-        away = np.hypot(grid.low[0] + (x + 0.5) * grid.cell - place[0], grid.low[1] + (y + 0.5) * grid.cell - place[1])
-        taken |= away < distance
-    return taken
+    return np.asarray(
+        np.hypot(grid.low[0] + (x + 0.5) * grid.cell - place[0], grid.low[1] + (y + 0.5) * grid.cell - place[1])
+    )
 
 
 class Manners:

@@ -8,7 +8,7 @@ import numpy as np
 from limslam_agent.belief import NO_PLAN, Belief
 from limslam_agent.bumper import Bumper
 from limslam_agent.config import PolicyConfig
-from limslam_agent.controller import free_ahead, steer, wheel_speeds
+from limslam_agent.controller import free_ahead, steer, turn_by, wheel_speeds
 from limslam_agent.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -74,29 +74,48 @@ class Laps:
         return action
 
 
-class _News:
-    """How long ago the map last grew by something worth mentioning.
+class _Wanderer:
+    """Drives by what the beams show, until the map has not grown by anything worth mentioning for a while.
 
     Parameters
     ----------
+    robot, config
+        Body and speeds.
     patience
-        Steps without news after which there are none to be expected.
+        Time without anything new after which it stops, s.
+    where
+        Nothing new was seen there.
     """
 
-    def __init__(self, patience: int) -> None:
-        self._patience = patience
+    def __init__(self, robot: RobotSpec, config: PolicyConfig, patience: float, where: str) -> None:
+        self._robot, self._config = robot, config
+        self._bumper = Bumper(robot)
+        self._patience, self._where = patience, where
         self._known = self._since = 0
+        self.stop_reason: str | None = None
+        self.plan: FloatArray = NO_PLAN
 
-    def are_over(self, grid: GridView) -> bool:
-        """Whether nothing new was seen for too long; to be asked once a step."""
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,); zero when there was nothing new for too long."""
+        if self.stop_reason is None and self._is_old_news(belief.grid):
+            self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._bumper.note(belief.pose, belief.ranges)
+        return self._bumper.soften(belief.pose, self._wheels(belief))
+
+    def _wheels(self, belief: Belief) -> FloatArray:
+        raise NotImplementedError
+
+    def _is_old_news(self, grid: GridView) -> bool:
         known = int(np.count_nonzero(grid.values))
         self._since += 1
         if known > self._known + _NEW_CELLS:
             self._known, self._since = known, 0
-        return self._since > self._patience
+        return self._since > math.ceil(self._patience / self._robot.control_period)
 
 
-class WallFollower:
+class WallFollower(_Wanderer):
     """Keep a wall on one side, as far as these beams allow, until there is nothing new to see.
 
     It goes round rooms, and round whatever stands alone where it first meets a wall. It needs no map but to know when
@@ -129,26 +148,14 @@ class WallFollower:
     ) -> None:
         if side not in {"left", "right"}:
             raise ValueError(f"a wall is followed on the left or the right side, not {side!r}")
-        self._robot, self._config, self._distance = robot, config, distance
-        self._toward = 1.0 if side == "left" else -1.0
-        self._bumper = Bumper(robot)
-        self._patience = patience
-        self._news = _News(math.ceil(patience / robot.control_period))
+        super().__init__(robot, config, patience, "along the wall")
+        self._distance, self._toward = distance, 1.0 if side == "left" else -1.0
         # How far it has turned after a wall that it lost, rad; nothing to turn after before the first one.
         self._turned = 2.0 * math.pi
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
 
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) along the wall; zero when there was nothing new for too long."""
-        if self.stop_reason is None and self._news.are_over(belief.grid):
-            self.stop_reason = f"stopped: nothing new was seen along the wall for {self._patience:g} s"
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        self._bumper.note(belief.pose, belief.ranges)
-        return self._bumper.soften(belief.pose, self._along(belief.ranges))
-
-    def _along(self, ranges: FloatArray) -> FloatArray:
+    def _wheels(self, belief: Belief) -> FloatArray:
+        """Along the wall."""
+        ranges = belief.ranges
         robot, config = self._robot, self._config
         room = free_ahead(ranges, robot) - config.stop_distance
         away = self._clearance(ranges)
@@ -177,7 +184,7 @@ class WallFollower:
         return float(across.min()) - robot.radius if across.size else math.inf
 
 
-class RandomPolicy:
+class RandomPolicy(_Wanderer):
     """Drive straight on, and turn by chance: in front of a wall, and after a while anyway.
 
     Parameters
@@ -193,25 +200,13 @@ class RandomPolicy:
     def __init__(
         self, robot: RobotSpec, config: PolicyConfig, seed: int | np.random.Generator = 0, patience: float = 180.0
     ) -> None:
-        self._robot, self._config, self._patience = robot, config, patience
+        super().__init__(robot, config, patience, "by chance")
         self._generator = np.random.default_rng(seed)
-        self._bumper = Bumper(robot)
-        self._news = _News(math.ceil(patience / robot.control_period))
         self._heading: float | None = None
         self._until_turn = 0
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
 
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) of a walk that bounces off the walls; zero when there was nothing new for too long."""
-        if self.stop_reason is None and self._news.are_over(belief.grid):
-            self.stop_reason = f"stopped: nothing new was seen by chance for {self._patience:g} s"
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        self._bumper.note(belief.pose, belief.ranges)
-        return self._bumper.soften(belief.pose, self._walk(belief))
-
-    def _walk(self, belief: Belief) -> FloatArray:
+    def _wheels(self, belief: Belief) -> FloatArray:
+        """A walk that bounces off the walls."""
         robot, config = self._robot, self._config
         yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - config.stop_distance
         self._until_turn -= 1
@@ -225,4 +220,4 @@ class RandomPolicy:
         error = float(wrap_angle(self._heading - yaw))
         if abs(error) < _FACING:
             self._heading = None
-        return wheel_speeds(0.0, float(np.clip(2.5 * error, -config.turn_rate, config.turn_rate)), robot)
+        return turn_by(error, robot, config)
