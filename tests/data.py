@@ -1,9 +1,12 @@
-"""Where the recorded data lies that some tests read; it is no part of the project."""
+"""What tests of recorded logs share: where the recordings lie, which are no part of the project, and a refusal."""
 
 import os
 from pathlib import Path
 
 import pytest
+
+from limslam_agent.log_reader import read_log
+from limslam_agent.recorded_log import LogError
 
 DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -14,3 +17,13 @@ def data_folder() -> Path:
     if not (folder / "fr079").is_dir():
         pytest.skip(f"recorded data not found in {folder}: set LIMSLAM_DATA to the folder that holds fr079")
     return folder
+
+
+def refusal(path: Path, *arguments: object) -> str:
+    """Why a log is refused: one line that begins with its name."""
+    with pytest.raises(LogError) as caught:
+        read_log(path, *arguments)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from data import data_folder
+from data import data_folder, refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -24,15 +24,6 @@ def write(tmp_path):
         return path
 
     return _write
-
-
-def refusal(path, *arguments):
-    with pytest.raises(LogError) as caught:
-        read_log(path, *arguments)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
 
 
 def degrees(log):

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from limslam_env import coverage
 from limslam_env.config import NoiseConfig
+from limslam_env.coverage import _coverage_grid
 from limslam_env.env import LimSlamEnv
 from limslam_env.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.free_space import cell_for, free_space
@@ -19,7 +19,7 @@ from limslam_env.geometry.segment import distances, inside_polygon
 from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.parallel import LimSlamParallelEnv
 from limslam_env.robots import ROBOTS
-from limslam_env.world import World, WorldError
+from limslam_env.world import World, WorldError, _free_space
 
 DEEPEST = 1e-3
 STEPS = 60
@@ -216,8 +216,8 @@ def drive_and_reset(steps: int, env: LimSlamEnv, *, seed: int, longest: int = 50
 def traced_memory(env: LimSlamEnv) -> int:
     """What is held (bytes) at the start of the same episode, without what is remembered on purpose."""
     env.reset(seed=99)
-    coverage.remembered_free_space.cache_clear()
-    coverage._coverage_grid.cache_clear()
+    _free_space.cache_clear()
+    _coverage_grid.cache_clear()
     gc.collect()
     return tracemalloc.get_traced_memory()[0]
 

@@ -9,7 +9,7 @@ import bags
 import numpy as np
 import pytest
 from bags import KINDS, Message, distance, fixed, odometry, scan, storage_of, write_bag
-from data import data_folder
+from data import data_folder, refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -31,15 +31,6 @@ def drive(scans=10, **changes):
 
 def four_ranges(at, values=(0.5, 1.0, 1.5, 2.0), names=("front", "left", "back", "right")):
     return [distance(at, value, f"/range/{name}") for value, name in zip(values, names, strict=True)]
-
-
-def refusal(path, *arguments):
-    with pytest.raises(LogError) as caught:
-        read_log(path, *arguments)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
 
 
 def read_or_refuse(path):
