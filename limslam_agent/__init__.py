@@ -1,7 +1,8 @@
 """LimSLAM's mind: line-landmark EKF-SLAM and frontier exploration from a few range beams.
 
-Nothing in here can see the truth: of the world's package an agent imports geometry and the
-interface, so it also runs on a robot. The filter is loaded when the first name is used.
+Nothing that acts in here can see the truth: of the world's package an agent imports geometry and the
+interface, so it also runs on a robot. ``evaluate`` scores agents, and needs the simulator. All is loaded when it is
+first used.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -9,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.config import AgentConfig, preset
+    from limslam_agent.evaluation import evaluate, medians
     from limslam_agent.slam import LineSlam
     from limslam_agent.team import LimSlamTeam
 
-__all__ = ["AgentConfig", "LimSlamAgent", "LimSlamTeam", "LineSlam", "preset"]
+__all__ = ["AgentConfig", "LimSlamAgent", "LimSlamTeam", "LineSlam", "evaluate", "medians", "preset"]
 
 _HOMES = {
     "LimSlamAgent": "agent",
@@ -20,6 +22,8 @@ _HOMES = {
     "AgentConfig": "config",
     "preset": "config",
     "LineSlam": "slam",
+    "evaluate": "evaluation",
+    "medians": "evaluation",
 }
 
 

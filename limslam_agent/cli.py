@@ -53,9 +53,13 @@ def run(
     preset: PresetName = "paper",
     seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
     max_time: Annotated[float, typer.Option(help="Longest simulated time, s.")] = 1800.0,
+    policy: Annotated[
+        str, typer.Option(help="Who drives: frontier, wall_follower, random; or by the truth: tour, oracle.")
+    ] = "frontier",
     laps: Annotated[int, typer.Option(help="Drive round the world's loop this often instead of exploring.")] = 0,
     robots: Annotated[int, typer.Option(help="How many explore together, 1 to 8.")] = 1,
     ablation: Annotated[str | None, typer.Option(help="Part of the method to leave out.", show_default="none")] = None,
+    limit: Annotated[bool, typer.Option("--limit", help="Compute the optimum too (needs gtsam).")] = False,
     video: Annotated[Path | None, typer.Option(help="Film it: FILE.mp4 or FILE.gif.", show_default="none")] = None,
     out: Out = None,
     force: Force = False,
@@ -68,15 +72,18 @@ def run(
     from limslam_env.world import load_world
 
     place = load_world(world)
-    config = RunConfig(place, noise, preset, seed, max_time, laps, robots=robots, ablation=ablation)
+    config = RunConfig(
+        place, noise, preset, seed, max_time, laps, robots=robots, ablation=ablation, policy=policy, limit=limit
+    )
     name = (
         f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', place.name).strip('.') or 'world'}-{100 * noise:g}cm-{preset}-seed{seed}"
+        + (f"-{policy}" if policy != "frontier" else "")
         + (f"-{laps}laps" if laps else "")
         + (f"-{robots}robots" if robots > 1 else "")
         + (f"-{ablation}" if ablation else "")
     )
     target = out or _unused(Path("runs") / name)
-    with new_folder(target, force=force) as folder, _bar("driving laps" if laps else "exploring", max_time) as advance:
+    with new_folder(target, force=force) as folder, _bar("driving" if laps else "exploring", max_time) as advance:
         episode = _filmed_run(config, advance, video, force=force)
         result = write_episode(folder, episode)
     for line in run_summary(result["metrics"], result["cost"]):

@@ -15,7 +15,7 @@ from limslam_agent.ablations import ablated
 from limslam_agent.config import AgentConfig, preset
 from limslam_agent.loop_closing import Closure
 from limslam_agent.motion import motion_of
-from limslam_agent.policies import Laps, Policy
+from limslam_agent.pilot import Pilot, check_policy, needs_loop, policies_for
 from limslam_agent.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.config import NoiseConfig
@@ -23,6 +23,7 @@ from limslam_env.coverage import CoverageGrid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.limits import require_gtsam
 from limslam_env.parallel import MAX_ROBOTS, LimSlamParallelEnv
 from limslam_env.world import World, WorldError, WorldSource, load_world
 
@@ -47,19 +48,26 @@ class RunConfig:
     max_time
         Longest simulated time, s.
     laps
-        Drive round the world's loop this often instead of exploring; 0 explores.
+        Drive round the world's loop this often instead of exploring; 0 explores. With the policy ``tour``, how often
+        the tour is driven.
     robot
         Body and beams of each robot.
     robots
         How many there are, 1 to 8.
     ablation
         A part of the method that is left out; None leaves out nothing.
+    policy
+        Who drives: ``frontier`` explores, ``wall_follower`` and ``random`` are there to compare with. A pilot that
+        knows the true map and pose, to which the estimators listen, drives ``tour``, round the world's loop or where
+        it has none past all that can be seen and back, and ``oracle``, past everything as soon as possible.
+    limit
+        Score it against the offline optimum of its log too, which needs gtsam.
 
     Raises
     ------
     ValueError
-        If a number is out of bounds, there is no such preset, or the world cannot be used or has no
-        loop to drive laps on.
+        If a number is out of bounds, there is no such preset or policy, they do not go together, the world cannot
+        be used or has no loop to drive laps on, or gtsam is missing for the limit.
     """
 
     world: WorldSource = "env1"
@@ -71,21 +79,24 @@ class RunConfig:
     robot: RobotSpec = field(default_factory=RobotSpec)
     robots: int = 1
     ablation: str | None = None
+    policy: str = "frontier"
+    limit: bool = False
 
     def __post_init__(self) -> None:
         _ = self.agent
+        if self.limit:
+            require_gtsam()
         if not 1 <= self.robots <= MAX_ROBOTS:
             raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
-        if self.robots > 1 and self.laps:
-            raise ValueError("laps are for one robot: several would meet on the loop")
         if not 0.0 < self.max_time <= LONGEST_TIME:
             raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
         if self.laps < 0:
             raise ValueError(f"laps must be 0 or more, not {self.laps}")
+        check_policy(self.policy, self.laps, self.robots)
         if self.seed < 0:
             raise ValueError(f"a seed is 0 or more, not {self.seed}")
         world = load_world(self.world)
-        if self.laps and len(world.loop) < 3:
+        if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
 
@@ -199,7 +210,10 @@ def run_episode(
         world, num_robots=config.robots, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
-    team = LimSlamTeam(config.robot, config.agent, config.robots, _laps(config, world))
+    policies = policies_for(
+        config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
+    )
+    team = LimSlamTeam(config.robot, config.agent, config.robots, policies)
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
     def note(record: AssociationRecord) -> None:
@@ -251,6 +265,10 @@ def _drive(
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
         observations = [told[name] for name in team.names]
+        truth = infos[team.names[0]]
+        for policy in team.policies:
+            if isinstance(policy, Pilot):
+                policy.look(env, truth["pose"], truth["coverage"])
         begin = time.perf_counter()
         team.observe(observations)
         between = time.perf_counter()
@@ -259,7 +277,6 @@ def _drive(
         odometry = np.array(
             [_moved(pose, seen, config.robot, agent) for pose, seen in zip(odometry, observations, strict=True)]
         )  # fmt: skip
-        truth = infos[team.names[0]]
         rows.append(
             _Row(
                 truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
@@ -278,9 +295,3 @@ def _drive(
 def _moved(pose: FloatArray, observation: Observation, robot: RobotSpec, agent: AgentConfig) -> FloatArray:
     """Where odometry alone puts a robot."""
     return compose(pose, motion_of(observation, robot, agent.noise, agent.odometry).increment)
-
-
-def _laps(config: RunConfig, world: World) -> list[Policy] | None:
-    if not config.laps:
-        return None
-    return [Laps(config.robot, config.agent.policy, world.loop, config.laps)]

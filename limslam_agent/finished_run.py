@@ -72,6 +72,7 @@ class FinishedRun:
             f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
             f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
             " ".join(filter(None, (str(preset), config.get("ablation")))),
+            str(config["policy"]).replace("_", " ") if config.get("policy", "frontier") != "frontier" else "",
             f"{config['laps']} laps" if config.get("laps") else "",
             f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
         )

@@ -15,6 +15,8 @@ import numpy as np
 from limslam_agent.cost import run_cost
 from limslam_agent.episode import Episode, RunConfig
 from limslam_agent.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.pilot import explores
+from limslam_agent.team import Snapshot
 from limslam_env import metrics
 from limslam_env.association_metrics import (
     AssociationEvent,
@@ -22,9 +24,11 @@ from limslam_env.association_metrics import (
     closure_metrics,
     dropped_beam_metrics,
 )
-from limslam_env.coverage import CELL
-from limslam_env.geometry import FloatArray
-from limslam_env.world import load_world
+from limslam_env.coverage import CELL, CoverageGrid
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.limits import UnreadWallsError, solve_limit
+from limslam_env.world import World, load_world
 
 
 def trajectory_scores(
@@ -41,28 +45,17 @@ def trajectory_scores(
 
 def score(episode: Episode) -> dict[str, Any]:
     """The metrics of a run, by their names in ``docs/metrics.md``; of several robots the means over them."""
-    robot, snapshot = episode.config.robot, episode.snapshot
-    segments, grid = snapshot.segments, snapshot.grid
-    # All robots draw one map, and one motion aligns it.
-    alignment = metrics.rigid_alignment(_joined(episode.true)[:, :2], _joined(episode.estimated)[:, :2])
-    visible = metrics.visible_samples(episode.world, robot.radius, robot.reach)
+    config = episode.config
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
+    trajectory = team_scores(episode.true, episode.estimated, episode.odometry, episode.covariances)
+    has_explored = episode.is_finished and explores(config.policy, config.laps)
     return {
-        **mean_scores([_robot_scores(episode, number) for number in range(episode.config.robots)]),
-        **metrics.wall_metrics(visible, episode.world.edges, segments, alignment),
-        "doors_open": metrics.doors_open(episode.world.doors, segments),
-        "coverage_true": float(episode.coverage[-1]),
-        **metrics.coverage_claims(
-            grid.centres(np.argwhere(grid.free)),
-            grid.cell,
-            episode.coverage_grid.coverable,
-            episode.coverage_grid.low,
-            CELL,
+        **trajectory,
+        **(limit_scores(episode, trajectory["ate_m"]) if config.limit else {}),
+        **map_scores(
+            episode.world, config.robot, episode.coverage_grid, episode.snapshot, episode.true, episode.estimated
         ),
-        **metrics.coverage_times(episode.time, episode.coverage),
-        "exploration_time_s": float(episode.time[-1]) if episode.is_finished and not episode.config.laps else None,
-        "collisions": sum(metrics.contacts_begun(contact) for contact in episode.contact.T),
-        "landmarks": len(segments),
+        **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
         **association_metrics(events, len(episode.world.edges)),
         **closure_metrics(events, closed, len(episode.world.edges)),
         **dropped_beam_metrics(episode.dropped, episode.wall_seen),
@@ -70,14 +63,68 @@ def score(episode: Episode) -> dict[str, Any]:
     }
 
 
-def _robot_scores(episode: Episode, robot: int) -> dict[str, float | None]:
-    true = episode.true[:, robot]
+def team_scores(
+    true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
+) -> dict[str, float | None]:
+    """Means over n robots of :func:`trajectory_scores`, from poses (t, n, 3) and covariances (t, n, 3, 3)."""
+    numbers = range(true.shape[1])
+    return mean_scores(
+        [
+            trajectory_scores(*(rows[:, number] for rows in (true, estimated, odometry, covariances)))
+            for number in numbers
+        ]
+    )
+
+
+def drive_scores(
+    time: FloatArray, coverage: FloatArray, true: FloatArray, contact: BoolArray, *, has_explored: bool
+) -> dict[str, float | None]:
+    """What needs no estimate: of times (t,), s, covered shares (t,), true poses (t, n, 3) and contacts (t, n)."""
     return {
-        **trajectory_scores(
-            true, episode.estimated[:, robot], episode.odometry[:, robot], episode.covariances[:, robot]
-        ),
-        "path_m": metrics.path_length(true),
+        "path_m": float(np.mean([metrics.path_length(poses) for poses in true.swapaxes(0, 1)])),
+        "coverage_true": float(coverage[-1]),
+        **metrics.coverage_times(time, coverage),
+        "exploration_time_s": float(time[-1]) if has_explored else None,
+        "collisions": sum(metrics.contacts_begun(touched) for touched in contact.T),
     }
+
+
+def map_scores(
+    world: World, robot: RobotSpec, covered: CoverageGrid, snapshot: Snapshot, true: FloatArray, estimated: FloatArray
+) -> dict[str, float | None]:
+    """What the map of a snapshot is worth; true and estimated poses (t, n, 3) align it."""
+    segments, grid = snapshot.segments, snapshot.grid
+    # All robots draw one map, and one motion aligns it.
+    alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
+    visible = metrics.visible_samples(world, robot.radius, robot.reach)
+    claimed = grid.centres(np.argwhere(grid.free))
+    return {
+        **metrics.wall_metrics(visible, world.edges, segments, alignment),
+        "doors_open": metrics.doors_open(world.doors, segments),
+        **metrics.coverage_claims(claimed, grid.cell, covered.coverable, covered.low, CELL),
+        "landmarks": len(segments),
+    }
+
+
+def limit_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
+    """What the offline optimum errs by, m, and how many times as much an estimate with the error ``ate`` (m) does.
+
+    None where there is no optimum: no wall was read, or the solution did not come to rest.
+    """
+    agent, true = episode.config.agent, episode.true
+    nothing: dict[str, float | None] = {"limit_ate_m": None, "ate_over_limit": None}
+    try:
+        limit = solve_limit(
+            episode.config.robot, true, episode.wheels, episode.ranges, episode.wall_seen,
+            range_std=agent.noise.range_std, wheel_variance=agent.noise.wheel_variance, contact=episode.contact,
+        )  # fmt: skip
+    except UnreadWallsError:
+        return nothing
+    if not limit.is_converged:
+        return nothing
+    errors = np.linalg.norm(limit.poses[..., :2] - true[..., :2], axis=-1)
+    best = float(np.sqrt(np.mean(errors**2, axis=0)).mean())
+    return {"limit_ate_m": best, "ate_over_limit": ate / best if ate is not None and best > 0.0 else None}
 
 
 def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
@@ -111,13 +158,13 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
-        "max_time": config.max_time, "laps": config.laps,
+        "policy": config.policy, "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
         "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
         "metrics": score(episode), "cost": cost(episode), "config": written_config,
         "closures": [asdict(closure) for closure in episode.closures],
-        "versions": versions(), "seed": config.seed,
+        "versions": {**versions(), **({"gtsam": version("gtsam")} if config.limit else {})}, "seed": config.seed,
     }  # fmt: skip
     write_json(folder / "result.json", result)
     return result
@@ -140,9 +187,10 @@ def title_of(config: RunConfig) -> str:
     """What was run, in a line."""
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
-    laps = f", {config.laps} laps" if config.laps else ""
+    policy = f", {config.policy.replace('_', ' ')}" if config.policy != "frontier" else ""
+    driver = policy + (f", {config.laps} laps" if config.laps else "")
     noise = f"range noise {100 * config.noise:g} cm"
-    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{laps}, seed {config.seed}"
+    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{driver}, seed {config.seed}"
 
 
 def _draw(path: Path, episode: Episode) -> None:

@@ -15,6 +15,9 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
             f"covered     {share:.1%} of what can be seen, {collisions:g} collision{'' if collisions == 1 else 's'}"
         )
     lines += _errors(metrics)
+    if _has(metrics, "limit_ate_m", "ate_over_limit"):
+        best, ratio = metrics["limit_ate_m"], metrics["ate_over_limit"]
+        lines.append(f"limit       {best:.3f} m rms, the optimum of the same log; the error is {ratio:.1f} times that")
     if _has(metrics, "landmarks", "wall_f1_aligned"):
         walls, f1 = metrics["landmarks"], metrics["wall_f1_aligned"]
         lines.append(f"map         {walls} walls, F1 {f1:.2f} at 10 cm when aligned")

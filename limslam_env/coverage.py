@@ -7,10 +7,10 @@ import numpy as np
 from scipy import ndimage
 
 from limslam_env.free_space import FreeSpace
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels import look_out
-from limslam_env.sensors import build_wall_index
+from limslam_env.kernels import look_out, sweep
+from limslam_env.sensors import beam_table, build_wall_index
 from limslam_env.world import World
 
 CELL = 0.10
@@ -92,3 +92,35 @@ def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
     # One place a coverage cell is enough.
     _, first = np.unique(np.floor(places / CELL).astype(int), axis=0, return_index=True)
     return places[np.sort(first)]
+
+
+class BeamSweep:
+    """What a robot's true beams and body cover along a path, as a simulation would count it.
+
+    Parameters
+    ----------
+    world, robot
+        Whose walls and whose beams.
+    grid
+        The cells that count.
+    """
+
+    def __init__(self, world: World, robot: RobotSpec, grid: CoverageGrid) -> None:
+        self.grid = grid
+        self._scene, self._beams = build_wall_index(world.edges).scene, beam_table(robot)
+        self._radius = robot.radius
+
+    def mark(self, poses: FloatArray, seen: BoolArray, step: int = 0) -> IntArray:
+        """Set in ``seen`` (rows, columns) the cells covered at poses (n, 3), m and rad, the first of them at ``step``.
+
+        Returns
+        -------
+        new_cells
+            (n,), how many coverable cells each pose was the first to cover.
+        """
+        new_cells = np.zeros(len(poses), dtype=np.int64)
+        sweep(
+            np.ascontiguousarray(poses), step, self._radius, self._beams, *self._scene,
+            seen, self.grid.coverable, self.grid.area, new_cells,
+        )  # fmt: skip
+        return new_cells

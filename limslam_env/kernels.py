@@ -358,6 +358,41 @@ def observe(
 
 
 @compiled
+def sweep(
+    poses: FloatArray,
+    step: int,
+    radius: float,
+    beams: FloatArray,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+    seen: BoolArray,
+    coverable: BoolArray,
+    area: FloatArray,
+    new_cells: IntArray,
+) -> None:
+    """Mark what one robot covers at poses (n, 3), m and rad, one after the other from ``step`` on, and alone there.
+
+    Beams, walls and grid are those of :func:`observe`; ``new_cells`` (n,) is set to how many cells each pose adds.
+    """
+    for number in range(len(poses)):
+        body_x, body_y, heading = poses[number, 0], poses[number, 1], poses[number, 2]
+        cos, sin = math.cos(heading), math.sin(heading)
+        new = mark_disc(seen, coverable, area, body_x, body_y, radius)
+        for beam in range(len(beams)):
+            if (step + number) % int(beams[beam, 6]) == 0:
+                offset, angle = beams[beam, 3], heading + beams[beam, 2]
+                dx, dy = math.cos(angle), math.sin(angle)
+                x = body_x + cos * beams[beam, 0] - sin * beams[beam, 1] - offset * dx
+                y = body_y + sin * beams[beam, 0] + cos * beams[beam, 1] - offset * dy
+                reach = beams[beam, 5] + offset
+                distance, _ = cast_ray(x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid)
+                new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
+        new_cells[number] = new
+
+
+@compiled
 def cast_rays(
     origins: FloatArray,
     directions: FloatArray,

@@ -151,6 +151,9 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("run", "--max-time", "0"), "0 s"),
         (("run", "--laps", "-1"), "-1"),
         (("run", "--seed", "-3"), "-3"),
+        (("run", "--policy", "magic"), "no policy is called 'magic'"),
+        (("run", "--policy", "random", "--laps", "2"), "laps"),
+        (("run", "--policy", "oracle", "--robots", "2"), "for one robot"),
         (("run", "--warp"), "--warp"),
         (("fly",), "fly"),
         (("replay", "missing.log"), "missing.log"),
@@ -298,6 +301,14 @@ def test_importing_the_command_line_is_light():
     loaded = f"import sys, limslam_agent.cli; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("policy", ["wall_follower", "tour"])
+def test_who_drove_is_written_down_and_in_the_name_of_the_folder(tmp_path, policy):
+    result = limslam("run", "--world", "square", "--max-time", "3", "--policy", policy, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    folder = tmp_path / "runs" / f"square-2cm-paper-seed0-{policy}"
+    assert json.loads((folder / "result.json").read_text())["config"]["policy"] == policy
 
 
 @pytest.mark.parametrize("ablation", ["no-ekf", "no-loop-closing", "no-end-gate", "only-best-line"])

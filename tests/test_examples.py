@@ -11,7 +11,8 @@ import pytest
 from limslam_agent.log_reader import read_log
 from limslam_agent.replay import replay_log
 
-EXAMPLE = Path(__file__).parent.parent / "examples" / "live_robot.py"
+EXAMPLES = Path(__file__).parent.parent / "examples"
+EXAMPLE = EXAMPLES / "live_robot.py"
 # What no robot should have to carry.
 SIMULATOR = {"pymunk", "numba", "pygame", "limslam_env.world", "limslam_env.simulation", "limslam_env.env"}
 
@@ -59,3 +60,14 @@ def test_the_live_loop_imports_the_mind_and_the_interface_alone():
     lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
     ours = {line.split()[1] for line in lines if line.startswith(("import ", "from ")) and "limslam" in line}
     assert all(name == "limslam_env.interface" or name.split(".")[0] == "limslam_agent" for name in ours)
+
+
+def test_a_policy_of_ones_own_is_scored_beside_the_explorer_in_fifteen_lines():
+    example = EXAMPLES / "evaluate_policy.py"
+    if not example.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    assert len([line for line in example.read_text(encoding="utf-8").splitlines() if line]) <= 15
+    result = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, check=True)
+    said = {words[0]: float(words[2]) for words in map(str.split, result.stdout.splitlines())}
+    assert set(said) == {"bounce", "frontier"}
+    assert 0.1 < said["bounce"] < said["frontier"]

@@ -1,0 +1,149 @@
+"""``python -m benchmarks run``, and ``table``, ``plot`` and ``report`` of what it has left.
+
+What takes long to import is imported inside the commands, so that help comes at once.
+"""
+
+import os
+import signal
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from benchmarks.engines import Engine
+
+STOPPED = 130
+"""Exit code after Ctrl-C, which typer answers with the same."""
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Suites of runs, and what came of them.",
+)
+
+Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has made.")]
+
+
+class EngineName(StrEnum):
+    """Who does the jobs."""
+
+    PROCESS = "process"
+    RAY = "ray"
+
+
+@app.command()
+def run(
+    suite: Annotated[str, typer.Option(help="Name of a suite, or a FILE.toml.")],
+    engine: Annotated[EngineName, typer.Option(help="Processes of this machine, or Ray.")] = EngineName.PROCESS,
+    address: Annotated[str | None, typer.Option(help="Of a Ray cluster.", show_default="a Ray of its own")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/suite-NAME")] = None,
+    timeout: Annotated[float, typer.Option(help="Wall-clock time after which a job has failed, s.")] = 3600.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the jobs, run none.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+) -> int:
+    """Do what is missing of a suite. The same command goes on after a kill."""
+    from benchmarks.runner import run_suite
+    from benchmarks.suite import load_suite
+
+    if not timeout > 0.0:
+        raise ValueError(f"--timeout: a time above 0 s is needed, not {timeout:g}")
+    if address is not None and engine is not EngineName.RAY:
+        raise ValueError("--address goes with --engine ray")
+    chosen = load_suite(suite)
+    if dry_run:
+        for job in chosen.jobs:
+            typer.echo(job.title)
+        typer.echo(f"{chosen.name}: {len(chosen.jobs)} jobs")
+        return 0
+    folder = out or Path("runs") / f"suite-{chosen.name}"
+    summary = run_suite(chosen, folder, _engine(engine, workers, timeout, address), retry_failed=retry_failed)
+    for title, reason in summary.failures:
+        typer.echo(f"failed: {title}: {reason}", err=True)
+    typer.echo(f"{chosen.name}: {summary.words}; {folder}")
+    return 1 if summary.failures else 0
+
+
+def _engine(name: EngineName, workers: int | None, timeout: float, address: str | None) -> "Engine":
+    if name is EngineName.RAY:
+        from benchmarks.ray_engine import RayEngine
+
+        return RayEngine(workers, timeout, address)
+    from benchmarks.engines import ProcessEngine
+
+    return ProcessEngine(workers or os.cpu_count() or 1, timeout)
+
+
+@app.command()
+def table(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")],
+    latex: Annotated[bool, typer.Option("--latex", help="LaTeX instead of Markdown.")] = False,
+    out: Annotated[Path | None, typer.Option(help="File to write to.", show_default="standard output")] = None,
+) -> None:
+    """Print medians with intervals, as the paper's grid."""
+    from benchmarks.store import read_rows
+    from benchmarks.tables import table as tabulate
+    from limslam_agent.whole_file import whole_file
+
+    text = tabulate([row for folder in folders for row in read_rows(folder)], latex=latex)
+    if out is None:
+        typer.echo(text.rstrip("\n"))
+        return
+    with whole_file(out) as beside:
+        beside.write_text(text, encoding="utf-8")
+    typer.echo(f"table       {out}")
+
+
+@app.command()
+def plot(
+    folder: Folder,
+    out: Annotated[Path | None, typer.Option(help="Folder for the plots.", show_default="FOLDER/plots")] = None,
+) -> None:
+    """Draw the paper's figures again, and sweeps and coverage besides."""
+    from benchmarks.plots import plot as draw
+
+    for path in draw(folder, out or folder / "plots"):
+        typer.echo(f"plot        {path}")
+
+
+@app.command()
+def report(
+    folder: Folder,
+    out: Annotated[Path | None, typer.Option(help="The page.", show_default="FOLDER/report.html")] = None,
+) -> None:
+    """Put tables and plots on one page that stands alone."""
+    from benchmarks.report import report as compose
+
+    typer.echo(f"report      {compose(folder, out or folder / 'report.html')}")
+
+
+def main() -> None:
+    """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130 stopped."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        _fail(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        code = STOPPED
+    except ValueError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or 'output'}: {error.strerror or error}")
+    if code == STOPPED:
+        typer.echo("benchmarks: stopped; what is done is kept, and the same command goes on", err=True)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> None:
+    if message:
+        typer.echo("benchmarks: " + " ".join(message.split()), err=True)
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
