@@ -215,15 +215,15 @@ class StraightConfig:
         Chi-square (one degree of freedom) gained by a kink, and the least angle of one, rad.
     curve_gate
         Chi-square (three degrees of freedom) gained by a smooth curve.
-    end_zone, end_sigmas
-        Points within this far of an end whose mean lies so many standard deviations off the line are another wall's.
+    end_zone, end_gate
+        Points within this far of an end, m, are another wall's if it gains so much chi-square to have them aside.
     """
 
     kink_gate: float = 12.0
     min_kink: float = math.radians(8.0)
     curve_gate: float = 14.0
     end_zone: float = 0.10
-    end_sigmas: float = 2.5
+    end_gate: float = 6.0
 
 
 @dataclass(frozen=True)
@@ -277,6 +277,8 @@ class CloneConfig:
         A landmark is a wall of the map if it was read this often and is so long, m.
     beams
         At most so many beams of a side are used in a step.
+    gap_ahead
+        Hole between points of the beams ahead that may be one wall, m.
     """
 
     batch: int = 12
@@ -312,6 +314,7 @@ class CloneConfig:
     shown_readings: int = 10
     shown_length: float = 0.20
     beams: int = 8
+    gap_ahead: float = 0.9
     hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.20))
     straight: StraightConfig = field(default_factory=StraightConfig)
 

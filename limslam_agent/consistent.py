@@ -6,7 +6,7 @@ is clear which wall that is. Then each of them corrects the filter as what it is
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from limslam_agent.beam_model import Readings, expected_ranges, hit_points
 from limslam_agent.clone_ekf import GRAZING, CloneEKF
 from limslam_agent.config import AgentConfig
 from limslam_agent.estimator import Estimator
-from limslam_agent.front_end import SIDES, FrontEnd
+from limslam_agent.front_end import FrontEnd
 from limslam_agent.hough import ExtractedLine, extract_lines
 from limslam_agent.line_map import Landmark
 from limslam_agent.loop_closing import Closure
@@ -28,6 +28,7 @@ from limslam_env.geometry.line import at, direction, distance
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
 
+_SIDES: tuple[Side, ...] = ("left", "right", "none")
 _NOISY = 0.01
 _FEWEST = 6
 _BESIDE_CORNER = 0.15
@@ -60,9 +61,9 @@ class _Track:
     driven: float = 0.0
     turned: float = 0.0
     cloned_at: tuple[float, float] = (-math.inf, -math.inf)
-    waiting: dict[Side, list[_Reading]] = field(default_factory=lambda: {side: [] for side in SIDES})
-    fresh: dict[Side, int] = field(default_factory=lambda: dict.fromkeys(SIDES, 0))
-    last_hit: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
+    waiting: dict[Side, list[_Reading]] = field(default_factory=lambda: {side: [] for side in _SIDES})
+    fresh: dict[Side, int] = field(default_factory=lambda: dict.fromkeys(_SIDES, 0))
+    last_hit: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(_SIDES, 0.0))
 
 
 class _Candidate(NamedTuple):
@@ -111,7 +112,7 @@ class ConsistentEstimator(Estimator):
         self._see_through(number, front)
         self._collect(number, front)
         track = self._tracks[number]
-        for side in SIDES:
+        for side in _SIDES:
             has_ended = bool(track.waiting[side]) and track.driven - track.last_hit[side] > self._settings.wall_end
             if track.fresh[side] >= self._settings.batch or has_ended:
                 self._use(number, side, front.step, has_ended=has_ended)
@@ -119,7 +120,7 @@ class ConsistentEstimator(Estimator):
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
         """Use the readings that still wait."""
         for number, front in enumerate(fronts):
-            for side in SIDES:
+            for side in _SIDES:
                 self._use(number, side, front.step, has_ended=True)
 
     def waiting(self, fronts: Sequence[FrontEnd]) -> list[Waiting]:
@@ -227,7 +228,9 @@ class ConsistentEstimator(Estimator):
         track, settings = self._tracks[number], self._settings
         waiting, track.fresh[side] = track.waiting[side], 0
         readings, points = self._readings(waiting)
-        lines = extract_lines(points, settings.hough, self.config.range_std)
+        # Beams ahead meet a wall far apart, with nothing between them.
+        hough = replace(settings.hough, max_gap=settings.gap_ahead) if side == "none" else settings.hough
+        lines = extract_lines(points, hough, self.config.range_std)
         self._show(number, side, step, points, lines)
         dealt_with = np.zeros(len(waiting), dtype=bool)
         driven = np.array([reading.driven for reading in waiting])
@@ -463,10 +466,10 @@ def _normals(lines: FloatArray) -> FloatArray:
 
 
 def _beams_by_side(robot: RobotSpec, most: int) -> dict[Side, IntArray]:
-    """The beams to the left and to the right, those ahead included, thinned out evenly to ``most`` a side."""
-    is_left: BoolArray = np.sin(robot.beam_angles) > 0.0
+    """The beams to the left, to the right and ahead or behind, thinned out evenly to ``most`` each."""
     result: dict[Side, IntArray] = {}
-    for side, beams in zip(SIDES, (np.nonzero(is_left)[0], np.nonzero(~is_left)[0]), strict=True):
+    for side in _SIDES:
+        beams = np.array([number for number, beam in enumerate(robot.beams) if beam.side == side], dtype=int)
         chosen = np.unique(np.linspace(0, len(beams) - 1, min(most, len(beams))).round().astype(int))
         result[side] = beams[chosen]
     return result

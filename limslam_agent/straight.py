@@ -129,14 +129,15 @@ def _fit(
     left = whitened[:, 0] - basis @ (basis.T @ whitened[:, 0])
     tangent = direction(state)
     along = (points - anchor) @ tangent
-    across = (own.ranges - expected.ranges - expected.by_line @ step) * expected.cosines
     spread = along[clear] - along[clear].mean()
     piece = Piece(
         members, float(state[1]), anchor + state[0] * normal(state), points, _extent(along),
         std / max(float(np.sqrt(spread @ spread)), 1e-6),
     )  # fmt: skip
     is_bent, bend_at = _bend(along[clear], expected.cosines[clear], left, basis, factor, config)
-    return _Fit(piece, along, is_bent, bend_at, _loose_ends(along, across, clear, std, config))
+    loose = np.zeros(len(members), dtype=bool)
+    loose[clear] = _loose_ends(along[clear], expected.cosines[clear], left, basis, factor, config)
+    return _Fit(piece, along, is_bent, bend_at, loose)
 
 
 def _bend(
@@ -162,14 +163,17 @@ def _bend(
 
 
 def _loose_ends(
-    along: FloatArray, across: FloatArray, clear: BoolArray, std: float, config: StraightConfig
-) -> BoolArray:
+    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
+    config: StraightConfig,
+) -> BoolArray:  # fmt: skip
     """Readings (n,) at either end that lie off the line all on one side: the beginning of something else."""
     loose = np.zeros(len(along), dtype=bool)
     for end in (along.min(), along.max()):
-        zone = clear & (np.abs(along - end) < config.end_zone)
-        count = np.count_nonzero(zone)
-        if 0 < count < len(along) and abs(across[zone].mean()) > config.end_sigmas * std / math.sqrt(count):
+        zone = np.abs(along - end) < config.end_zone
+        shape = _solve(factor, zone / cosines)
+        shape -= basis @ (basis.T @ shape)
+        square = float(shape @ shape)
+        if not zone.all() and square > 1e-9 and float(left @ shape) ** 2 > config.end_gate * square:
             loose |= zone
     return loose
 
