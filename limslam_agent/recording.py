@@ -14,7 +14,6 @@ from limslam_agent.slam import AssociationRecord, Extraction, LineSlam
 from limslam_agent.team import LimSlamTeam
 from limslam_agent.video import VideoWriter
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import transform_points
 from limslam_env.parallel import LimSlamParallelEnv
 from limslam_env.world import load_world
 
@@ -100,12 +99,7 @@ class Recorder:
 
 
 def _buffers(slam: LineSlam) -> list[BufferView]:
-    return [
-        BufferView(number, side, transform_points(pose, buffer.scan.points), slam.config.buffer.size)
-        for number, (pose, front) in enumerate(zip(slam.poses, slam.robots, strict=True))
-        for side, buffer in front.buffers.items()
-        if side != "none"
-    ]
+    return [BufferView(each.robot, each.side, each.points, each.enough) for each in slam.waiting if each.side != "none"]
 
 
 @contextmanager

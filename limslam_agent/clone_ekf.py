@@ -1,0 +1,251 @@
+"""The filter of the consistent estimator: poses, lines, and clones of poses at which beams were read.
+
+State: x = [poses of the robots, lines (d, theta), clones], covariance P. A clone is a copy of a pose, as sure and as
+unsure as it, and from then on correlated with all else (S. Roumeliotis and J. Burdick, "Stochastic cloning", 2002). A
+beam is a measurement of the clone it was read from, however late one finds out which wall it hit, and no noise of the
+odometry in between is counted twice.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from limslam_agent.beam_model import Expected, Readings, expected_ranges
+from limslam_agent.ekf import POSE, LineEKF
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import normalise
+from limslam_env.geometry.se2 import wrap_angle
+
+GRAZING = 0.2
+"""Cosine between a beam and a line's normal below which a reading says next to nothing."""
+
+_PRIOR = np.array([10.0**2, 3.0**2])
+_EXACT = np.array([1e-4, 1e-5]) ** 2
+
+
+class Disagreement(NamedTuple):
+    """How badly readings fit a line: by where it lies (two degrees of freedom), and what is left beside that."""
+
+    of_line: float
+    left: float
+    count: int
+
+
+class CloneEKF(LineEKF):
+    """The line filter with anchored lines and clones.
+
+    Parameters
+    ----------
+    pose
+        Start (3,), m, m, rad; of several robots (n, 3).
+    """
+
+    def __init__(self, pose: FloatArray) -> None:
+        super().__init__(pose)
+        self._anchors = np.zeros((0, 2))
+        self._clones: list[int] = []
+        self._next_clone = 0
+
+    @property
+    def num_lines(self) -> int:
+        """How many lines the state holds."""
+        return len(self._anchors)
+
+    @property
+    def num_clones(self) -> int:
+        """How many clones the state holds."""
+        return len(self._clones)
+
+    @property
+    def lines(self) -> FloatArray:
+        """The lines (N, 2) as (r, theta) in the world, normalised."""
+        return normalise(self._about_origin()) if self.num_lines else np.zeros((0, 2))
+
+    @property
+    def anchored(self) -> FloatArray:
+        """The lines (N, 2) as (d, theta) about their anchors, a copy."""
+        return np.array(self.x[self._first : self._clones_from].reshape(-1, 2))
+
+    @property
+    def anchors(self) -> FloatArray:
+        """The lines' anchors (N, 2), m."""
+        return self._anchors
+
+    def line_covariance(self, index: int) -> FloatArray:
+        """Covariance (2, 2) of one line as (r, theta) in the world."""
+        part = self._part(index)
+        theta, anchor = float(self.x[part][1]), self._anchors[index]
+        lever = anchor[1] * np.cos(theta) - anchor[0] * np.sin(theta)
+        sign = 1.0 if self._about_origin()[index, 0] >= 0.0 else -1.0
+        by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
+        return np.asarray(by_line @ self.P[part, part] @ by_line.T)
+
+    def clone(self, robot: int = 0) -> int:
+        """Keep a copy of a robot's pose, and give back the copy's number."""
+        moved, old = slice(POSE * robot, POSE * robot + POSE), len(self.x)
+        P = np.empty((old + POSE, old + POSE))
+        P[:old, :old] = self.P
+        P[old:, :old] = self.P[moved]
+        P[:old, old:] = self.P[moved].T
+        P[old:, old:] = self.P[moved, moved]
+        self.x, self.P = np.concatenate((self.x, self.x[moved])), P
+        self._clones.append(self._next_clone)
+        self._next_clone += 1
+        return self._clones[-1]
+
+    def keep_clones(self, wanted: set[int]) -> None:
+        """Let go of all other clones: what they told stays in what they are correlated with."""
+        kept = [place for place, number in enumerate(self._clones) if number in wanted]
+        if len(kept) == len(self._clones):
+            return
+        places = (self._clones_from + POSE * np.array(kept, dtype=int)[:, None] + np.arange(POSE)).ravel()
+        self._keep(np.concatenate((np.arange(self._clones_from), places)))
+        self._clones = [self._clones[place] for place in kept]
+
+    def clone_poses(self, clones: IntArray) -> FloatArray:
+        """Where clones (n,) are believed to be (n, 3)."""
+        return np.asarray(self.x[self._columns(clones)])
+
+    def add_line(self, theta: float, anchor: FloatArray) -> int:
+        """A new line through a point (2,), m, with the normal at ``theta``, of which nothing is known yet."""
+        at, old = self._clones_from, len(self.x)
+        places = np.concatenate((np.arange(at), np.arange(at + 2, old + 2)))
+        x, P = np.zeros(old + 2), np.zeros((old + 2, old + 2))
+        x[places] = self.x
+        P[np.ix_(places, places)] = 0.5 * (self.P + self.P.T)
+        x[at + 1] = theta
+        P[[at, at + 1], [at, at + 1]] = _PRIOR
+        self.x, self.P, self.dim_x = x, P, old + 2
+        self._anchors = np.vstack((self._anchors, anchor))
+        return self.num_lines - 1
+
+    def observe(self, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
+        """Update by readings of one line, linearised anew at each iteration (the iterated EKF).
+
+        Readings farther off than ``huber`` standard deviations count less, after Huber.
+        """
+        readings = readings.select(self._clear(readings, index))
+        if not len(readings):
+            return
+        columns, places = self._involved(readings, index)
+        start, P = self.x[columns], self.P[np.ix_(columns, columns)]
+        state, weights = start.copy(), np.ones(len(readings))
+        for _ in range(iterations):
+            expected = self._expected(state, places, readings, index)
+            H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
+            S = H @ P @ H.T + np.diag(std**2 / weights)
+            y = off + H @ (state - start)
+            state = start + P @ H.T @ np.linalg.solve(S, y)
+            weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), 1e-9)) if huber else weights
+        factor = np.linalg.cholesky(S)
+        whitened = solve_triangular(factor, np.column_stack((H @ self.P[columns], y)), lower=True, check_finite=False)
+        W = np.ascontiguousarray(whitened[:, :-1])
+        self.x += whitened[:, -1] @ W
+        self._subtract_square(W)
+        self._restore_angles()
+
+    def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
+        """How badly readings fit a line; None if too few of them meet it well enough to say.
+
+        The generalised likelihood ratio of "it is this line" and "it is another one", both with all that is
+        unsure about poses and line, and what "another one" leaves unexplained.
+        """
+        readings = readings.select(self._clear(readings, index))
+        if len(readings) < 4:
+            return None
+        columns, places = self._involved(readings, index)
+        expected = self._expected(self.x[columns], places, readings, index)
+        H = self._jacobian(expected, places, len(columns))
+        S = H @ self.P[np.ix_(columns, columns)] @ H.T + std**2 * np.eye(len(readings))
+        off, by_line = readings.ranges - expected.ranges, expected.by_line
+        solved = np.linalg.solve(S, np.column_stack((off, by_line)))
+        along = by_line.T @ solved[:, 0]
+        of_line = float(along @ np.linalg.solve(by_line.T @ solved[:, 1:], along))
+        return Disagreement(of_line, float(off @ solved[:, 0]) - of_line, len(readings))
+
+    def clone_covariance(self, clones: IntArray) -> FloatArray:
+        """Joint covariance (3 n, 3 n) of clones (n,)."""
+        columns = self._columns(clones).ravel()
+        return np.asarray(self.P[np.ix_(columns, columns)])
+
+    def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
+        """How far two lines are from being one (2,), about the younger's anchor, and the covariance of that (2, 2)."""
+        off, H, columns = self._equality(older, younger)
+        return off, H @ self.P[np.ix_(columns, columns)] @ H.T
+
+    def unite(self, older: int, younger: int) -> None:
+        """Make two lines one: both are corrected by their being equal, and the younger is let go."""
+        off, H, columns = self._equality(older, younger)
+        HP = H @ self.P[columns]
+        S = HP[:, columns] @ H.T + np.diag(_EXACT)
+        gain = np.linalg.solve(S, HP)
+        self.x -= off @ gain
+        factor = np.linalg.cholesky(S)
+        self._subtract_square(solve_triangular(factor, HP, lower=True, check_finite=False))
+        self._restore_angles()
+        part = self._part(younger)
+        self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
+        self._anchors = np.delete(self._anchors, younger, axis=0)
+
+    @property
+    def _clones_from(self) -> int:
+        return self._first + 2 * self.num_lines
+
+    def _about_origin(self) -> FloatArray:
+        lines = self.anchored
+        normals = np.stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])), axis=1)
+        return np.column_stack((lines[:, 0] + np.sum(normals * self._anchors, axis=1), lines[:, 1]))
+
+    def _keep(self, places: IntArray) -> None:
+        P = self.P[np.ix_(places, places)]
+        # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
+        self.x, self.P, self.dim_x = self.x[places], 0.5 * (P + P.T), len(places)
+
+    def _columns(self, clones: IntArray) -> IntArray:
+        """The numbers of the state (n, 3) that clones (n,) are."""
+        places = np.searchsorted(self._clones, clones)
+        return np.asarray(self._clones_from + POSE * places[:, None] + np.arange(POSE))
+
+    def _involved(self, readings: Readings, index: int) -> tuple[IntArray, IntArray]:
+        """The numbers of the state that readings of a line depend on, and each reading's clone among them (n,)."""
+        clones, places = np.unique(readings.clones, return_inverse=True)
+        part = self._part(index)
+        return np.append(self._columns(clones).ravel(), [part.start, part.start + 1]), places
+
+    def _expected(self, state: FloatArray, places: IntArray, readings: Readings, index: int) -> Expected:
+        poses = state[:-2].reshape(-1, POSE)[places]
+        return expected_ranges(poses, readings, state[-2:], self._anchors[index])
+
+    def _clear(self, readings: Readings, index: int) -> FloatArray:
+        """Which readings (n,) do not graze a line."""
+        line = self.x[self._part(index)]
+        expected = expected_ranges(self.clone_poses(readings.clones), readings, line, self._anchors[index])
+        return np.asarray((np.abs(expected.cosines) > GRAZING) & (expected.ranges > 0.0))
+
+    @staticmethod
+    def _jacobian(expected: Expected, places: IntArray, size: int) -> FloatArray:
+        H, rows = np.zeros((len(places), size)), np.arange(len(places))
+        for number in range(POSE):
+            H[rows, POSE * places + number] = expected.by_pose[:, number]
+        H[:, -2:] = expected.by_line
+        return H
+
+    def _equality(self, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
+        first, second = self._part(older), self._part(younger)
+        (d, theta), other = self.x[first], self.x[second]
+        between = self._anchors[younger] - self._anchors[older]
+        cos, sin = np.cos(theta), np.sin(theta)
+        turned = np.cos(theta - other[1]) < 0.0
+        sign = -1.0 if turned else 1.0
+        off = np.array([
+            sign * (d - between[0] * cos - between[1] * sin) - other[0],
+            wrap_angle(float(theta - other[1]) + (np.pi if turned else 0.0)),
+        ])  # fmt: skip
+        H = np.array([[sign, sign * (between[0] * sin - between[1] * cos), -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+        return off, H, np.array([first.start, first.start + 1, second.start, second.start + 1])
+
+    def _restore_angles(self) -> None:
+        """Wrap the robots' headings; lines and clones are only ever used through sines and cosines."""
+        for heading in range(2, self._first, POSE):
+            self.x[heading] = wrap_angle(float(self.x[heading]))
