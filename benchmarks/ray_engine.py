@@ -82,6 +82,8 @@ class RayEngine:
 @contextmanager
 def _ray(workers: int | None, address: str | None) -> Iterator[Any]:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Ray's own choice of 15 lets its workers starve wherever something else is busy.
+    os.environ.setdefault("RAY_worker_niceness", "0")
     try:
         import ray
     except ImportError as error:

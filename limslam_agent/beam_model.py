@@ -11,6 +11,9 @@ import numpy as np
 
 from limslam_env.geometry import FloatArray, IntArray
 
+GRAZING = 0.2
+"""Cosine between a beam and a line's normal below which a reading says next to nothing."""
+
 
 class Readings(NamedTuple):
     """Readings of beams, each taken from a pose that the filter has kept.
@@ -34,11 +37,10 @@ class Readings(NamedTuple):
     sources: IntArray
 
     def select(self, chosen: IntArray) -> "Readings":
-        """Some of them, by index or mask."""
-        return Readings(*(values[chosen] for values in self))
-
-    def __len__(self) -> int:
-        return len(self.ranges)
+        """Some of them, by index."""
+        return Readings(
+            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen]
+        )
 
 
 class Expected(NamedTuple):

@@ -11,25 +11,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from limslam_agent.beam_model import Expected, Readings, expected_ranges
+from limslam_agent.beam_model import GRAZING, Expected, Readings, expected_ranges
 from limslam_agent.ekf import POSE, LineEKF
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import wrap_angle
-
-GRAZING = 0.2
-"""Cosine between a beam and a line's normal below which a reading says next to nothing."""
 
 _PRIOR = np.array([10.0**2, 3.0**2])
 _EXACT = np.array([1e-4, 1e-5]) ** 2
 
 
 class Disagreement(NamedTuple):
-    """How badly readings fit a line: by where it lies (two degrees of freedom), and what is left beside that."""
+    """How badly readings fit a line: by where it lies (two degrees of freedom), beside that, and how many were used."""
 
     of_line: float
     left: float
-    count: int
+    used: int
 
 
 class CloneEKF(LineEKF):
@@ -126,11 +123,11 @@ class CloneEKF(LineEKF):
         Readings farther off than ``huber`` standard deviations count less, after Huber.
         """
         readings = readings.select(self._clear(readings, index))
-        if not len(readings):
+        if not len(readings.ranges):
             return
         columns, places = self._involved(readings, index)
         start, P = self.x[columns], self.P[np.ix_(columns, columns)]
-        state, weights = start.copy(), np.ones(len(readings))
+        state, weights = start.copy(), np.ones(len(readings.ranges))
         for _ in range(iterations):
             expected = self._expected(state, places, readings, index)
             H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
@@ -152,17 +149,17 @@ class CloneEKF(LineEKF):
         unsure about poses and line, and what "another one" leaves unexplained.
         """
         readings = readings.select(self._clear(readings, index))
-        if len(readings) < 4:
+        if len(readings.ranges) < 4:
             return None
         columns, places = self._involved(readings, index)
         expected = self._expected(self.x[columns], places, readings, index)
         H = self._jacobian(expected, places, len(columns))
-        S = H @ self.P[np.ix_(columns, columns)] @ H.T + std**2 * np.eye(len(readings))
+        S = H @ self.P[np.ix_(columns, columns)] @ H.T + std**2 * np.eye(len(readings.ranges))
         off, by_line = readings.ranges - expected.ranges, expected.by_line
         solved = np.linalg.solve(S, np.column_stack((off, by_line)))
         along = by_line.T @ solved[:, 0]
         of_line = float(along @ np.linalg.solve(by_line.T @ solved[:, 1:], along))
-        return Disagreement(of_line, float(off @ solved[:, 0]) - of_line, len(readings))
+        return Disagreement(of_line, float(off @ solved[:, 0]) - of_line, len(readings.ranges))
 
     def clone_covariance(self, clones: IntArray) -> FloatArray:
         """Joint covariance (3 n, 3 n) of clones (n,)."""
@@ -217,11 +214,11 @@ class CloneEKF(LineEKF):
         poses = state[:-2].reshape(-1, POSE)[places]
         return expected_ranges(poses, readings, state[-2:], self._anchors[index])
 
-    def _clear(self, readings: Readings, index: int) -> FloatArray:
-        """Which readings (n,) do not graze a line."""
+    def _clear(self, readings: Readings, index: int) -> IntArray:
+        """Which readings do not graze a line."""
         line = self.x[self._part(index)]
         expected = expected_ranges(self.clone_poses(readings.clones), readings, line, self._anchors[index])
-        return np.asarray((np.abs(expected.cosines) > GRAZING) & (expected.ranges > 0.0))
+        return np.nonzero((np.abs(expected.cosines) > GRAZING) & (expected.ranges > 0.0))[0]
 
     @staticmethod
     def _jacobian(expected: Expected, places: IntArray, size: int) -> FloatArray:

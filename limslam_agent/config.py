@@ -228,7 +228,7 @@ class StraightConfig:
 
 @dataclass(frozen=True)
 class CloneConfig:
-    """The consistent estimator: readings wait with clones of their poses until it is clear which wall they show. All ours.
+    """The consistent estimator: readings wait until it is clear which wall they show. All ours.
 
     Attributes
     ----------

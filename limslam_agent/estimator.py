@@ -89,7 +89,3 @@ class Estimator:
     def waiting(self, fronts: Sequence[FrontEnd]) -> list[Waiting]:
         """What still waits, for those who want to watch."""
         raise NotImplementedError
-
-    def _note(self, record: AssociationRecord) -> None:
-        if self.on_association is not None:
-            self.on_association(record)

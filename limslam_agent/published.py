@@ -21,7 +21,7 @@ from limslam_env.interface import RobotSpec, Side
 
 
 class PublishedEstimator(Estimator):
-    """Points of a few beams are collected by odometry, and the lines in them observed as if they were independent of it.
+    """Points of a few beams are collected by odometry, and the lines in them observed as if independent of it.
 
     Parameters
     ----------
@@ -126,7 +126,8 @@ class PublishedEstimator(Estimator):
             landmark = self._belief.augment(fit.line, covariance, robot)
             self._map.add(transform_points(pose, fit.ends))
         self._drawn = None
-        self._note(AssociationRecord(landmark, not matches, scan.readings, robot))
+        if self.on_association is not None:
+            self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
 
     def _closes_loop(self, landmarks: list[int], step: int) -> bool:
         """Whether the two landmarks nearest to an observation are one wall; then the younger is corrected by the older.

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from limslam_agent.beam_model import Readings, expected_ranges, hit_points
-from limslam_agent.clone_ekf import GRAZING, CloneEKF
+from limslam_agent.beam_model import GRAZING, Readings, expected_ranges, hit_points
+from limslam_agent.clone_ekf import CloneEKF
 from limslam_agent.config import StraightConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
@@ -181,10 +181,12 @@ def _loose_ends(
 def _factor(by_pose: FloatArray, clones: IntArray, belief: CloneEKF, std: float) -> FloatArray:
     """Cholesky factor of the readings' covariance (n, n), that of the poses included."""
     own, places = np.unique(clones, return_inverse=True)
-    H, rows = np.zeros((len(clones), 3 * len(own))), np.arange(len(clones))
+    by_poses, rows = np.zeros((len(clones), 3 * len(own))), np.arange(len(clones))
     for number in range(3):
-        H[rows, 3 * places + number] = by_pose[:, number]
-    return np.linalg.cholesky(H @ belief.clone_covariance(own) @ H.T + std**2 * np.eye(len(clones)))
+        by_poses[rows, 3 * places + number] = by_pose[:, number]
+    return np.asarray(
+        np.linalg.cholesky(by_poses @ belief.clone_covariance(own) @ by_poses.T + std**2 * np.eye(len(clones)))
+    )
 
 
 def _solve(factor: FloatArray, values: FloatArray) -> FloatArray:

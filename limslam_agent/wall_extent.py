@@ -1,5 +1,8 @@
 """From where to where a wall goes along its line: where beams hit it, and where they passed through."""
 
+import math
+from typing import Self
+
 import numpy as np
 
 from limslam_env.geometry import FloatArray, IntArray
@@ -35,14 +38,16 @@ class WallExtent:
         np.minimum.at(self._least, places - self._low, along)
         np.maximum.at(self._most, places - self._low, along)
 
-    def passed(self, along: FloatArray) -> None:
-        """Beams went through at these places (n,); those beyond the wall's ends say nothing new."""
-        places = np.floor(along / BIN).astype(np.int64) - self._low
-        inside = places[(places >= 0) & (places < len(self._hits))]
-        np.add.at(self._misses, inside, 1)
+    def pass_at(self, along: float) -> bool:
+        """A beam went through at a place, m; whether that is between the wall's ends, where alone it says something."""
+        low, high = self.ends
+        is_between = low < along < high
+        if is_between:
+            self._misses[math.floor(along / BIN) - self._low] += 1
+        return is_between
 
     def pieces(self, max_gap: float, tolerance: float) -> FloatArray:
-        """Where the wall is (k, 2), m: bins in which not more than ``tolerance`` beams passed for each that ended there.
+        """Where the wall is (k, 2), m: where no more than ``tolerance`` beams passed for each that ended there.
 
         What nobody has looked at between two of them belongs to it up to ``max_gap`` (m).
         """
@@ -57,9 +62,8 @@ class WallExtent:
         parts = np.split(bins, cuts)
         return np.array([(self._least[part[0]], self._most[part[-1]]) for part in parts])
 
-    def absorb(self, other: "WallExtent", to_own: FloatArray) -> None:
-        """Take over another's counts; ``to_own`` (2,) are the factor and the shift, m, from its places to these."""
-        factor, shift = float(to_own[0]), float(to_own[1])
+    def absorb(self, other: Self, factor: float, shift: float) -> None:
+        """Take over another's counts: its place s is ``factor`` (1 or -1) times s plus ``shift`` (m) here."""
         middles = factor * BIN * (other._low + np.arange(len(other._hits)) + 0.5) + shift
         bins, was_hit = np.floor(middles / BIN).astype(np.int64), other._hits > 0
         self._reach(int(bins.min()), int(bins.max()))
