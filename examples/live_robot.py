@@ -143,7 +143,7 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
 
-    agent = LimSlamAgent(SPEC, preset("paper", NominalNoise(RANGE_STD, WHEEL_VARIANCE)))
+    agent = LimSlamAgent(SPEC, preset("consistent", NominalNoise(RANGE_STD, WHEEL_VARIANCE)))
     robot = FakeRobot(in_real_time=options.real_time)
     steps = explore(robot, agent, options.steps, options.out / "log.csv")
     belief = agent.snapshot()

@@ -14,6 +14,8 @@ from limslam_env.geometry import FloatArray, IntArray
 GRAZING = 0.2
 """Cosine between a beam and a line's normal below which a reading says next to nothing."""
 
+_ALONG = 1e-9
+
 
 class Readings(NamedTuple):
     """Readings of beams, each taken from a pose that the filter has kept.
@@ -73,12 +75,14 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
     nx, ny = np.cos(line[1]), np.sin(line[1])
     ux, uy = direction.T
     cosines = nx * ux + ny * uy
-    ranges = (line[0] - nx * (origin[:, 0] - anchor[0]) - ny * (origin[:, 1] - anchor[1])) / cosines
+    # A beam exactly along the line would meet it nowhere; very far away will do, and stays a number.
+    divisors = np.copysign(np.maximum(np.abs(cosines), _ALONG), cosines)
+    ranges = (line[0] - nx * (origin[:, 0] - anchor[0]) - ny * (origin[:, 1] - anchor[1])) / divisors
     hit_x, hit_y = origin[:, 0] + ranges * ux - anchor[0], origin[:, 1] + ranges * uy - anchor[1]
     turning = (-offset_y * nx + offset_x * ny) + ranges * (-uy * nx + ux * ny)
     by_pose = np.stack((np.full_like(cosines, -nx), np.full_like(cosines, -ny), -turning), axis=1)
     by_line = np.stack((np.ones_like(cosines), hit_x * ny - hit_y * nx), axis=1)
-    return Expected(ranges, by_pose / cosines[:, None], by_line / cosines[:, None], cosines)
+    return Expected(ranges, by_pose / divisors[:, None], by_line / divisors[:, None], cosines)
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:

@@ -38,7 +38,10 @@ _console = Console(stderr=True, highlight=False)
 
 Out = Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/...")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the results of an earlier run in that folder.")]
-PresetName = Annotated[str, typer.Option("--preset", help="The agent's settings: paper, or odometry (no filter).")]
+PresetName = Annotated[
+    str,
+    typer.Option("--preset", help="The agent's settings: consistent, paper (as published), or odometry (no filter)."),
+]
 
 
 @app.callback()
@@ -50,7 +53,7 @@ def _limslam() -> None:
 def run(
     world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
     noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
-    preset: PresetName = "paper",
+    preset: PresetName = "consistent",
     seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
     max_time: Annotated[float, typer.Option(help="Longest simulated time, s.")] = 1800.0,
     policy: Annotated[
@@ -121,7 +124,7 @@ def replay(
     beams: Annotated[str | None, typer.Option(help="Beams to use, deg: A,B,...", show_default="all of a few")] = None,
     max_range: Annotated[float | None, typer.Option(help="Longest range used, m.", show_default="3.0")] = None,
     noise: Annotated[float, typer.Option(help="Assumed standard deviation of the ranges, m.")] = 0.02,
-    preset: PresetName = "paper",
+    preset: PresetName = "consistent",
     odometry_noise: Annotated[
         str | None,
         typer.Option(

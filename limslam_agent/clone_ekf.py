@@ -138,9 +138,8 @@ class CloneEKF(LineEKF):
         factor = np.linalg.cholesky(S)
         whitened = solve_triangular(factor, np.column_stack((H @ self.P[columns], y)), lower=True, check_finite=False)
         W = np.ascontiguousarray(whitened[:, :-1])
-        self.x += whitened[:, -1] @ W
         self._subtract_square(W)
-        self._restore_angles()
+        self._correct(whitened[:, -1] @ W)
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
         """How badly readings fit a line; None if too few of them meet it well enough to say.
@@ -177,10 +176,9 @@ class CloneEKF(LineEKF):
         HP = H @ self.P[columns]
         S = HP[:, columns] @ H.T + np.diag(_EXACT)
         gain = np.linalg.solve(S, HP)
-        self.x -= off @ gain
         factor = np.linalg.cholesky(S)
         self._subtract_square(solve_triangular(factor, HP, lower=True, check_finite=False))
-        self._restore_angles()
+        self._correct(-off @ gain)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
         self._anchors = np.delete(self._anchors, younger, axis=0)
@@ -188,6 +186,35 @@ class CloneEKF(LineEKF):
     @property
     def _clones_from(self) -> int:
         return self._first + 2 * self.num_lines
+
+    def _correct(self, change: FloatArray) -> None:
+        """Change the state after an update, and carry what is unsure along with it.
+
+        When the whole world is turned or shifted, no range changes. The plain filter forgets that once a correction
+        has moved what Jacobians are taken at, and seems to learn its heading from nothing. An error is therefore kept
+        as what it is beside the first robot's own, as an invariant filter would (A. Barrau and S. Bonnabel, "An
+        EKF-SLAM algorithm with consistency properties", 2015), and P follows when the state moves.
+        """
+        before = self._carried()
+        self.x += change
+        moved = self._carried() - before
+        self.P += moved @ self.P[:POSE]
+        self.P += self.P[:, :POSE] @ moved.T
+        self._restore_angles()
+
+    def _carried(self) -> FloatArray:
+        """How all of the state (n, 3) moves with the first robot when the whole world does."""
+        moved = np.zeros((len(self.x), POSE))
+        x, y, _ = self.x[:POSE]
+        for part in (slice(0, self._first), slice(self._clones_from, None)):
+            poses, by_pose = self.x[part].reshape(-1, POSE), moved[part].reshape(-1, POSE, POSE)
+            by_pose[:] = np.eye(POSE)
+            by_pose[:, 0, 2], by_pose[:, 1, 2] = y - poses[:, 1], poses[:, 0] - x
+        theta, by_line = self.anchored[:, 1], moved[self._first : self._clones_from].reshape(-1, 2, POSE)
+        cos, sin, (anchor_x, anchor_y) = np.cos(theta), np.sin(theta), self._anchors.T
+        by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)
+        by_line[:, 1, 2] = 1.0
+        return moved
 
     def _about_origin(self) -> FloatArray:
         lines = self.anchored

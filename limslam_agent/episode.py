@@ -72,7 +72,7 @@ class RunConfig:
 
     world: WorldSource = "env1"
     noise: float = 0.0
-    preset: str = "paper"
+    preset: str = "consistent"
     seed: int = 0
     max_time: float = 1800.0
     laps: int = 0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.belief import Belief, Policy
-from limslam_agent.config import AgentConfig
+from limslam_agent.config import AgentConfig, preset
 from limslam_agent.line_map import Landmark
 from limslam_agent.occupancy import GridView, OccupancyGrid
 from limslam_agent.policies import FrontierPolicy
@@ -87,7 +87,7 @@ class LimSlamTeam:
             raise ValueError(f"a team has one robot or more, not {num_robots}")
         if policies is not None and len(policies) != num_robots:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
-        self.robot, self.config, self.num_robots = robot, config or AgentConfig(), num_robots
+        self.robot, self.config, self.num_robots = robot, config or preset("consistent"), num_robots
         self.names = [f"robot_{number}" for number in range(num_robots)]
         self._given_policies = policies
         self.reset(np.zeros((num_robots, 3)))

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from limslam_env.free_space import cell_for, free_space
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.segment import sample
 from limslam_env.world import World, WorldError
 
 LEAST_GAP = 0.03
@@ -25,7 +26,7 @@ MOST_PLACES = 1500
 _TIGHT = 3.0  # what a metre with less than GAP costs
 _FARTHEST = 4.0  # spacings; places farther apart are not joined by a straight line
 _ESCAPE = 0.1  # m from a start to where there is room
-_PAIRS_AT_ONCE, _NEAR = 4000, 16
+_PAIRS_AT_ONCE, _NEAR = 1000, 16
 
 
 class Roadmap:
@@ -138,17 +139,25 @@ class Roadmap:
 
     def _join(self, places: FloatArray) -> None:
         """Join the places by straight ways, with more places where some cannot be got to otherwise."""
-        fine = None
-        while True:
-            self.places, self._graph = places, self._straight_ways(places)
+        self.places, self._graph = places, self._straight_ways(places)
+        fine: _FineWays | None = None
+        # From cell to cell there always is a way, should the straight pieces of one be a hair too near to a wall.
+        for thinned in (self._thinned, np.asarray):
             _, part = csgraph.connected_components(self._graph, directed=False)
-            if (part == part[0]).all():
+            firsts = np.unique(part, return_index=True)[1]
+            lost = firsts[part[firsts] != part[0]]
+            if not len(lost):
                 return
             fine = fine or _FineWays(self._drivable, self._tight, self._cells(places[0]))
-            firsts = np.unique(part, return_index=True)[1]
-            ways = [fine.way_to(self._cells(places[number])) for number in firsts if part[number] != part[0]]
-            turns = [self.pulled(self._origin + (way[:, ::-1] + 0.5) * self._cell) for way in ways]
-            places = np.vstack((places, *turns))
+            ways = [fine.way_to(self._cells(places[number])) for number in lost]
+            more = [thinned(self._origin + (way[:, ::-1] + 0.5) * self._cell) for way in ways]
+            self.places = np.vstack((self.places, *more))
+            self._graph = self._straight_ways(self.places)
+
+    def _thinned(self, way: FloatArray) -> FloatArray:
+        """The turns of a way (n, 2), m, and so many points between them that each is joined to the next."""
+        turns = self.pulled(way)
+        return sample(np.hstack((turns[:-1], turns[1:])), 0.9 * _FARTHEST * self._spacing)[0]
 
     def _straight_ways(self, places: FloatArray) -> sparse.csr_array:
         pairs = cKDTree(places).query_pairs(_FARTHEST * self._spacing, output_type="ndarray")

@@ -24,6 +24,9 @@ GOAL = 0.99
 EVALUATIONS = 2000
 """Changes that are tried to improve a tour."""
 
+MOST_CELLS = 300_000
+"""Coverable cells (3000 m^2) of the largest buildings that tours are planned for: planning takes minutes there."""
+
 # What weight the number of new cells gets against the time to get there.
 _POWERS = (0.5, 0.75, 1.0, 1.5)
 _CANDIDATES, _NEIGHBOURHOOD, _MOST_VISITS = 12, 400, 2
@@ -108,7 +111,7 @@ def coverage_tour(
     Raises
     ------
     WorldError
-        If there is no room to drive at the start.
+        If there is no room to drive at the start, or the building is too large.
     """
     speeds = speeds or top_speeds(robot)
     if seen is None:
@@ -133,7 +136,7 @@ def closed_tour(
     Raises
     ------
     WorldError
-        If there is no room to drive at the start, or along the loop.
+        If there is no room to drive at the start or along the loop, or the building is too large.
     """
     if not len(world.loop):
         return np.tile(_closed_coverage_tour(world, robot, _tuple(start), evaluations), (laps, 1))
@@ -182,8 +185,10 @@ class Tours:
     ) -> None:
         self._robot, self._speeds, self._is_closed = robot, speeds, is_closed
         self.start = np.asarray(start, dtype=float)
-        self.roads = Roadmap(world, robot.radius, self.start[:2])
         self._grid = coverage_grid(world, robot, self.start[None])
+        if self._grid.total > MOST_CELLS:
+            raise WorldError(f"world {world.name!r}: {self._grid.total} cells are too many for a tour ({MOST_CELLS})")
+        self.roads = Roadmap(world, robot.radius, self.start[:2])
         self._sweep = BeamSweep(world, robot, self._grid)
         self._seen = np.zeros_like(self._grid.coverable) if seen is None else seen
         wanted = math.ceil(goal * self._grid.total - 1e-9)

@@ -63,4 +63,6 @@ def test_every_link_to_a_file_leads_somewhere():
 def test_nothing_was_left_to_be_filled_in():
     documents = [README, *(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))]
     assert len(documents) > 3
-    assert [re.findall(r"\b[A-Z]{3,}_[A-Z0-9]+\b", text) for text in documents] == [[]] * len(documents)
+    # Names of environment variables stand as code.
+    prose = [re.sub(r"`[^`]*`", "", text) for text in documents]
+    assert [re.findall(r"\b[A-Z]{3,}_[A-Z0-9]+\b", text) for text in prose] == [[]] * len(documents)

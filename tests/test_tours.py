@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from limslam_env import tours
 from limslam_env.coverage import BeamSweep, coverage_grid
 from limslam_env.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.geometry.segment import distances
@@ -122,6 +123,27 @@ def test_a_loop_through_a_wall_is_refused():
 def test_where_there_is_no_room_there_is_no_tour():
     with pytest.raises(WorldError, match=r"no room to drive at \(2, 1\)"):
         coverage_tour(SCREEN, ROBOT, np.array([2.0, 1.0, 0.0]))
+
+
+def test_a_building_that_would_take_hours_is_refused(monkeypatch):
+    monkeypatch.setattr(tours, "MOST_CELLS", 1000)
+    with pytest.raises(WorldError, match="'screen': 1200 cells are too many for a tour"):
+        coverage_tour(SCREEN, ROBOT, START, evaluations=1)
+
+
+def test_the_only_way_through_a_long_slanted_passage_is_found():
+    # 3 m long and 0.3 m wide: no two places of the grid on its axis see each other.
+    ahead, left = np.array([math.cos(0.2), math.sin(0.2)]), np.array([-math.sin(0.2), math.cos(0.2)])
+    right_ends = np.array([[2.0, 1.0], [2.0, 1.0] + 3.0 * ahead])
+    left_ends = right_ends + 0.3 * left
+    (x1, x2), (x3, x4) = right_ends[:, 0], left_ends[:, 0]
+    corners = [(0, 0), (x1, 0), *right_ends, (x2, 0), (8, 0), (8, 4), (x4, 4), *left_ends[::-1], (x3, 4), (0, 4)]
+    world = World("passage", (8.0, 4.0), np.hstack((corners, np.roll(corners, -1, axis=0))))
+    roads = Roadmap(world, ROBOT.radius, np.array([0.5, 3.5]))
+    assert (roads.places[:, 0] > 5.5).sum() > 20
+    assert np.isfinite(roads.lengths_from(0)).all()
+    way = np.vstack(([[0.5, 3.5]], roads.way(np.array([0.5, 3.5]), np.array([7.5, 0.5]))))
+    assert roads.is_free(way[:-1], way[1:]).all()
 
 
 def test_ways_go_round_what_stands_there():
