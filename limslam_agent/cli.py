@@ -124,7 +124,7 @@ def replay(
     beams: Annotated[str | None, typer.Option(help="Beams to use, deg: A,B,...", show_default="all of a few")] = None,
     max_range: Annotated[float | None, typer.Option(help="Longest range used, m.", show_default="3.0")] = None,
     noise: Annotated[float, typer.Option(help="Assumed standard deviation of the ranges, m.")] = 0.02,
-    preset: PresetName = "consistent",
+    preset: PresetName = "paper",
     odometry_noise: Annotated[
         str | None,
         typer.Option(
