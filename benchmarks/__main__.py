@@ -89,7 +89,9 @@ def table(
     from benchmarks.tables import table as tabulate
     from limslam_agent.whole_file import whole_file
 
-    text = tabulate([row for folder in folders for row in read_rows(folder)], latex=latex)
+    rows = [row for folder in folders for row in read_rows(folder)]
+    # The course of runs is looked up where they lie; of several folders there is no such place.
+    text = tabulate(rows, latex=latex, folder=folders[0] if len(folders) == 1 else None)
     if out is None:
         typer.echo(text.rstrip("\n"))
         return
@@ -102,11 +104,12 @@ def table(
 def plot(
     folder: Folder,
     out: Annotated[Path | None, typer.Option(help="Folder for the plots.", show_default="FOLDER/plots")] = None,
+    svg: Annotated[bool, typer.Option("--svg", help="Vector graphics too.")] = False,
 ) -> None:
     """Draw the paper's figures again, and sweeps and coverage besides."""
     from benchmarks.plots import plot as draw
 
-    for path in draw(folder, out or folder / "plots"):
+    for path in draw(folder, out or folder / "plots", svg=svg):
         typer.echo(f"plot        {path}")
 
 

@@ -126,20 +126,22 @@ class CloneEKF(LineEKF):
         if not len(readings.ranges):
             return
         columns, places = self._involved(readings, index)
-        start, P = self.x[columns], self.P[np.ix_(columns, columns)]
-        state, weights = start.copy(), np.ones(len(readings.ranges))
+        start, P_start, carried, weights = self.x.copy(), self.P, self._carried(), np.ones(len(readings.ranges))
+        change = np.zeros_like(start)
         for _ in range(iterations):
-            expected = self._expected(state, places, readings, index)
+            self.x += change
+            # Jacobian and covariance belong to one and the same place.
+            P = _carry(P_start, self._carried() - carried)
+            expected = self._expected(self.x[columns], places, readings, index)
             H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
-            S = H @ P @ H.T + np.diag(std**2 / weights)
-            y = off + H @ (state - start)
-            state = start + P @ H.T @ np.linalg.solve(S, y)
+            HP, so_far = H @ P[columns], self.x - start
+            S = HP[:, columns] @ H.T + np.diag(std**2 / weights)
+            change = np.linalg.solve(S, off + H @ so_far[columns]) @ HP - so_far
             weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), 1e-9)) if huber else weights
         factor = np.linalg.cholesky(S)
-        whitened = solve_triangular(factor, np.column_stack((H @ self.P[columns], y)), lower=True, check_finite=False)
-        W = np.ascontiguousarray(whitened[:, :-1])
-        self._subtract_square(W)
-        self._correct(whitened[:, -1] @ W)
+        self.P = P
+        self._subtract_square(np.ascontiguousarray(solve_triangular(factor, HP, lower=True, check_finite=False)))
+        self._correct(change)
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
         """How badly readings fit a line; None if too few of them meet it well enough to say.
@@ -197,9 +199,7 @@ class CloneEKF(LineEKF):
         """
         before = self._carried()
         self.x += change
-        moved = self._carried() - before
-        self.P += moved @ self.P[:POSE]
-        self.P += self.P[:, :POSE] @ moved.T
+        self.P = _carry(self.P, self._carried() - before)
         self._restore_angles()
 
     def _carried(self) -> FloatArray:
@@ -273,3 +273,9 @@ class CloneEKF(LineEKF):
         """Wrap the robots' headings; lines and clones are only ever used through sines and cosines."""
         for heading in range(2, self._first, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))
+
+
+def _carry(P: FloatArray, moved: FloatArray) -> FloatArray:
+    """P after what moves with the first robot's error (n, 3) has changed by ``moved``."""
+    P = P + moved @ P[:POSE]
+    return P + P[:, :POSE] @ moved.T

@@ -43,7 +43,9 @@ class WallExtent:
         low, high = self.ends
         is_between = low < along < high
         if is_between:
-            self._misses[math.floor(along / BIN) - self._low] += 1
+            # Bins that were taken over from another wall lie up to half a bin off its exact ends.
+            place = math.floor(along / BIN) - self._low
+            self._misses[min(max(place, 0), len(self._misses) - 1)] += 1
         return is_between
 
     def pieces(self, max_gap: float, tolerance: float) -> FloatArray:

@@ -67,7 +67,7 @@ def drive(
         seen = ranges < robot.too_far
         ranges[seen] += noise * generator.standard_normal(len(ranges))[seen]
         ranges = np.clip(ranges, robot.min_ranges, robot.max_ranges)
-        observations.append({"ranges": ranges.astype(np.float32), "wheels": np.float32(travel)})
+        observations.append(Observation(ranges=ranges.astype(np.float32), wheels=np.array(travel, dtype=np.float32)))
     return observations, np.array(poses)
 
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.stats import chi2, kstest
 
 from limslam_agent.beam_model import Readings, hit_points
@@ -111,6 +110,45 @@ def dense_update(
     gain = covariance @ jacobian.T @ np.linalg.inv(jacobian @ covariance @ jacobian.T + noise)
     left = np.eye(len(state)) - gain @ jacobian
     return state + gain @ difference, left @ covariance @ left.T + gain @ noise @ gain.T
+
+
+def world_moved(state: FloatArray, ekf: CloneEKF, motion: FloatArray) -> FloatArray:
+    """The state after the whole world, but for the anchors, has moved (m, m) and turned (rad) about the first robot."""
+    middle, anchors, moved = state[:2], ekf.anchors, state.astype(motion.dtype)
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+
+    def point(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = x - middle[0], y - middle[1]
+        return middle[0] + motion[0] + cos * x - sin * y, middle[1] + motion[1] + sin * x + cos * y
+
+    of_lines = slice(ekf._first, ekf._first + 2 * ekf.num_lines)
+    for part in (slice(0, of_lines.start), slice(of_lines.stop, None)):
+        for pose in moved[part].reshape(-1, 3):
+            pose[:2] = point(pose[0], pose[1])
+            pose[2] += motion[2]
+    for line, (x, y) in zip(moved[of_lines].reshape(-1, 2), anchors, strict=True):
+        foot_x, foot_y = point(x + line[0] * np.cos(line[1]), y + line[0] * np.sin(line[1]))
+        line[1] += motion[2]
+        line[0] = (foot_x - x) * np.cos(line[1]) + (foot_y - y) * np.sin(line[1])
+    return moved
+
+
+def with_the_world(state: FloatArray, ekf: CloneEKF) -> FloatArray:
+    """How the state (n, 3) moves with the first robot when the whole world does."""
+    return derivative(lambda motion: world_moved(state, ekf, motion), np.zeros(3))
+
+
+def carrying(before: FloatArray, after: FloatArray, ekf: CloneEKF) -> FloatArray:
+    """How errors (n, n) change that are kept beside the first robot's own while the state moves."""
+    change = np.eye(len(before))
+    change[:, :3] += with_the_world(after, ekf) - with_the_world(before, ekf)
+    return change
+
+
+def carried(covariance: NDArray[np.floating[Any]], before: FloatArray, after: FloatArray, ekf: CloneEKF) -> FloatArray:
+    """The covariance of such errors."""
+    change = carrying(before, after, ekf)
+    return np.asarray(change @ covariance @ change.T)
 
 
 def measured(ekf: CloneEKF, readings: Readings, index: int, seed: int) -> Readings:
@@ -223,6 +261,7 @@ def test_one_iteration_without_huber_equals_the_dense_filter(heading: float) -> 
     jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), state)
     off = seen.ranges - ranges_from(state, ekf, seen, index)
     wanted, left = dense_update(state, covariance, jacobian, off, STD**2 * np.eye(len(off)))
+    left = carried(left, state, wanted, ekf)
     ekf.observe(seen, index, STD, 1, 0.0)
     turns = np.round((wanted[2] - ekf.x[2]) / (2.0 * math.pi))
     wanted[2] -= 2.0 * math.pi * turns
@@ -239,19 +278,18 @@ def test_the_iterated_update_reaches_the_optimum_of_belief_and_readings_together
     ekf.P *= 30.0
     index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), seed, 3e-3)
     seen = measured(ekf, readings, index, seed)
-    prior, root = ekf.x.copy(), np.linalg.cholesky(ekf.P)
-
-    def left(whitened: FloatArray) -> FloatArray:
-        off = seen.ranges - ranges_from(prior + root @ whitened, ekf, seen, index)
-        return np.append(off / STD, whitened)
-
-    solved = least_squares(left, np.zeros(len(prior)), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    optimum = prior + root @ solved.x
+    prior, covariance = ekf.x.copy(), ekf.P.copy()
+    # Gauss and Newton in information form; errors of the belief are kept beside the robot's own while the state moves.
+    optimum = prior.copy()
+    for _ in range(30):
+        jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), optimum)
+        known = np.linalg.inv(carried(covariance, prior, optimum, ekf))
+        information = known + jacobian.T @ jacobian / STD**2
+        off = seen.ranges - ranges_from(optimum, ekf, seen, index)
+        optimum = optimum + np.linalg.solve(information, jacobian.T @ off / STD**2 - known @ (optimum - prior))
     ekf.observe(seen, index, STD, 30, 0.0)
     np.testing.assert_allclose((ekf.x - optimum) / np.sqrt(np.diag(ekf.P)), 0.0, atol=1e-4)
     # And its covariance is that at the optimum.
-    jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), optimum)
-    information = np.linalg.inv(root @ root.T) + jacobian.T @ jacobian / STD**2
     assert_scaled(ekf.P, np.linalg.inv(information), 1e-4)
 
 
@@ -283,9 +321,10 @@ def test_the_birth_of_a_line_equals_least_squares_over_poses_and_line(seed: int)
     state, prior = ekf.x.copy(), ekf.x.copy()
     for _ in range(10):
         jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), state)
-        total = known + jacobian.T @ jacobian / STD**2
+        back = np.linalg.inv(carrying(prior, state, ekf))
+        total = back.T @ known @ back + jacobian.T @ jacobian / STD**2
         off = seen.ranges - ranges_from(state, ekf, seen, index)
-        state = state + np.linalg.solve(total, jacobian.T @ off / STD**2 - known @ (state - prior))
+        state = state + np.linalg.solve(total, jacobian.T @ off / STD**2 - back.T @ known @ back @ (state - prior))
     ekf.observe(seen, index, STD, 10, 0.0)
     covariance = np.linalg.inv(total)
     np.testing.assert_allclose((ekf.x - state) / np.sqrt(np.diag(covariance)), 0.0, atol=1e-3)
@@ -307,6 +346,29 @@ def test_a_new_line_is_known_as_well_as_its_prior_says_and_uncorrelated() -> Non
     assert ekf.add_line(1.0, np.array([0.0, 2.0])) == 1
     np.testing.assert_array_equal(ekf.x[3:7], [0.0, 0.4, 0.0, 1.0])
     np.testing.assert_array_equal(ekf.clone_poses(np.array([0, 1])), state[3:].reshape(2, 3))
+
+
+def known_of_the_world(ekf: CloneEKF) -> FloatArray:
+    """Information (3, 3) on where the whole world lies and how it is turned."""
+    directions = with_the_world(ekf.x, ekf)
+    return np.asarray(directions.T @ np.linalg.solve(ekf.P, directions))
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 4])
+@pytest.mark.parametrize("heading", [0.0, 2.5, -3.0])
+def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(heading: float, iterations: int) -> None:
+    # No range changes when all of it is shifted and turned, however far corrections have moved the Jacobians' places.
+    start = np.array([0.4, -0.2, heading])
+    ekf, readings = driven(4, pose=start)
+    ekf.P *= 10.0
+    for seed, bearing in enumerate((1.65, 1.5)):
+        with_line(ekf, np.array([0.03, heading + bearing]), compose(start, np.array([0.3, 0.7, 0.0]))[:2], seed, 1e-2)
+    known = known_of_the_world(ekf)
+    moved = ekf.x.copy()
+    for seed in range(6):
+        ekf.observe(measured(ekf, readings, seed % 2, seed), seed % 2, STD, iterations, 0.0)
+    assert np.abs(ekf.x - moved).max() > 0.05
+    np.testing.assert_allclose(known_of_the_world(ekf), known, rtol=1e-6, atol=1e-6 * np.abs(known).max())
 
 
 @pytest.mark.parametrize(
@@ -555,6 +617,7 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     wanted, left = dense_update(before, covariance, jacobian, -off, exact)
     # They are one now, but for what is not linear in the small angle between them.
     assert np.abs(apart(wanted, ekf, older, younger, turned)).max() < 0.02 * np.abs(off).max()
+    left = carried(left, before, wanted, ekf)
     ekf.unite(older, younger)
     gone = [3 + 2 * younger, 4 + 2 * younger]
     np.testing.assert_allclose(ekf.x, np.delete(wanted, gone), atol=1e-10)
@@ -562,6 +625,7 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     np.testing.assert_array_equal(ekf.anchors, np.delete(anchors, younger, axis=0))
     assert (ekf.num_lines, ekf.num_clones) == (2, 2)
     # All that is left is known better than before, or as well.
+    covariance = carried(covariance, before, wanted, seen_twice(theta, turned, 2))
     shrunk = np.delete(np.delete(covariance, gone, 0), gone, 1) - ekf.P
     assert np.linalg.eigvalsh(shrunk).min() > -1e-12
     assert np.trace(shrunk) > 1e-6
@@ -631,6 +695,7 @@ def test_several_robots_have_clones_of_their_own_and_learn_from_each_other_by_a_
     jacobian = derivative(lambda x: ranges_from(x, ekf, of_first, 0), state)
     off = of_first.ranges - ranges_from(state, ekf, of_first, 0)
     wanted, left = dense_update(state, covariance, jacobian, off, STD**2 * np.eye(len(off)))
+    left = carried(left, state, wanted, ekf)
     ekf.observe(of_first, 0, STD, 1, 0.0)
     np.testing.assert_allclose(ekf.x, wanted, atol=1e-10)
     np.testing.assert_allclose(ekf.P, left, atol=1e-12)

@@ -6,6 +6,7 @@ a quarter of a lap apart, and the band of the mean allows for what correlation i
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from limslam_agent.slam import LineSlam
 from limslam_agent.tracks import SIDES, Pending, Track
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
 
 DEGREES = 3
 MOMENTS = 4
@@ -43,7 +44,7 @@ class OracleEstimator:
         self._waiting: dict[int, list[Pending]] = {}
         self._index: dict[int, int] = {}
 
-    def step(self, observation, wall_seen: IntArray) -> None:
+    def step(self, observation: Observation, wall_seen: IntArray) -> None:
         self._front.accept(observation)
         wheels = np.asarray(observation["wheels"], dtype=float)
         motion = motion_from_wheels(wheels, self.robot, self.config.noise)
@@ -139,3 +140,47 @@ def band_of_mean(values: FloatArray) -> Band:
     freedom = runs * DEGREES / correlation
     low, high = chi2.ppf((0.025, 0.975), freedom) / freedom * DEGREES
     return Band(float(low), float(high))
+
+
+def check(values: FloatArray, *, is_exact: bool) -> None:
+    """Inside the band; without noise, sigma is taken for 5 mm and errors are below it: only its upper end counts."""
+    band = band_of_mean(values)
+    told = (
+        f"mean {values.mean():.2f}, band {band.low:.2f} to {band.high:.2f}, at moments {values.mean(axis=0).round(2)}"
+    )
+    assert values.mean() < band.high, told
+    assert is_exact or values.mean() > band.low, told
+
+
+def runs(find: Callable[[LapLog, AgentConfig], list[float]], noise: float, count: int) -> FloatArray:
+    """Normalised errors (count, 4), a run a seed."""
+    config = preset("consistent", NominalNoise(noise))
+    return np.array([find(laps_of_square(noise, seed), config) for seed in range(count)])
+
+
+def test_the_band_is_that_of_chi_square() -> None:
+    generator = np.random.default_rng(0)
+    # Independent moments make it narrow, those that are all the same make it as wide as that of one moment a run.
+    independent = generator.chisquare(DEGREES, (4000, MOMENTS))
+    alike = np.repeat(generator.chisquare(DEGREES, (4000, 1)), MOMENTS, axis=1)
+    for values, freedom in ((independent, 3 * 4000 * MOMENTS), (alike, 3 * 4000)):
+        np.testing.assert_allclose(band_of_mean(values), chi2.ppf((0.025, 0.975), freedom) / freedom * 3.0, rtol=2e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
+def test_with_known_association_a_few_laps_are_as_wrong_as_believed(noise: float) -> None:
+    check(runs(with_oracle, noise, 8), is_exact=noise == 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
+def test_with_known_association_laps_are_as_wrong_as_believed(noise: float) -> None:
+    check(runs(with_oracle, noise, 30), is_exact=noise == 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise", "most"), [(0.0, 1.5), (0.02, 1.7), (0.04, 2.0)])
+def test_with_real_association_laps_are_not_much_more_wrong_than_believed(noise: float, most: float) -> None:
+    """The bars of the project for NEES / 3; at 4 cm the mean lies at the band's upper end."""
+    values = runs(with_real_association, noise, 30)
+    assert 0.5 < values.mean() / DEGREES < most
