@@ -16,8 +16,10 @@ def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
     Raises
     ------
     ValueError
-        If there is no such part.
+        If there is no such part, or the estimator has no such part.
     """
+    if config.estimator != "published" and ablation in set(ABLATIONS) - {"no-loop-closing"}:
+        raise ValueError(f"{ablation} leaves out a part of the published method: it goes with the preset paper")
     if ablation == "no-ekf":
         return replace(config, filter=replace(config.filter, correct=False))
     if ablation == "no-loop-closing":

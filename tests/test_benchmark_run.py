@@ -265,9 +265,11 @@ def test_the_command_tabulates(results, monkeypatch, capsys, tmp_path):
 
 
 def test_the_command_plots_and_reports(results, monkeypatch, capsys):
-    monkeypatch.setattr(plots, "plot", lambda folder, out: [out / f"of-{folder.name}.svg"])
+    monkeypatch.setattr(plots, "plot", lambda folder, out, svg: [out / f"of-{folder.name}.{'svg' if svg else 'png'}"])
     monkeypatch.setattr(report, "report", lambda folder, out: out.with_name(f"{folder.name}-{out.name}"))
     assert call(monkeypatch, "plot", results) == 0
+    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.png\n"
+    assert call(monkeypatch, "plot", results, "--svg") == 0
     assert capsys.readouterr().out == f"plot        {results}/plots/of-out.svg\n"
     assert call(monkeypatch, "report", results, "--out", results / "page.html") == 0
     assert capsys.readouterr().out == f"report      {results}/out-page.html\n"

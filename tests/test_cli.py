@@ -89,7 +89,9 @@ def test_files_agree_with_each_other(short_run):
 
 
 def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
-    result = limslam("replay", short_run / "log.npz", "--noise", "0.02", "--out", tmp_path / "again")
+    result = limslam(
+        "replay", short_run / "log.npz", "--noise", "0.02", "--preset", "consistent", "--out", tmp_path / "again"
+    )  # fmt: skip
     assert result.returncode == 0, result.stderr
     again = np.loadtxt(tmp_path / "again" / "trajectory_est.tum")
     np.testing.assert_array_equal(again, np.loadtxt(short_run / "trajectory_est.tum"))
@@ -120,7 +122,7 @@ def test_without_a_folder_runs_get_names_of_their_own(tmp_path):
     for _ in range(2):
         assert limslam("run", "--max-time", "1", cwd=tmp_path).returncode == 0
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == [
-        "env1-2cm-paper-seed0", "env1-2cm-paper-seed0-2",
+        "env1-2cm-consistent-seed0", "env1-2cm-consistent-seed0-2",
     ]  # fmt: skip
 
 
@@ -307,13 +309,13 @@ def test_importing_the_command_line_is_light():
 def test_who_drove_is_written_down_and_in_the_name_of_the_folder(tmp_path, policy):
     result = limslam("run", "--world", "square", "--max-time", "3", "--policy", policy, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    folder = tmp_path / "runs" / f"square-2cm-paper-seed0-{policy}"
+    folder = tmp_path / "runs" / f"square-2cm-consistent-seed0-{policy}"
     assert json.loads((folder / "result.json").read_text())["config"]["policy"] == policy
 
 
 @pytest.mark.parametrize("ablation", ["no-ekf", "no-loop-closing", "no-end-gate", "only-best-line"])
 def test_every_ablation_can_be_run_and_is_written_down(tmp_path, ablation):
-    result = limslam("run", "--max-time", "4", "--ablation", ablation, "--out", tmp_path / "run")
+    result = limslam("run", "--max-time", "4", "--preset", "paper", "--ablation", ablation, "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     written = json.loads((tmp_path / "run" / "result.json").read_text())
     assert written["config"]["ablation"] == ablation

@@ -46,7 +46,7 @@ class Forgetful:
 
 
 def test_the_agent_gets_the_metrics_of_a_run():
-    expected = score(run_episode(RunConfig("env2", 0.02, seed=3, max_time=25.0)))
+    expected = score(run_episode(RunConfig("env2", 0.02, "paper", seed=3, max_time=25.0)))
     (result,) = evaluate(LimSlamAgent(ROBOT, TOLD), "LimSlam-Env2-v0", [3], max_time=25.0, sensor_noise=0.02)
     assert result.pop("seed") == 3
     assert {"ate_m", "odometry_ate_m", "anees", "wall_f1", "doors_open", "coverage_correct"} <= set(result)
@@ -54,7 +54,7 @@ def test_the_agent_gets_the_metrics_of_a_run():
 
 
 def test_a_team_gets_the_metrics_of_a_run():
-    expected = score(run_episode(RunConfig("env2", 0.02, seed=3, max_time=15.0, robots=2)))
+    expected = score(run_episode(RunConfig("env2", 0.02, "paper", seed=3, max_time=15.0, robots=2)))
     (result,) = evaluate(LimSlamTeam(ROBOT, TOLD), "limslam/Env2-v0", [3], max_time=15.0, sensor_noise=0.02)
     assert result.pop("seed") == 3
     assert {"ate_m", "wall_f1"} <= set(result)

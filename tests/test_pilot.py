@@ -36,7 +36,7 @@ def tour():
 
 
 @pytest.mark.parametrize("policy", ["tour", "oracle"])
-@pytest.mark.parametrize("settings", [{"preset": "odometry"}, {"ablation": "no-ekf"}])
+@pytest.mark.parametrize("settings", [{"preset": "odometry"}, {"preset": "paper", "ablation": "no-ekf"}])
 def test_every_estimator_listens_to_the_same_drive(policy, settings, request):
     one, other = request.getfixturevalue(policy), run(policy, **settings)
     assert len(one.time) > 100
@@ -87,7 +87,7 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
 
 
 def test_titles_name_the_policy():
-    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith("room, range noise 0 cm, paper, wall follower")
+    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith("room, range noise 0 cm, consistent, wall follower")
     assert "frontier" not in title_of(RunConfig(ROOM))
     assert "tour, 3 laps" in title_of(RunConfig(ROOM, policy="tour", laps=3))
 
