@@ -87,7 +87,9 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
 
 
 def test_titles_name_the_policy():
-    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith("room, range noise 0 cm, consistent, wall follower")
+    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith(
+        "room, range noise 0 cm, consistent, wall follower"
+    )
     assert "frontier" not in title_of(RunConfig(ROOM))
     assert "tour, 3 laps" in title_of(RunConfig(ROOM, policy="tour", laps=3))
 
