@@ -10,6 +10,8 @@ import time
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
+from limslam_agent.beam_model import Readings
+from limslam_agent.clone_ekf import CloneEKF
 from limslam_agent.ekf import POSE, LineEKF
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import to_frame, to_frame_jacobians
@@ -18,6 +20,11 @@ from limslam_env.geometry.se2 import compose, compose_jacobians
 BARS_MS = {50: 0.05, 200: 0.10, 500: 0.40}
 """Landmarks, and the longest that prediction and one update may take, ms."""
 
+CLONE_LANDMARKS, CLONE_BAR_MS = (20, 50, 200), 1.0
+"""The same for the consistent filter; its bar is for 200 landmarks."""
+
+BATCH = 4
+RANGE_STD = 0.02
 REPETITIONS = 1000
 DENSE_SECONDS = 3.0
 INCREMENT = np.array([0.02, 0.0, 0.01])
@@ -96,8 +103,60 @@ def dense_jacobian(state: FloatArray, columns: IntArray) -> FloatArray:
     return jacobian
 
 
+def clone_filter(landmarks: int) -> CloneEKF:
+    """The consistent filter with that many lines all round the robot, each correlated with the pose and all others."""
+    generator = np.random.default_rng(landmarks)
+    ekf = CloneEKF(np.zeros(POSE))
+    ekf.P = 1e-4 * np.eye(POSE)
+    for _ in range(landmarks):
+        towards = generator.uniform(-math.pi, math.pi)
+        away = generator.uniform(0.5, 5.0) * np.array([math.cos(towards), math.sin(towards)])
+        index, clone = ekf.add_line(towards, away), ekf.clone()
+        ekf.observe(_readings([clone] * 3, away, towards + np.array([-0.3, 0.0, 0.3])), index, RANGE_STD, 2, 0.0)
+        ekf.keep_clones(set())
+    return ekf
+
+
+def _readings(clones: list[int], away: FloatArray, headings: FloatArray) -> Readings:
+    """Ranges of beams from the origin to the line whose nearest point is ``away`` (2,), m."""
+    distance = math.hypot(*away)
+    ranges = distance / np.cos(headings - math.atan2(away[1], away[0]))
+    sources = np.column_stack((clones, np.arange(len(clones))))
+    return Readings(np.array(clones), np.zeros((len(clones), 2)), headings, ranges, sources)
+
+
+def time_clone_filter(ekf: CloneEKF, repetitions: int) -> FloatArray:
+    """Processor time (s) of a prediction and a clone, and at every fourth of twelve readings of one line."""
+    durations, clones = np.zeros(repetitions), list[int]()
+    still = np.zeros(POSE)
+    for number in range(repetitions):
+        index = number % ekf.num_lines
+        begun = time.thread_time()
+        ekf.predict(still, MOTION_COVARIANCE)
+        clones.append(ekf.clone())
+        if len(clones) == BATCH:
+            line = ekf.lines[index]
+            away, towards = line[0] * np.array([math.cos(line[1]), math.sin(line[1])]), float(line[1])
+            headings = np.tile(towards + np.array([-0.3, 0.0, 0.3]), BATCH)
+            ekf.observe(_readings(np.repeat(clones, 3).tolist(), away, headings), index, RANGE_STD, 2, 1.5)
+            ekf.keep_clones(set(clones := []))
+        durations[number] = time.thread_time() - begun
+    return durations
+
+
+def _time_consistent() -> None:
+    print("\nthe consistent filter: prediction and clone, and a mean over four of them with twelve readings of a line")
+    print(f"{'landmarks':>9} {'median ms':>11} {'mean ms':>9} {'bar ms':>7}")
+    for landmarks in CLONE_LANDMARKS:
+        ekf = clone_filter(landmarks)
+        time_clone_filter(ekf, 100)
+        each = 1000.0 * time_clone_filter(ekf, REPETITIONS)
+        verdict = "ok" if each.mean() <= CLONE_BAR_MS else "MISSED"
+        print(f"{landmarks:>9} {np.median(each):>11.4f} {each.mean():>9.4f} {CLONE_BAR_MS:>7.2f} {verdict:>6}")
+
+
 def main() -> None:
-    """Time both filters and print a table."""
+    """Time the filters and print two tables."""
     print(f"prediction and one update: median of {REPETITIONS} (filterpy: of as many as fit into {DENSE_SECONDS:g} s)")
     print(f"{'landmarks':>9} {'LineEKF ms':>11} {'bar ms':>7} {'':>6} {'filterpy ms':>12} {'ratio':>7}")
     for landmarks, bar in BARS_MS.items():
@@ -111,6 +170,7 @@ def main() -> None:
         print(
             f"{landmarks:>9} {sparse_ms:>11.4f} {bar:>7.2f} {verdict:>6} {dense_ms:>12.3f} {dense_ms / sparse_ms:>7.0f}"
         )
+    _time_consistent()
 
 
 if __name__ == "__main__":

@@ -138,6 +138,9 @@ def replay(
             help="True minus reported heading per metre, deg, and true over reported distance.", show_default="0,1"
         ),
     ] = None,
+    self_calibrate: Annotated[
+        bool, typer.Option("--self-calibrate", help="Let the filter find what odometry is wrong by (consistent only).")
+    ] = False,
     calibrate: Annotated[Path | None, typer.Option(help="Known relative poses to estimate the bias from.")] = None,
     calibrate_until: Annotated[float | None, typer.Option(help="Of the log's first seconds only.")] = None,
     calibrate_log: Annotated[Path | None, typer.Option(help="Of this log, instead of the one replayed.")] = None,
@@ -149,17 +152,15 @@ def replay(
     force: Force = False,
 ) -> None:
     """Map from a recorded log."""
-    from limslam_agent.config import preset as settings
     from limslam_agent.export import new_folder
     from limslam_agent.log_reader import read_log
     from limslam_agent.relations import read_relations
     from limslam_agent.replay import relation_scores, replay_log, write_replay
-    from limslam_agent.replay_options import CalibrationRun, chosen_topics, numbers, odometry_config
+    from limslam_agent.replay_options import CalibrationRun, chosen_topics, numbers, replay_config
     from limslam_agent.results import trajectory_scores, versions
     from limslam_agent.summary import replay_summary
-    from limslam_env.interface import NominalNoise
 
-    config = replace(settings(preset, NominalNoise(noise)), odometry=odometry_config(odometry_noise, odometry_bias))
+    config = replay_config(preset, noise, odometry_noise, odometry_bias, self_calibrate=self_calibrate)
     calibration_run = CalibrationRun(calibrate, calibrate_until, calibrate_log)
     if calibrate and odometry_bias:
         raise ValueError("--odometry-bias and --calibrate both set the bias: one of them is enough")
@@ -190,9 +191,8 @@ def replay(
         source = {"log": log.name, "relations": relations.name if relations else None, **calibration_run.source}
         figures = calibration.figures if calibration else {}
         write_replay(folder, result, source, {**scores, **figures}, versions())
-    if calibration:
-        typer.echo(f"calibrated  {calibration.words}")
-    for line in replay_summary({**scores, "landmarks": len(result.landmarks)}):
+    calibrated = [f"calibrated  {found.words}" for found in (calibration, result.self_calibration) if found]
+    for line in calibrated + replay_summary({**scores, "landmarks": len(result.landmarks)}):
         typer.echo(line)
     typer.echo(f"results     {target}")
 

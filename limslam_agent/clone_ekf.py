@@ -1,21 +1,22 @@
 """The filter of the consistent estimator: poses, lines, and clones of poses at which beams were read.
 
-State: x = [poses of the robots, lines (d, theta), clones], covariance P. A clone is a copy of a pose, as sure and as
-unsure as it, and from then on correlated with all else (S. Roumeliotis and J. Burdick, "Stochastic cloning", 2002). A
-beam is a measurement of the clone it was read from, however late one finds out which wall it hit, and no noise of the
-odometry in between is counted twice.
+State: x = [poses of the robots, factors of their odometry if asked for, lines (d, theta), clones], covariance P. A
+clone is a copy of a pose, as sure and as unsure as it, and from then on correlated with all else (S. Roumeliotis and
+J. Burdick, "Stochastic cloning", 2002). A beam is a measurement of the clone it was read from, however late one finds
+out which wall it hit, and no noise of the odometry in between is counted twice.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dgemm
 
 from limslam_agent.beam_model import GRAZING, Expected, Readings, expected_ranges
 from limslam_agent.ekf import POSE, LineEKF
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
 
 _PRIOR = np.array([10.0**2, 3.0**2])
 _EXACT = np.array([1e-4, 1e-5]) ** 2
@@ -36,11 +37,19 @@ class CloneEKF(LineEKF):
     ----------
     pose
         Start (3,), m, m, rad; of several robots (n, 3).
+    factors
+        What is known beforehand of each robot's :class:`~limslam_agent.motion.Factors`, as a covariance (3, 3) about
+        zero; None to take odometry at its word.
     """
 
-    def __init__(self, pose: FloatArray) -> None:
+    def __init__(self, pose: FloatArray, factors: FloatArray | None = None) -> None:
         super().__init__(pose)
+        if factors is not None:
+            self._first = 2 * self._poses_end
+            self.x, self.dim_x = np.concatenate((self.x, np.zeros(self._poses_end))), self._first
+            self.P = np.kron(np.diag([0.0, 1.0]), np.kron(np.eye(self._poses_end // POSE), factors))
         self._anchors = np.zeros((0, 2))
+        self._memory = [np.empty(0), np.empty(0)]
         self._clones: list[int] = []
         self._next_clone = 0
 
@@ -78,10 +87,34 @@ class CloneEKF(LineEKF):
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
         return np.asarray(by_line @ self.P[part, part] @ by_line.T)
 
+    @property
+    def has_factors(self) -> bool:
+        """Whether factors of the odometry are part of the state."""
+        return self._first > self._poses_end
+
+    def factors(self, robot: int = 0) -> tuple[FloatArray, FloatArray]:
+        """A robot's odometry factors (3,) and their covariance (3, 3)."""
+        part = self._factors_part(robot)
+        return np.array(self.x[part]), np.array(self.P[part, part])
+
+    def predict(
+        self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_factors: FloatArray | None = None
+    ) -> None:
+        """Move a robot by an increment (3,) in its frame, with its covariance and derivative by the factors (3, 3)."""
+        if by_factors is None:
+            super().predict(increment, covariance, robot)
+            return
+        moved = slice(POSE * robot, POSE * robot + POSE)
+        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+        self.F, self.Q = np.hstack((by_pose, by_increment @ by_factors)), by_increment @ covariance @ by_increment.T
+        self.x[moved] = compose(self.x[moved], increment)
+        part = self._factors_part(robot)
+        self._move(moved, self.F, np.r_[moved, part])
+
     def clone(self, robot: int = 0) -> int:
         """Keep a copy of a robot's pose, and give back the copy's number."""
         moved, old = slice(POSE * robot, POSE * robot + POSE), len(self.x)
-        P = np.empty((old + POSE, old + POSE))
+        P = self._spare(old + POSE)
         P[:old, :old] = self.P
         P[old:, :old] = self.P[moved]
         P[:old, old:] = self.P[moved].T
@@ -108,7 +141,8 @@ class CloneEKF(LineEKF):
         """A new line through a point (2,), m, with the normal at ``theta``, of which nothing is known yet."""
         at, old = self._clones_from, len(self.x)
         places = np.concatenate((np.arange(at), np.arange(at + 2, old + 2)))
-        x, P = np.zeros(old + 2), np.zeros((old + 2, old + 2))
+        x, P = np.zeros(old + 2), self._spare(old + 2)
+        P[at : at + 2] = P[:, at : at + 2] = 0.0
         x[places] = self.x
         P[np.ix_(places, places)] = 0.5 * (self.P + self.P.T)
         x[at + 1] = theta
@@ -126,20 +160,20 @@ class CloneEKF(LineEKF):
         if not len(readings.ranges):
             return
         columns, places = self._involved(readings, index)
-        start, P_start, carried, weights = self.x.copy(), self.P, self._carried(), np.ones(len(readings.ranges))
-        change = np.zeros_like(start)
+        start, carried, moved = self.x.copy(), self._carried(), np.zeros((len(self.x), POSE))
+        change, weights = np.zeros_like(start), np.ones(len(readings.ranges))
         for _ in range(iterations):
             self.x += change
             # Jacobian and covariance belong to one and the same place.
-            P = _carry(P_start, self._carried() - carried)
+            moved = self._carried() - carried
             expected = self._expected(self.x[columns], places, readings, index)
             H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
-            HP, so_far = H @ P[columns], self.x - start
+            HP, so_far = H @ self._carried_rows(columns, moved), self.x - start
             S = HP[:, columns] @ H.T + np.diag(std**2 / weights)
             change = np.linalg.solve(S, off + H @ so_far[columns]) @ HP - so_far
             weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), 1e-9)) if huber else weights
         factor = np.linalg.cholesky(S)
-        self.P = P
+        self._carry(moved)
         self._subtract_square(np.ascontiguousarray(solve_triangular(factor, HP, lower=True, check_finite=False)))
         self._correct(change)
 
@@ -199,14 +233,14 @@ class CloneEKF(LineEKF):
         """
         before = self._carried()
         self.x += change
-        self.P = _carry(self.P, self._carried() - before)
+        self._carry(self._carried() - before)
         self._restore_angles()
 
     def _carried(self) -> FloatArray:
         """How all of the state (n, 3) moves with the first robot when the whole world does."""
         moved = np.zeros((len(self.x), POSE))
         x, y, _ = self.x[:POSE]
-        for part in (slice(0, self._first), slice(self._clones_from, None)):
+        for part in (slice(0, self._poses_end), slice(self._clones_from, None)):
             poses, by_pose = self.x[part].reshape(-1, POSE), moved[part].reshape(-1, POSE, POSE)
             by_pose[:] = np.eye(POSE)
             by_pose[:, 0, 2], by_pose[:, 1, 2] = y - poses[:, 1], poses[:, 0] - x
@@ -216,15 +250,44 @@ class CloneEKF(LineEKF):
         by_line[:, 1, 2] = 1.0
         return moved
 
+    def _carry(self, moved: FloatArray) -> None:
+        """P after what moves with the first robot's error (n, 3) has changed by ``moved``, in place."""
+        rows = np.array(self.P[:POSE])
+        dgemm(1.0, rows.T, moved.T, beta=1.0, c=self.P.T, overwrite_c=1)
+        columns = np.ascontiguousarray(self.P[:, :POSE])
+        dgemm(1.0, moved, columns.T, beta=1.0, c=self.P.T, overwrite_c=1)
+
+    def _carried_rows(self, columns: IntArray, moved: FloatArray) -> FloatArray:
+        """Some rows of what P would then be."""
+        rows = self.P[columns] + moved[columns] @ self.P[:POSE]
+        # The first robot's own part never moves with itself.
+        return np.asarray(rows + rows[:, :POSE] @ moved.T)
+
+    def _factors_part(self, robot: int) -> slice:
+        first = self._poses_end + POSE * robot
+        return slice(first, first + POSE)
+
     def _about_origin(self) -> FloatArray:
         lines = self.anchored
         normals = np.stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])), axis=1)
         return np.column_stack((lines[:, 0] + np.sum(normals * self._anchors, axis=1), lines[:, 1]))
 
+    def _spare(self, size: int) -> FloatArray:
+        """A matrix (size, size) to fill, in memory that P is not in: asking for new takes longer than filling it."""
+        self._memory.reverse()
+        if self._memory[0].size < size**2:
+            self._memory[0] = np.empty(2 * size**2)
+        return self._memory[0][: size**2].reshape(size, size)
+
     def _keep(self, places: IntArray) -> None:
-        P = self.P[np.ix_(places, places)]
+        P = self._spare(len(places))
+        # Mostly the last ones go, and picking rows and columns by number takes five times as long as a block.
+        is_block = int(places[-1]) == len(places) - 1
+        P[:] = self.P[: len(places), : len(places)] if is_block else self.P[np.ix_(places, places)]
         # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
-        self.x, self.P, self.dim_x = self.x[places], 0.5 * (P + P.T), len(places)
+        P += P.T.copy()
+        P *= 0.5
+        self.x, self.P, self.dim_x = self.x[places], P, len(places)
 
     def _columns(self, clones: IntArray) -> IntArray:
         """The numbers of the state (n, 3) that clones (n,) are."""
@@ -271,11 +334,5 @@ class CloneEKF(LineEKF):
 
     def _restore_angles(self) -> None:
         """Wrap the robots' headings; lines and clones are only ever used through sines and cosines."""
-        for heading in range(2, self._first, POSE):
+        for heading in range(2, self._poses_end, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))
-
-
-def _carry(P: FloatArray, moved: FloatArray) -> FloatArray:
-    """P after what moves with the first robot's error (n, 3) has changed by ``moved``."""
-    P = P + moved @ P[:POSE]
-    return P + P[:, :POSE] @ moved.T

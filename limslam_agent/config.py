@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from limslam_agent.consistent_config import CloneConfig, StraightConfig
+from limslam_agent.consistent_config import CloneConfig, SelfCalibrationConfig, StraightConfig
 from limslam_agent.exploration_config import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.published_config import (
     AssociationConfig,
@@ -28,6 +28,7 @@ __all__ = [
     "MapConfig",
     "OdometryConfig",
     "PolicyConfig",
+    "SelfCalibrationConfig",
     "StraightConfig",
     "TeamConfig",
     "preset",
@@ -62,6 +63,11 @@ class AgentConfig:
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     clones: CloneConfig = field(default_factory=CloneConfig)
+    self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
+
+    def __post_init__(self) -> None:
+        if self.self_calibration.enabled and self.estimator != "consistent":
+            raise ValueError("only the consistent estimator can calibrate odometry by itself")
 
     @property
     def range_std(self) -> float:

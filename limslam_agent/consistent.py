@@ -19,7 +19,7 @@ from limslam_agent.front_end import FrontEnd
 from limslam_agent.hough import ExtractedLine, extract_lines
 from limslam_agent.line_map import Landmark
 from limslam_agent.loop_closing import Closure
-from limslam_agent.motion import Motion
+from limslam_agent.motion import Factors, Motion
 from limslam_agent.records import AssociationRecord, Extraction, Waiting
 from limslam_agent.straight import Piece, straight_pieces
 from limslam_agent.tracks import SIDES, Track
@@ -60,16 +60,25 @@ class ConsistentEstimator(Estimator):
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
-        self._filter, self._settings, self._std = CloneEKF(start), config.clones, config.range_std
+        calibration = config.self_calibration
+        self._filter = CloneEKF(start, calibration.covariance if calibration.enabled else None)
+        self._settings, self._std = config.clones, config.range_std
         super().__init__(robot, config, self._filter)
         self._map = WallMap(self._filter, config.clones)
         self._tracks = [Track(robot, config.buffer, config.clones.beams) for _ in start]
         is_noisy = self._std >= _NOISY
         self._new_length = config.clones.new_length_noisy if is_noisy else config.clones.new_length
 
+    def factors(self, robot: int) -> tuple[Factors, FloatArray] | None:
+        """What a robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
+        if not self._filter.has_factors:
+            return None
+        values, covariance = self._filter.factors(robot)
+        return Factors(*values.tolist()), covariance
+
     def predict(self, motion: Motion, robot: int) -> None:
         """A robot has moved."""
-        super().predict(motion, robot)
+        self._filter.predict(motion.increment, motion.covariance, robot, motion.by_factors)
         self._tracks[robot].move(motion.increment)
 
     def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:

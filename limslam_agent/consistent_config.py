@@ -3,7 +3,10 @@
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from limslam_agent.published_config import HoughConfig
+from limslam_env.geometry import FloatArray
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,41 @@ class StraightConfig:
     curve_gate: float = 14.0
     end_zone: float = 0.10
     end_gate: float = 6.0
+
+
+@dataclass(frozen=True)
+class SelfCalibrationConfig:
+    """What is known of the odometry's constant errors before they are estimated (consistent estimator). All ours.
+
+    Attributes
+    ----------
+    enabled
+        Whether the sizes of wheels and axle are part of the state.
+    size_std
+        Of both wheels together, as a share.
+    uneven_std
+        Of the right wheel beside the left, as a share.
+    axle_std
+        Of the axle, as a share.
+    """
+
+    enabled: bool = False
+    size_std: float = 0.03
+    uneven_std: float = 0.01
+    axle_std: float = 0.03
+
+    def __post_init__(self) -> None:
+        for name in ("size_std", "uneven_std", "axle_std"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise ValueError(f"{name} must be a share from 0 to 1, not {getattr(self, name)}")
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the left and right wheel's and the axle's factors (3, 3)."""
+        both, half = self.size_std**2, 0.25 * self.uneven_std**2
+        covariance = np.diag([both + half, both + half, self.axle_std**2])
+        covariance[[0, 1], [1, 0]] = both - half
+        return covariance
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,8 @@ class LineEKF(ExtendedKalmanFilter):
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
         super().__init__(dim_x=np.size(pose), dim_z=2)
         self.x = np.array(pose, dtype=float).ravel()
-        self._first = len(self.x)
+        # Where the numbers of the poses end, and where the lines begin: a subclass may keep something in between.
+        self._poses_end = self._first = len(self.x)
         self.P = np.zeros((self._first,) * 2) if covariance is None else np.array(covariance, dtype=float, order="C")
 
     @property
@@ -50,7 +51,7 @@ class LineEKF(ExtendedKalmanFilter):
     @property
     def poses(self) -> FloatArray:
         """The poses (n, 3), a copy."""
-        return np.array(self.x[: self._first].reshape(-1, POSE))
+        return np.array(self.x[: self._poses_end].reshape(-1, POSE))
 
     @property
     def pose(self) -> FloatArray:
@@ -65,7 +66,7 @@ class LineEKF(ExtendedKalmanFilter):
     @property
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
-        return np.array(self.P[: self._first, : self._first])
+        return np.array(self.P[: self._poses_end, : self._poses_end])
 
     @property
     def lines(self) -> FloatArray:
@@ -83,10 +84,7 @@ class LineEKF(ExtendedKalmanFilter):
         self.F, by_increment = compose_jacobians(self.x[moved], increment)
         self.Q = by_increment @ covariance @ by_increment.T
         self.x[moved] = compose(self.x[moved], increment)
-        rows = self.F @ self.P[moved]
-        rows[:, moved] = rows[:, moved] @ self.F.T + self.Q
-        self.P[moved] = rows
-        self.P[:, moved] = rows.T
+        self._move(moved, self.F, np.arange(moved.start, moved.stop))
 
     def update(
         self,
@@ -202,6 +200,13 @@ class LineEKF(ExtendedKalmanFilter):
         self.dim_x = old + 2
         return self.num_lines - 1
 
+    def _move(self, moved: slice, F: FloatArray, columns: IntArray) -> None:
+        """P after a pose has become F (3, k) times those k numbers of the state, plus noise of covariance Q."""
+        rows = F @ self.P[columns]
+        rows[:, moved] = rows[:, columns] @ F.T + self.Q
+        self.P[moved] = rows
+        self.P[:, moved] = rows.T
+
     def _subtract_square(self, W: FloatArray) -> None:
         """P -= W^T W, in place.
 
@@ -228,7 +233,7 @@ class LineEKF(ExtendedKalmanFilter):
 
     def _restore_angles(self) -> None:
         """Wrap the angles, and turn lines round that crossed the origin: r >= 0 again, P with it."""
-        for heading in range(2, self._first, POSE):
+        for heading in range(2, self._poses_end, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))
         r, theta = self.x[self._first :: 2], self.x[self._first + 1 :: 2]
         for index in np.nonzero(r < 0.0)[0]:

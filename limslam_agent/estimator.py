@@ -9,7 +9,7 @@ from limslam_agent.ekf import POSE, LineEKF
 from limslam_agent.front_end import FrontEnd
 from limslam_agent.line_map import Landmark
 from limslam_agent.loop_closing import Closure
-from limslam_agent.motion import Motion
+from limslam_agent.motion import Factors, Motion
 from limslam_agent.records import AssociationRecord, Extraction, Waiting
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
@@ -73,6 +73,11 @@ class Estimator:
     def all_landmarks(self) -> list[Landmark]:
         """The same, and those that are provisional, by number."""
         raise NotImplementedError
+
+    def factors(self, robot: int) -> tuple[Factors, FloatArray] | None:
+        """What a robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
+        del robot
+        return None
 
     def predict(self, motion: Motion, robot: int) -> None:
         """A robot has moved."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec
 
 # The arc model itself is not perfect; this also keeps a covariance of a standing robot regular.
 _LEAST_VARIANCE = 1e-12
+
+# In standard deviations: smaller turns may be nothing but noise.
+_SURE_TURN = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,10 +28,21 @@ class Motion:
         The new pose in the frame of the old one (3,), m, m, rad.
     covariance
         Of the increment (3, 3).
+    by_factors
+        How the increment depends on the odometry's factors (3, 3), where those are estimated.
     """
 
     increment: FloatArray
     covariance: FloatArray
+    by_factors: FloatArray | None = None
+
+
+class Factors(NamedTuple):
+    """What odometry is wrong by all the time: left wheel, right wheel and axle are larger by these shares."""
+
+    left: float
+    right: float
+    axle: float
 
 
 def motion_from_wheels(wheels: FloatArray, robot: RobotSpec, noise: NominalNoise) -> Motion:
@@ -60,6 +75,32 @@ def motion_from_odometry(odometry: FloatArray, config: OdometryConfig) -> Motion
     covariance = (by_noise * np.array([along, heading])) @ by_noise.T
     covariance[1, 1] += 0.1 * along
     return Motion(increment, covariance)
+
+
+def resized(motion: Motion, axle: float, factors: Factors) -> Motion:
+    """A motion as it is if wheels and axle are larger than was thought.
+
+    With wheels l = d - t b / 2 and r = d + t b / 2 and the axle b (m), the distance d and the turn t become
+    (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d / b) / (1 + fb). Half of what is
+    turned more turns the way.
+
+    A turn that may be nothing but noise does not count in ``by_factors``. The filter takes that for exact, and would
+    put down the noise of a straight drive to an axle that is too narrow (errors in variables).
+    """
+    x, y, turn = motion.increment.tolist()
+    size, uneven, wider = 1.0 + 0.5 * (factors.left + factors.right), factors.right - factors.left, 1.0 + factors.axle
+    lever, drift = 0.25 * axle * turn, math.copysign(math.hypot(x, y), x) / axle
+    turned = (size * turn + uneven * drift) / wider
+    more = 0.5 * (turned - turn)
+    cos, sin = math.cos(more), math.sin(more)
+    rotation = np.array([[cos, -sin], [sin, cos]])
+    way = rotation @ np.array([size * x + uneven * lever, size * y])
+    is_sure = turn**2 > _SURE_TURN**2 * motion.covariance[2, 2]
+    sure, sure_turned = (turn, turned) if is_sure else (0.0, uneven * drift / wider)
+    by_turn = np.array([0.5 * sure - drift, 0.5 * sure + drift, -sure_turned]) / wider
+    by_way = rotation @ np.array([[0.5 * x - lever, 0.5 * x + lever, 0.0], [0.5 * y, 0.5 * y, 0.0]])
+    by_way += np.outer([-way[1], way[0]], 0.5 * by_turn)
+    return Motion(np.append(way, turned), motion.covariance, np.vstack((by_way, by_turn)))
 
 
 def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, odometry: OdometryConfig) -> Motion:

@@ -1,5 +1,6 @@
 """A recorded log through the mapping half of the agent, scored and written down."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -12,13 +13,50 @@ from limslam_agent.config import AgentConfig
 from limslam_agent.cost import run_cost
 from limslam_agent.export import map_content, write_grid, write_json, write_tum
 from limslam_agent.line_map import Landmark
-from limslam_agent.motion import motion_of
+from limslam_agent.motion import Factors, motion_of
 from limslam_agent.occupancy import GridView, OccupancyGrid
 from limslam_agent.recorded_log import RecordedLog
 from limslam_agent.relations import Relations, relation_errors, summary
 from limslam_agent.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibration:
+    """What the filter has found the odometry to be wrong by.
+
+    Attributes
+    ----------
+    factors, covariance
+        Of wheels and axle, and their covariance (3, 3).
+    axle
+        That the robot was said to have, m.
+    """
+
+    factors: Factors
+    covariance: FloatArray
+    axle: float
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """For ``result.json``: the turn that odometry misses a metre, the size of the wheels, each with its std."""
+        turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
+        values = np.array(self.factors)
+        return {
+            "self_calibration_turn_deg_per_m": math.degrees(turn @ values),
+            "self_calibration_turn_std_deg_per_m": math.degrees(math.sqrt(turn @ self.covariance @ turn)),
+            "self_calibration_scale": 1.0 + float(size @ values),
+            "self_calibration_scale_std": math.sqrt(size @ self.covariance @ size),
+            "self_calibration_axle": 1.0 + self.factors.axle,
+            "self_calibration_axle_std": math.sqrt(self.covariance[2, 2]),
+        }
+
+    @property
+    def words(self) -> str:
+        """For the screen."""
+        turn, turn_std, scale, scale_std, *_ = self.figures.values()
+        return f"{turn:.3f} +- {turn_std:.3f} deg/m, scale {scale:.4f} +- {scale_std:.4f}, by the filter itself"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +77,8 @@ class Replay:
         The map.
     refused_readings
         How many readings were not finite.
+    self_calibration
+        What the odometry was found to be wrong by; None where that was not asked for.
     slam_ms, wall_clock
         (n,) cost of each event, ms, and of all of it, s.
     """
@@ -52,6 +92,7 @@ class Replay:
     segments: FloatArray
     grid: GridView
     refused_readings: int
+    self_calibration: SelfCalibration | None
     slam_ms: FloatArray
     wall_clock: float
 
@@ -88,6 +129,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         segments=slam.segments,
         grid=grid.view,
         refused_readings=slam.refused_readings,
+        self_calibration=slam.factors and SelfCalibration(*slam.factors, log.robot.axle),
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )
@@ -127,8 +169,9 @@ def write_replay(
     picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
     draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.landmarks), "refused_readings": replay.refused_readings}
+    found = replay.self_calibration.figures if replay.self_calibration else {}
     result = {
-        "metrics": {**scores, **counts},
+        "metrics": {**scores, **found, **counts},
         "cost": run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms),
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
         "versions": versions,

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from limslam_agent.calibration import OdometryBias, estimate_bias, select, within
-from limslam_agent.config import OdometryConfig
+from limslam_agent.config import AgentConfig, OdometryConfig, SelfCalibrationConfig, preset
 from limslam_agent.directions import direction_of
 from limslam_agent.recorded_log import RecordedLog
 from limslam_agent.relations import Relations, read_relations
 from limslam_agent.ros_topics import Topics
+from limslam_env.interface import NominalNoise
 
 
 def numbers(option: str, text: str, count: int | None = None, low: float = -1e6) -> list[float]:
@@ -55,6 +56,26 @@ def odometry_config(noise: str | None, bias: str | None) -> OdometryConfig:
             raise ValueError(f"--odometry-bias: the scale must lie between 0.01 and 100, not {scale:g}")
         odometry = replace(odometry, turn_bias=math.radians(turn), distance_scale=scale)
     return odometry
+
+
+def replay_config(
+    name: str, noise: float, odometry_noise: str | None, odometry_bias: str | None, *, self_calibrate: bool
+) -> AgentConfig:
+    """The settings of a preset with what ``--noise``, ``--odometry-...`` and ``--self-calibrate`` say.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not what it should be, or the preset's estimator cannot calibrate by itself.
+    """
+    config = preset(name, NominalNoise(noise))
+    if self_calibrate and config.estimator != "consistent":
+        raise ValueError("--self-calibrate goes with --preset consistent")
+    return replace(
+        config,
+        odometry=odometry_config(odometry_noise, odometry_bias),
+        self_calibration=SelfCalibrationConfig(enabled=self_calibrate),
+    )
 
 
 def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) -> Topics:

@@ -10,7 +10,7 @@ from limslam_agent.estimator import Estimator
 from limslam_agent.front_end import FrontEnd
 from limslam_agent.line_map import Landmark
 from limslam_agent.loop_closing import Closure
-from limslam_agent.motion import motion_of
+from limslam_agent.motion import Factors, Motion, motion_of, resized
 from limslam_agent.published import PublishedEstimator
 from limslam_agent.records import AssociationRecord, Extraction, Waiting
 from limslam_agent.teammates import may_hit_others
@@ -58,7 +58,7 @@ class LineSlam:
         # Nothing is taken in before all of it can be.
         for front, observation in zip(self.robots, observations, strict=True):
             front.check(observation)
-        motions = [motion_of(seen, self.robot, self.config.noise, self.config.odometry) for seen in observations]
+        motions = [self._motion(number, seen) for number, seen in enumerate(observations)]
         for number, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
             self.robots[number].accept(observation)
             self._estimator.predict(motion, number)
@@ -131,6 +131,11 @@ class LineSlam:
         return self._estimator.waiting(self.robots)
 
     @property
+    def factors(self) -> tuple[Factors, FloatArray] | None:
+        """What the first robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
+        return self._estimator.factors(0)
+
+    @property
     def ranges(self) -> FloatArray:
         """The first robot's latest readings (n_beams,), m."""
         return self.robots[0].ranges
@@ -144,6 +149,11 @@ class LineSlam:
     def refused_readings(self) -> int:
         """How many readings were not finite, since the start."""
         return sum(front.refused_readings for front in self.robots)
+
+    def _motion(self, number: int, observation: Observation) -> Motion:
+        motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
+        known = self._estimator.factors(number)
+        return resized(motion, self.robot.axle, known[0]) if known else motion
 
     def _drop_beams_on_robots(self) -> None:
         poses, covariance = self._estimator.poses, self._estimator.joint_covariance

@@ -15,7 +15,7 @@ from limslam_agent.beam_model import Readings, hit_points
 from limslam_agent.clone_ekf import CloneEKF
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, nearest_form, normal, normalise
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, compose_jacobians
 from limslam_env.interface import RobotSpec
 
 ROBOT = RobotSpec()  # beams on the rim at 90, 45, 15, -15, -45, -90 deg
@@ -811,3 +811,33 @@ def test_the_covariance_stays_symmetric_and_positive_over_random_operations(coun
     assert np.hypot(*(ekf.pose - wanderer.truth)[:2]) < 0.1
     true = ROOM[wanderer.walls]
     np.testing.assert_allclose(nearest_form(ekf.lines, true), true, atol=0.1)
+
+
+def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_it() -> None:
+    prior = spread(3, 1)
+    ekf = CloneEKF(np.array([[1.0, 2.0, 0.5], [0.0, 0.0, 0.0]]), prior)
+    ekf.P[:6, :6] = spread(6, 2)
+    ekf.clone(1)
+    by_factors = spread(3, 3, scale=1.0)
+    covariance, before = ekf.P.copy(), ekf.x.copy()
+    ekf.predict(STEP, MOTION, 1, by_factors)
+    by_pose, by_increment = compose_jacobians(before[3:6], STEP)
+    dense, noise = np.eye(len(covariance)), np.zeros_like(covariance)
+    dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_factors
+    noise[3:6, 3:6] = by_increment @ MOTION @ by_increment.T
+    np.testing.assert_allclose(ekf.P, dense @ covariance @ dense.T + noise, atol=1e-12)
+    np.testing.assert_allclose(ekf.poses[1], compose(before[3:6], STEP))
+
+
+def test_factors_are_no_part_of_what_a_turned_world_turns() -> None:
+    plain, calibrating = (CloneEKF(np.zeros(3), prior) for prior in (None, spread(3, 1)))
+    for ekf in (plain, calibrating):
+        ekf.P[:3, :3] = spread(3, 2)
+        ekf.clone()
+        ekf.predict(STEP, MOTION)
+        ekf.add_line(0.5 * math.pi, np.array([0.0, 0.6]))
+        ekf.observe(readings_of([0, 0], LEFT, np.array([0.5, 0.6])), 0, STD, 3, 0.0)
+    np.testing.assert_allclose(calibrating.pose, plain.pose, atol=1e-12)
+    np.testing.assert_allclose(calibrating.lines, plain.lines, atol=1e-12)
+    np.testing.assert_allclose(calibrating.pose_covariance, plain.pose_covariance, atol=1e-12)
+    assert calibrating.factors()[0].tolist() == [0.0, 0.0, 0.0]

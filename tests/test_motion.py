@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limslam_agent.config import OdometryConfig
-from limslam_agent.motion import motion_from_odometry, motion_from_wheels, motion_of
+from limslam_agent.motion import Factors, motion_from_odometry, motion_from_wheels, motion_of, resized
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -163,3 +163,38 @@ def test_odometry_that_is_not_three_finite_numbers_is_refused(bad: object) -> No
 def test_an_observation_without_motion_is_refused() -> None:
     with pytest.raises(ValueError, match="'wheels' or 'odometry'"):
         motion_of({"ranges": np.zeros(6)}, ROBOT, NOISE, OdometryConfig())
+
+
+SIZES = Factors(0.02, -0.01, 0.03)
+QUIET = NominalNoise(0.0, 1e-9)
+
+
+@pytest.mark.parametrize("wheels", [(0.05, 0.03), (0.05, 0.047), (-0.04, -0.05), (-0.05, 0.05), (0.0, 0.0)])
+def test_larger_wheels_on_a_wider_axle_are_a_robot_that_is_built_so(wheels: tuple[float, float]) -> None:
+    travel = np.array(wheels)
+    motion = resized(motion_from_wheels(travel, ROBOT, NOISE), ROBOT.axle, SIZES)
+    np.testing.assert_allclose(motion.increment, exact_arc(np.array([1.02, 0.99]) * travel, 1.03 * 0.16), atol=3e-4)
+
+
+@pytest.mark.parametrize("wheels", [(0.05, 0.03), (-0.05, -0.03), (-0.05, 0.05)])
+def test_the_derivative_by_the_factors_is_that_of_central_differences(wheels: tuple[float, float]) -> None:
+    motion = motion_from_wheels(np.array(wheels), ROBOT, QUIET)
+    step, at = 1e-6, np.array(SIZES)
+    columns = [
+        (resized(motion, 0.16, Factors(*(at + step * unit))).increment
+         - resized(motion, 0.16, Factors(*(at - step * unit))).increment) / (2.0 * step)
+        for unit in np.eye(3)
+    ]  # fmt: skip
+    np.testing.assert_allclose(resized(motion, 0.16, SIZES).by_factors, np.column_stack(columns), atol=1e-9)
+
+
+def test_a_turn_that_may_be_noise_says_nothing_of_the_axle() -> None:
+    motion = motion_from_wheels(np.array([0.0251, 0.0249]), ROBOT, NOISE)
+    by_factors = resized(motion, ROBOT.axle, Factors(0.0, 0.0, 0.0)).by_factors
+    assert by_factors is not None
+    np.testing.assert_allclose(by_factors[2], [-0.025 / 0.16, 0.025 / 0.16, 0.0], atol=1e-6)
+
+
+def test_without_factors_nothing_is_said_of_them() -> None:
+    observation = {"wheels": np.array([0.05, 0.03])}
+    assert motion_of(observation, ROBOT, NOISE, OdometryConfig()).by_factors is None
