@@ -87,7 +87,7 @@ class BatchSimulation:
         count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
         self.robot, self.num_envs, self.num_robots = robot, count, robots
         self._places, self._noise = places, BatchNoise(noise, robot)
-        self._beams = np.column_stack((beam_table(robot), robot.beam_directions))
+        self._beams = beam_table(robot)
         self._farthest = robot.max_wheel_speed * robot.control_period
         self._homes, self._keys = np.zeros(count, dtype=np.uint64), np.zeros(count, dtype=np.uint64)
         self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)

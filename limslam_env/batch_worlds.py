@@ -106,8 +106,8 @@ class Sites:
 
     def __init__(self) -> None:
         self._edges, self._cells, self._items = _Shelf(np.float64, 4), _Shelf(np.int32), _Shelf(np.int32)
-        self.layout: IntArray = np.zeros((0, 5), dtype=np.int64)
-        self.grids: FloatArray = np.zeros((0, 5))
+        self.layout: IntArray = np.zeros((0, 6), dtype=np.int64)
+        self.grids: FloatArray = np.zeros((0, 3))
         self.areas: FloatArray = np.zeros((0, 3))
         self.totals: IntArray = np.zeros(0, dtype=np.int64)
         self.tiles: Words = np.zeros((0, 0), dtype=np.uint64)
@@ -127,13 +127,12 @@ class Sites:
         if slot == len(self):
             self._grow()
         walls, tiles = site.walls, to_tiles(site.grid.coverable)
-        firsts = (
-            self._edges.put(slot, walls.edges),
-            self._cells.put(slot, walls.cell_starts),
-            self._items.put(slot, walls.cell_edges),
-        )
-        self.layout[slot] = *firsts, tiles.shape[1], tiles.shape[0]
-        self.grids[slot], self.areas[slot] = walls.grid, site.grid.area
+        first_edge = self._edges.put(slot, walls.edges)
+        first_item = self._items.put(slot, walls.cell_edges + first_edge)
+        first_cell = self._cells.put(slot, walls.cell_starts + first_item)
+        columns, rows = walls.grid[3:].astype(int)
+        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0]
+        self.grids[slot], self.areas[slot] = walls.grid[:3], site.grid.area
         self.totals[slot], self.shapes[slot] = max(site.grid.total, 1), site.grid.coverable.shape
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
@@ -142,7 +141,7 @@ class Sites:
 
     def to_cells(self, slot: int, tiles: Words) -> BoolArray:
         """Tiles (t,) of a world as a grid (rows, columns)."""
-        columns, rows = self.layout[slot, 3:]
+        columns, rows = self.layout[slot, 4:]
         return from_tiles(tiles[: rows * columns].reshape(rows, columns), self.shapes[slot])
 
     def _grow(self) -> None:

@@ -17,6 +17,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+# The same, done by LLVM: for functions with loops and returns in their middle.
+merged = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 
 # Rays that pass exactly through the joint of two walls must hit one of them.
 _END_SLACK = 1e-9
@@ -25,10 +27,13 @@ _END_SLACK = 1e-9
 _BORDER = 1e-6
 
 # A body may stand this deep in a wall and must not be taken to see what is behind it, m.
-_BODY_MARGIN = 1e-3
+BODY_MARGIN = 1e-3
+
+# A ray ends this much of a cell before the wall it hits, so that it never marks the cell behind.
+RAY_MARGIN = 1e-6
 
 # Where the rays of a cone lie besides its middle, in shares of half its opening.
-_CONE = (-1.0, -0.5, 0.5, 1.0)
+CONE = (-1.0, -0.5, 0.5, 1.0)
 
 NOTHING, ROBOT = -1, -2
 """What a beam hits that hits no wall."""
@@ -98,7 +103,7 @@ def crossings(place: float, direction: float, side: float) -> tuple[int, int, fl
 
 
 @inlined
-def cast_ray(
+def first_wall(
     x: float,
     y: float,
     dx: float,
@@ -107,18 +112,22 @@ def cast_ray(
     edges: FloatArray,
     cell_starts: IntArray,
     cell_edges: IntArray,
-    grid: FloatArray,
+    low_x: float,
+    low_y: float,
+    side: float,
+    columns: int,
+    rows: int,
+    first_cell: int,
 ) -> tuple[float, int]:
-    """Distance (m) and index of the first wall on a ray; ``reach`` and -1 where there is none.
+    """:func:`cast_ray` in one of several cell lists that lie one after the other; its own begins at ``first_cell``.
 
     The ray starts inside the cell list's grid, goes from cell to cell, and stops in the first one that holds a hit.
     """
-    side, columns, rows = grid[2], int(grid[3]), int(grid[4])
-    column, column_step, next_column, per_column = crossings((x - grid[0]) / side, dx, side)
-    row, row_step, next_row, per_row = crossings((y - grid[1]) / side, dy, side)
+    column, column_step, next_column, per_column = crossings((x - low_x) / side, dx, side)
+    row, row_step, next_row, per_row = crossings((y - low_y) / side, dy, side)
     best, hit, travelled = reach, NOTHING, 0.0
     while travelled <= best and 0 <= column < columns and 0 <= row < rows:
-        cell = row * columns + column
+        cell = first_cell + row * columns + column
         for item in range(cell_starts[cell], cell_starts[cell + 1]):
             edge = cell_edges[item]
             ax, ay = edges[edge, 0] - x, edges[edge, 1] - y
@@ -139,6 +148,25 @@ def cast_ray(
             next_row += per_row
             row += row_step
     return best, hit
+
+
+@inlined
+def cast_ray(
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+) -> tuple[float, int]:
+    """Distance (m) and index of the first wall on a ray; ``reach`` and -1 where there is none."""
+    return first_wall(
+        x, y, dx, dy, reach, edges, cell_starts, cell_edges,
+        grid[0], grid[1], grid[2], int(grid[3]), int(grid[4]), 0,
+    )  # fmt: skip
 
 
 @compiled
@@ -165,8 +193,7 @@ def mark_ray(
     """Set every cell that a ray crosses; the number of coverable cells that are new."""
     cell = area[2]
     x, y = (x - area[0]) / cell, (y - area[1]) / cell
-    # A ray ends before the wall it hits, so that it never marks the cell behind.
-    end = reach / cell - 1e-6
+    end = reach / cell - RAY_MARGIN
     rows, columns = seen.shape
     column, column_step, next_column, per_column = crossings(x, dx, 1.0)
     row, row_step, next_row, per_row = crossings(y, dy, 1.0)
@@ -187,18 +214,28 @@ def mark_ray(
 
 
 @inlined
+def is_touched(column: int, row: int, x: float, y: float, radius: float) -> bool:
+    """Whether a disc touches a cell; all in cells."""
+    aside = x - min(max(x, column), column + 1.0)
+    above = y - min(max(y, row), row + 1.0)
+    return aside * aside + above * above < radius * radius
+
+
+@inlined
 def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float) -> int:
     """Set every cell that a body touches; the number of coverable cells that are new."""
     cell = area[2]
-    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - _BODY_MARGIN) / cell
+    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - BODY_MARGIN) / cell
     rows, columns = seen.shape
     new = 0
     for row in range(math.floor(y - radius), math.floor(y + radius) + 1):
         for column in range(math.floor(x - radius), math.floor(x + radius) + 1):
-            aside = x - min(max(x, column), column + 1.0)
-            above = y - min(max(y, row), row + 1.0)
-            is_touched = aside * aside + above * above < radius * radius
-            if is_touched and 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
+            if (
+                is_touched(column, row, x, y, radius)
+                and 0 <= row < rows
+                and 0 <= column < columns
+                and not seen[row, column]
+            ):
                 seen[row, column] = True
                 new += coverable[row, column]
     return new
@@ -206,21 +243,31 @@ def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float,
 
 @inlined
 def noisy_reading(
-    ideal: float, hit: int, shortest: float, longest: float, noise: FloatArray, normal: float, uniform: float
+    ideal: float,
+    hit: int,
+    shortest: float,
+    longest: float,
+    deviation: float,
+    growth: float,
+    dropout: float,
+    resolution: float,
+    fold_back: float,
+    normal: float,
+    uniform: float,
 ) -> float:
     """What a beam reads of a wall at ``ideal`` (m), with numbers drawn from N(0, 1) and U(0, 1).
 
-    ``noise``: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
+    Noise: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
     resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing reads
     ``longest`` exactly.
     """
-    if hit == NOTHING or uniform < noise[2]:
+    if hit == NOTHING or uniform < dropout:
         return longest
-    std = math.hypot(noise[0], noise[1] * ideal * ideal)
-    folds = noise[4] > 0.0 and ideal < shortest
-    reading = (shortest + noise[4] * (shortest - ideal) if folds else ideal) + std * normal
-    if noise[3] > 0.0:
-        reading = math.floor(reading / noise[3] + 0.5) * noise[3]
+    std = math.hypot(deviation, growth * ideal * ideal) if growth > 0.0 else deviation
+    folds = fold_back > 0.0 and ideal < shortest
+    reading = (shortest + fold_back * (shortest - ideal) if folds else ideal) + std * normal
+    if resolution > 0.0:
+        reading = math.floor(reading / resolution + 0.5) * resolution
     return min(max(reading, shortest), longest)
 
 
@@ -237,6 +284,12 @@ def reported_travel(
     told = np.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
     told = min(max(told, -limit), limit)
     return told, counted - told
+
+
+@inlined
+def turned(x: float, y: float, cos: float, sin: float) -> tuple[float, float]:
+    """A point or direction of the robot's frame in the world's, for a heading with this cosine and sine."""
+    return cos * x - sin * y, sin * x + cos * y
 
 
 @inlined
@@ -296,8 +349,8 @@ def observe(
     radius
         Of their bodies, m.
     beams
-        (n_beams, 7): origin x, y (m), angle (rad), how far before the origin the ray starts (m), shortest and
-        longest reading (m), and the period in steps.
+        (n_beams, 9): origin x, y (m), angle (rad), how far before the origin the ray starts (m), shortest and
+        longest reading (m), the period in steps, and the direction's x and y.
     noise
         What :func:`noisy_reading` needs, half the opening of the beams' cone (rad), then the factor of the left and
         the right wheel and what follows it in :func:`reported_travel`.
@@ -326,17 +379,17 @@ def observe(
                 continue
             offset, longest = beams[number, 3], beams[number, 5]
             # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
-            rim_x = body_x + cos * beams[number, 0] - sin * beams[number, 1]
-            rim_y = body_y + sin * beams[number, 0] + cos * beams[number, 1]
-            angle = heading + beams[number, 2]
-            dx, dy = math.cos(angle), math.sin(angle)
+            rim_x, rim_y = turned(beams[number, 0], beams[number, 1], cos, sin)
+            rim_x, rim_y = body_x + rim_x, body_y + rim_y
+            dx, dy = turned(beams[number, 7], beams[number, 8], cos, sin)
             x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
             distance, hit = measure(
                 robot, poses, radius, x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid
             )  # fmt: skip
             new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
             if noise[5] > 0.0:
-                for share in _CONE:
+                angle = heading + beams[number, 2]
+                for share in CONE:
                     dx, dy = math.cos(angle + share * noise[5]), math.sin(angle + share * noise[5])
                     x, y = rim_x - offset * dx, rim_y - offset * dy
                     aside, other = measure(
@@ -347,8 +400,9 @@ def observe(
             normal, uniform = draws[robot, number, 0], draws[robot, number, 1]
             hits[robot, number] = hit
             ranges[robot, number] = noisy_reading(
-                distance - offset, hit, beams[number, 4], longest, noise, normal, uniform
-            )
+                distance - offset, hit, beams[number, 4], longest,
+                noise[0], noise[1], noise[2], noise[3], noise[4], normal, uniform,
+            )  # fmt: skip
         new_cells[robot] = new
         for side in range(2):
             wheels[robot, side], untold[robot, side] = reported_travel(
@@ -382,11 +436,10 @@ def sweep(
         new = mark_disc(seen, coverable, area, body_x, body_y, radius)
         for beam in range(len(beams)):
             if (step + number) % int(beams[beam, 6]) == 0:
-                offset, angle = beams[beam, 3], heading + beams[beam, 2]
-                dx, dy = math.cos(angle), math.sin(angle)
-                x = body_x + cos * beams[beam, 0] - sin * beams[beam, 1] - offset * dx
-                y = body_y + sin * beams[beam, 0] + cos * beams[beam, 1] - offset * dy
-                reach = beams[beam, 5] + offset
+                offset = beams[beam, 3]
+                dx, dy = turned(beams[beam, 7], beams[beam, 8], cos, sin)
+                x, y = turned(beams[beam, 0], beams[beam, 1], cos, sin)
+                x, y, reach = body_x + x - offset * dx, body_y + y - offset * dy, beams[beam, 5] + offset
                 distance, _ = cast_ray(x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid)
                 new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
         new_cells[number] = new

@@ -66,7 +66,15 @@ def beam_table(robot: RobotSpec) -> FloatArray:
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
     return np.column_stack(
-        (robot.beam_origins, robot.beam_angles, offsets, robot.min_ranges, robot.max_ranges, periods)
+        (
+            robot.beam_origins,
+            robot.beam_angles,
+            offsets,
+            robot.min_ranges,
+            robot.max_ranges,
+            periods,
+            robot.beam_directions,
+        )
     )
 
 
