@@ -93,7 +93,7 @@ class BatchSimulation:
         self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self._rooms, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._poses, self._untold = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
-        self._left: Words = np.zeros((count, 0), dtype=np.uint64)
+        self._left = _padded(count, 0)
         self._hits = np.zeros((count, robots, num_beams), dtype=np.int64)
         self._ranges = np.zeros((count, robots, num_beams), dtype=np.float32)
         self._told = np.zeros((count, robots, 2), dtype=np.float32)
@@ -127,7 +127,8 @@ class BatchSimulation:
         self._covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
         if width > self._left.shape[1]:
-            self._left = np.pad(self._left, ((0, 0), (0, width - self._left.shape[1])))
+            left, self._left = self._left, _padded(self.num_envs, width)
+            self._left[:, : left.shape[1]] = left
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
         """Drive for one control period.
@@ -174,7 +175,9 @@ class BatchSimulation:
             others = [self._pool.submit(work) for _ in range(self._threads - 1)]
             work()
             for other in others:
-                other.result()
+                # Who has not woken up by now is not waited for.
+                if not other.cancel():
+                    other.result()
         else:
             advance(0, self.num_envs, *arguments)
         return self._result(tasks)
@@ -193,6 +196,11 @@ class BatchSimulation:
             self._hits.copy(),
         )
         return BatchReadings(self._ranges.copy(), self._told.copy()), truth
+
+
+def _padded(rows: int, columns: int) -> Words:
+    """Zeros (rows, columns) that a kernel may read a little beyond, for words that it masks."""
+    return np.zeros(rows * columns + 3 * columns + 3, dtype=np.uint64)[: rows * columns].reshape(rows, columns)
 
 
 def _cores() -> int:

@@ -21,6 +21,7 @@ from limslam_env.kernels import (
     crossings,
     first_wall,
     inlined,
+    meeting,
     is_touched,
     merged,
     noisy_reading,
@@ -47,7 +48,11 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S27, _S30, _S31, _S11 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(11)
 _NONE, _ONE, _LAYER = np.uint64(0), np.uint64(1), np.uint64(127)
-_ALL, _BYTE, _EACH_ROW = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0xFF), np.uint64(0x0101010101010101)
+_EIGHT, _SIXTEEN = np.uint64(8), np.uint64(16)
+_FULL, _BYTE, _EACH_ROW = np.uint64(0xFFFFFF), np.uint64(0xFF), np.uint64(0x0101010101010101)
+
+# Whole rows of a tile, for each set of rows as bits.
+_ROW_MASKS = np.array([sum(0xFF << 8 * row for row in range(8) if rows >> row & 1) for rows in range(256)], np.uint64)
 _UNIT = 2.0**-53
 
 _NUM_LAYERS = 128
@@ -325,12 +330,6 @@ def separate(
     return 0.0
 
 
-@inlined
-def cells_between(low: int, high: int, tile: int) -> tuple[int, int]:
-    """Which of the eight cells of a tile, along one axis, lie from cell ``low`` to ``high``: first and last."""
-    return max(low - tile * TILE, 0), min(high - tile * TILE, TILE - 1)
-
-
 @merged
 def is_any_left(
     left: Words,
@@ -345,15 +344,34 @@ def is_any_left(
     """Whether a cell that is left to see touches a rectangle, given in cells."""
     column0, column1 = max(math.floor(low_x), 0), min(math.floor(high_x), tile_columns * TILE - 1)
     row0, row1 = max(math.floor(low_y), 0), min(math.floor(high_y), tile_rows * TILE - 1)
+    if column0 > column1 or row0 > row1:
+        return False
     found = _NONE
-    for tile_row in range(row0 >> 3, (row1 >> 3) + 1):
-        low, high = cells_between(row0, row1, tile_row)
-        rows = (_ALL << np.uint64(8 * low)) & (_ALL >> np.uint64(8 * (7 - high)))
-        for tile_column in range(column0 >> 3, (column1 >> 3) + 1):
-            low, high = cells_between(column0, column1, tile_column)
-            columns = ((_BYTE << np.uint64(low)) & (_BYTE >> np.uint64(7 - high)) & _BYTE) * _EACH_ROW
-            found |= left[env, tile_row * tile_columns + tile_column] & rows & columns
+    # Three by three tiles at a time and no branches: mostly that is all. What lies beyond the grid is masked.
+    row = row0 & ~7
+    while row <= row1:
+        rows = _stretch(row0 - row, row1 - row)
+        column = column0 & ~7
+        while column <= column1:
+            columns = _stretch(column0 - column, column1 - column)
+            tile = (row >> 3) * tile_columns + (column >> 3)
+            left_columns = (columns & _BYTE) * _EACH_ROW
+            middle_columns = ((columns >> _EIGHT) & _BYTE) * _EACH_ROW
+            right_columns = ((columns >> _SIXTEEN) & _BYTE) * _EACH_ROW
+            for line in range(3):
+                mask = _ROW_MASKS[(rows >> np.uint64(8 * line)) & _BYTE]
+                words = (left[env, tile] & left_columns) | (left[env, tile + 1] & middle_columns)
+                found |= mask & (words | (left[env, tile + 2] & right_columns))
+                tile += tile_columns
+            column += 3 * TILE
+        row += 3 * TILE
     return found != _NONE
+
+
+@inlined
+def _stretch(low: int, high: int) -> np.uint64:
+    """Bits ``low`` to ``high`` of the first 24."""
+    return (_FULL >> np.uint64(23 - min(high, 23))) & (_FULL << np.uint64(max(low, 0)))
 
 
 @inlined
@@ -394,14 +412,13 @@ def take_ray(
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns:
             new += take(left, env, tile_columns, column, row)
-        if next_column < next_row:
-            travelled = next_column
-            next_column += per_column
-            column += column_step
-        else:
-            travelled = next_row
-            next_row += per_row
-            row += row_step
+        # Which way is a toss-up: numbers are chosen, where a branch would be mispredicted.
+        is_column = next_column < next_row
+        travelled = next_column if is_column else next_row
+        column += column_step if is_column else 0
+        row += 0 if is_column else row_step
+        next_column = next_column + per_column if is_column else next_column
+        next_row = next_row if is_column else next_row + per_row
     return new
 
 
@@ -422,6 +439,51 @@ def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float
     return new
 
 
+@inlined
+def lanes_of(count: int) -> int:
+    """Places for so many beams when four are worked on at once."""
+    return (count + 3) // 4 * 4
+
+
+@merged
+def aim(beams: FloatArray, body_x: float, body_y: float, cos: float, sin: float, aims: FloatArray) -> None:
+    """Set ``aims`` (4, lanes) to where the rays of a robot start, x and y (m), and to their directions."""
+    # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
+    for number in range(len(beams)):
+        dx, dy = turned(beams[number, 7], beams[number, 8], cos, sin)
+        rim_x, rim_y = turned(beams[number, 0], beams[number, 1], cos, sin)
+        aims[0, number] = body_x + rim_x - beams[number, 3] * dx
+        aims[1, number] = body_y + rim_y - beams[number, 3] * dy
+        aims[2, number], aims[3, number] = dx, dy
+
+
+@merged
+def cast_fan(
+    cell: int,
+    beams: FloatArray,
+    aims: FloatArray,
+    edges: FloatArray,
+    near_starts: IntArray,
+    near_edges: IntArray,
+    rays: FloatArray,
+) -> None:
+    """Set ``rays`` (2, lanes) to how far a robot's rays get, m, and to the wall that they hit, or -1."""
+    for number in range(len(beams)):
+        rays[0, number], rays[1, number] = beams[number, 5] + beams[number, 3], -1.0
+    for item in range(near_starts[cell], near_starts[cell + 1]):
+        edge = near_edges[item]
+        ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
+        from_x, from_y, which = edges[edge, 0], edges[edge, 1], float(edge)
+        # No branches: the compiler takes several rays at once.
+        for lane in range(rays.shape[1]):
+            distance, is_met = meeting(
+                from_x - aims[0, lane], from_y - aims[1, lane], ex, ey, aims[2, lane], aims[3, lane]
+            )
+            is_met &= distance < rays[0, lane]
+            rays[0, lane] = distance if is_met else rays[0, lane]
+            rays[1, lane] = which if is_met else rays[1, lane]
+
+
 @compiled
 def advance(
     first: int,
@@ -438,6 +500,8 @@ def advance(
     edges: FloatArray,
     cell_starts: IntArray,
     cell_edges: IntArray,
+    near_starts: IntArray,
+    near_edges: IntArray,
     coverable: Words,
     noise: FloatArray,
     keys: Words,
@@ -467,12 +531,14 @@ def advance(
     world_of
         (n,), the world of each.
     layout
-        (w, 6): a world's first edge and cell in the lists, the cells' columns and rows, and its tiles' columns and
-        rows.
+        (w, 7): a world's first edge and cell in the lists, the cells' columns and rows, its tiles' columns and
+        rows, and its first cell in the lists of near walls, or -1.
     grids, areas
         (w, 3), lower left corner x, y and cell side of the cell lists and of the coverage grids, m.
     edges, cell_starts, cell_edges
         The walls of all worlds, one after the other.
+    near_starts, near_edges
+        The walls that are within the beams' reach of each cell, in worlds where these are few.
     coverable
         (w, t), the tiles of each world.
     noise
@@ -486,6 +552,7 @@ def advance(
     """
     # Numbers are taken out of the arrays one by one: a slice costs as much as a ray.
     num_robots, num_beams = poses.shape[1], len(beams)
+    aims, rays = np.zeros((4, lanes_of(num_beams))), np.zeros((2, lanes_of(num_beams)))
     travel, carried, before = np.zeros((num_robots, 2)), np.zeros((num_robots, 2)), np.zeros((num_robots, 2))
     for env in range(first, last):
         task = tasks[env]
@@ -496,6 +563,7 @@ def advance(
         columns, rows, tile_columns, tile_rows = (
             layout[world, 2], layout[world, 3], layout[world, 4], layout[world, 5],
         )  # fmt: skip
+        near_cell = layout[world, 6]
         low_x, low_y, side = grids[world, 0], grids[world, 1], grids[world, 2]
         area_x, area_y, cell = areas[world, 0], areas[world, 1], areas[world, 2]
         steps[env] = steps[env] + 1 if task == STEP else 0
@@ -544,18 +612,22 @@ def advance(
                 left, env, tile_columns, tile_rows,
                 (body_x - area_x) / cell, (body_y - area_y) / cell, (radius - BODY_MARGIN) / cell,
             )  # fmt: skip
+            aim(beams, body_x, body_y, cos, sin, aims)
+            if near_cell >= 0:
+                column = min(max(math.floor((body_x - low_x) / side), 0), columns - 1)
+                row = min(max(math.floor((body_y - low_y) / side), 0), rows - 1)
+                cast_fan(near_cell + row * columns + column, beams, aims, edges, near_starts, near_edges, rays)
             for number in range(num_beams):
                 if beams[number, 6] != 1.0 and step % int(beams[number, 6]) != 0:
                     continue
                 offset, longest = beams[number, 3], beams[number, 5]
-                dx, dy = turned(beams[number, 7], beams[number, 8], cos, sin)
-                rim_x, rim_y = turned(beams[number, 0], beams[number, 1], cos, sin)
-                rim_x, rim_y = body_x + rim_x, body_y + rim_y
-                x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
-                distance, hit = first_wall(
-                    x, y, dx, dy, reach,
-                    edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
-                )  # fmt: skip
+                x, y, dx, dy = aims[0, number], aims[1, number], aims[2, number], aims[3, number]
+                distance, hit = rays[0, number], int(rays[1, number])
+                if near_cell < 0:
+                    distance, hit = first_wall(
+                        x, y, dx, dy, longest + offset,
+                        edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
+                    )  # fmt: skip
                 if num_robots > 1:
                     disc = cast_at_discs(x, y, dx, dy, distance, robot, poses[env], radius)
                     if disc < distance:
@@ -565,7 +637,8 @@ def advance(
                     (x - area_x) / cell, (y - area_y) / cell, dx, dy, distance / cell - RAY_MARGIN,
                 )  # fmt: skip
                 if noise[env, 5] > 0.0:
-                    angle = heading + beams[number, 2]
+                    angle, reach = heading + beams[number, 2], longest + offset
+                    rim_x, rim_y = x + offset * dx, y + offset * dy
                     for share in CONE:
                         dx, dy = math.cos(angle + share * noise[env, 5]), math.sin(angle + share * noise[env, 5])
                         x, y = rim_x - offset * dx, rim_y - offset * dy

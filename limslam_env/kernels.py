@@ -23,9 +23,6 @@ merged = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 # Rays that pass exactly through the joint of two walls must hit one of them.
 _END_SLACK = 1e-9
 
-# Walls are listed in a cell if they come as near as this to it, m.
-_BORDER = 1e-6
-
 # A body may stand this deep in a wall and must not be taken to see what is behind it, m.
 BODY_MARGIN = 1e-3
 
@@ -40,8 +37,8 @@ NOTHING, ROBOT = -1, -2
 
 
 @compiled
-def list_walls(edges: FloatArray, grid: FloatArray, cell_starts: IntArray, cell_edges: IntArray) -> None:
-    """Sort walls into the cells that they cross.
+def list_walls(edges: FloatArray, grid: FloatArray, border: float, cell_starts: IntArray, cell_edges: IntArray) -> None:
+    """Sort walls into the cells that they cross, or come as near to as ``border``, m.
 
     Called twice: with an empty ``cell_edges`` it fills ``cell_starts`` (cells + 1,), all 0 before; with one of
     ``cell_starts[-1]`` places it fills that.
@@ -53,14 +50,14 @@ def list_walls(edges: FloatArray, grid: FloatArray, cell_starts: IntArray, cell_
         x1, y1, x2, y2 = edges[edge]
         normal_x, normal_y = y1 - y2, x2 - x1
         # Half a cell's width across the wall. Walls that run along the border of a cell are in both.
-        half = (0.5 * side + _BORDER) * (abs(normal_x) + abs(normal_y))
+        half = 0.5 * side * (abs(normal_x) + abs(normal_y)) + border * math.hypot(normal_x, normal_y)
         for row in range(
-            max(math.floor((min(y1, y2) - _BORDER - grid[1]) / side), 0),
-            min(math.floor((max(y1, y2) + _BORDER - grid[1]) / side), rows - 1) + 1,
+            max(math.floor((min(y1, y2) - border - grid[1]) / side), 0),
+            min(math.floor((max(y1, y2) + border - grid[1]) / side), rows - 1) + 1,
         ):
             for column in range(
-                max(math.floor((min(x1, x2) - _BORDER - grid[0]) / side), 0),
-                min(math.floor((max(x1, x2) + _BORDER - grid[0]) / side), columns - 1) + 1,
+                max(math.floor((min(x1, x2) - border - grid[0]) / side), 0),
+                min(math.floor((max(x1, x2) + border - grid[0]) / side), columns - 1) + 1,
             ):
                 x, y = grid[0] + (column + 0.5) * side, grid[1] + (row + 0.5) * side
                 if abs((x - x1) * normal_x + (y - y1) * normal_y) > half:
@@ -103,6 +100,16 @@ def crossings(place: float, direction: float, side: float) -> tuple[int, int, fl
 
 
 @inlined
+def meeting(ax: float, ay: float, ex: float, ey: float, dx: float, dy: float) -> tuple[float, bool]:
+    """How far along a ray (dx, dy) a wall from (ax, ay), seen from its start, along (ex, ey) is met, and whether."""
+    # Parallel ones divide by 0, and compare as not met.
+    cross = dx * ey - dy * ex
+    distance = (ax * ey - ay * ex) / cross
+    fraction = (ax * dy - ay * dx) / cross
+    return distance, (distance >= 0.0) & (fraction >= -_END_SLACK) & (fraction <= 1.0 + _END_SLACK)
+
+
+@inlined
 def first_wall(
     x: float,
     y: float,
@@ -132,12 +139,8 @@ def first_wall(
             edge = cell_edges[item]
             ax, ay = edges[edge, 0] - x, edges[edge, 1] - y
             ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
-            cross = dx * ey - dy * ex
-            if cross == 0.0:
-                continue
-            distance = (ax * ey - ay * ex) / cross
-            fraction = (ax * dy - ay * dx) / cross
-            if 0.0 <= distance < best and -_END_SLACK <= fraction <= 1.0 + _END_SLACK:
+            distance, is_met = meeting(ax, ay, ex, ey, dx, dy)
+            if is_met and distance < best:
                 best, hit = distance, edge
         if next_column < next_row:
             travelled = next_column
