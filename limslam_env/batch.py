@@ -3,17 +3,17 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from limslam_env.batch_kernels import BEGIN, SKIP, STEP, Words, advance, derive_keys
 from limslam_env.batch_noise import BatchNoise
 from limslam_env.batch_places import Places
+from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CELL
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
-from limslam_env.config import NoiseConfig
 from limslam_env.sensors import beam_table
 
 THREADS_FROM = 1024
@@ -105,7 +105,7 @@ class BatchSimulation:
 
     def seed(self, seeds: np.random.SeedSequence) -> None:
         """Begin all sequences of random numbers anew."""
-        self._homes = seeds.generate_state(self.num_envs, np.uint64)
+        self._homes[:] = seeds.generate_state(self.num_envs, np.uint64)
         self._episodes[:] = 0
 
     def reset(self, mask: BoolArray, start: FloatArray | None = None) -> tuple[BatchReadings, BatchTruth]:
@@ -156,7 +156,7 @@ class BatchSimulation:
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
         places = self._places
-        arguments = (
+        arguments: tuple[Any, ...] = (
             tasks, actions, self._farthest, self.robot.radius, self._beams, places.world_of, *places.sites.scene,
             self._table, self._keys, self._steps, self._rooms, self._poses, self._untold, self._left,
             self._hits, self._ranges, self._told, self._contact, self._new_cells,
@@ -189,9 +189,9 @@ class BatchSimulation:
         self._covered += new_cells.sum(axis=1)
         truth = BatchTruth(
             self._poses.copy(),
-            self._steps * self.robot.control_period,
+            np.asarray(self._steps * self.robot.control_period),
             self._covered / self._places.sites.totals[self._places.world_of],
-            new_cells * CELL**2,
+            np.asarray(new_cells * CELL**2),
             self._contact.copy(),
             self._hits.copy(),
         )

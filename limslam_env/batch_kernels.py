@@ -21,8 +21,8 @@ from limslam_env.kernels import (
     crossings,
     first_wall,
     inlined,
-    meeting,
     is_touched,
+    meeting,
     merged,
     noisy_reading,
     reported_travel,
@@ -86,7 +86,8 @@ def mixed(state: np.uint64) -> np.uint64:
 @inlined
 def unit(bits: np.uint64) -> float:
     """A number from U(0, 1) of random bits; 1 is left out."""
-    return float(bits >> _S11) * _UNIT
+    number: float = float(bits >> _S11) * _UNIT
+    return number
 
 
 @merged
@@ -98,7 +99,8 @@ def normal(bits: np.uint64) -> float:
     layer = bits & _LAYER
     share = 2.0 * unit(bits) - 1.0
     if abs(share) < _RATIOS[layer]:
-        return share * _EDGES[layer]
+        place: float = share * _EDGES[layer]
+        return place
     return _rare_normal(bits)
 
 
@@ -108,7 +110,7 @@ def _rare_normal(bits: np.uint64) -> float:
     while True:
         layer = bits & _LAYER
         share = 2.0 * unit(bits) - 1.0
-        place = share * _EDGES[layer]
+        place: float = share * _EDGES[layer]
         if abs(share) < _RATIOS[layer]:
             return place
         bits = mixed(bits + _GOLDEN)
@@ -365,7 +367,7 @@ def is_any_left(
                 tile += tile_columns
             column += 3 * TILE
         row += 3 * TILE
-    return found != _NONE
+    return bool(found != _NONE)
 
 
 @inlined
@@ -485,7 +487,7 @@ def cast_fan(
 
 
 @compiled
-def advance(
+def advance(  # noqa: PLR0915 (one loop: what is handed to a function costs as much as a ray)
     first: int,
     last: int,
     tasks: IntArray,

@@ -11,8 +11,9 @@ def reward(config: RewardConfig, new_area: float, contact: bool) -> float: ...
 @overload
 def reward(config: RewardConfig, new_area: FloatArray, contact: BoolArray) -> FloatArray: ...
 def reward(config: RewardConfig, new_area: float | FloatArray, contact: bool | BoolArray) -> float | FloatArray:
-    """What one step is worth: ``new_area`` (m^2) seen for the first time, time, and ``contact``; arrays of one shape."""
-    return config.new_area * new_area + config.step + config.collision * contact
+    """What one step is worth: ``new_area`` (m^2) seen for the first time, time, and ``contact``; or arrays of each."""
+    worth: float | FloatArray = config.new_area * new_area + config.step + config.collision * contact
+    return worth
 
 
 @overload
