@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from limslam_env.batch_kernels import BEGIN, SKIP, STEP, Words, advance, derive_keys
+from limslam_env.batch_kernels import BEGIN, NUM_NOISES, SKIP, STEP, advance
 from limslam_env.batch_noise import BatchNoise
 from limslam_env.batch_places import Places
 from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CELL
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
+from limslam_env.random_kernels import Words, derive_keys
 from limslam_env.sensors import beam_table
 
 THREADS_FROM = 1024
@@ -99,7 +100,7 @@ class BatchSimulation:
         self._told = np.zeros((count, robots, 2), dtype=np.float32)
         self._contact = np.zeros((count, robots), dtype=bool)
         self._new_cells = np.zeros((count, robots), dtype=np.int64)
-        self._table = np.zeros((count, 14))
+        self._table = np.zeros((count, NUM_NOISES))
         self._threads = num_threads or _cores()
         self._pool: ThreadPoolExecutor | None = None
 
@@ -153,6 +154,10 @@ class BatchSimulation:
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Threads stay where they are.
+        return {**vars(self), "_pool": None}
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
         places = self._places

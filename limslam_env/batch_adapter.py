@@ -197,7 +197,7 @@ def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> Float
         array = np.zeros(0)
     if array.shape != (num_envs, 2):
         raise ValueError(
-            f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel speed, not shape {array.shape}"
+            f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel, not shape {array.shape}"
         )
     if not np.isfinite(array).all():
         row = int(np.argwhere(~np.isfinite(array))[0, 0])

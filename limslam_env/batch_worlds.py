@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.batch_kernels import TILE, Words
 from limslam_env.coverage import CoverageGrid, coverage_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
+from limslam_env.random_kernels import Words
 from limslam_env.sensors import WallIndex, build_wall_index, walls_around
 from limslam_env.starts import StartingPlaces, starting_places
+from limslam_env.tile_kernels import TILE
 from limslam_env.world import World
 
 # Near walls, on the average, up to which a ray tries them all.
