@@ -1,7 +1,7 @@
 """How fast the batched environment is, beside others in the same run: ``python -m benchmarks.vector``.
 
-As in :mod:`benchmarks.env`, candidates take turns in short bursts. Each is judged by its best one: what a machine can do
-when nobody else uses it. ``vmas`` and ``ir-sim`` take part where they are installed (extra ``peers``).
+As in :mod:`benchmarks.env`, candidates take turns in short bursts. Each is judged by its best one: what a machine can
+do when nobody else uses it. ``vmas`` and ``ir-sim`` take part where they are installed (extra ``peers``).
 """
 
 import argparse
@@ -18,7 +18,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.env import random_actions, rooms, single_loop
+from benchmarks.env import rooms, single_loop
 from benchmarks.peers import irsim_loop, vmas_loop
 
 SECONDS = 0.02
@@ -103,7 +103,7 @@ def loops() -> dict[str, Loop]:
         "two robots each, batch of 4096, a robot-step": team_loop(4096, 4),
     }
     if importlib.util.find_spec("vmas"):
-        found["vmas, six rays, 40 walls, 1024"] = vmas_loop(1024, random_actions())
+        found["vmas, six rays, 40 walls, 1024"] = vmas_loop(1024)
     if importlib.util.find_spec("irsim"):
         found["ir-sim, six rays, 40 walls"] = irsim_loop()
     return found
@@ -126,7 +126,7 @@ def best_rates(candidates: dict[str, Loop], bursts: int) -> dict[str, float]:
 @contextlib.contextmanager
 def busy_process() -> Iterator[None]:
     """Another process that wants a core for itself."""
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # noqa: S603 (a loop, nothing from outside)
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         yield
     finally:

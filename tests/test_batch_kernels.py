@@ -56,7 +56,7 @@ def test_the_compiled_step_is_of_these_sources():
     folder = Path(batch_kernels.__file__).parent
     text = b"".join((folder / f"{name}.py").read_bytes() for name in SOURCES)
     digest = hashlib.sha256(text.replace(b"\r\n", b"\n")).hexdigest()[:16]
-    assert batch_kernels.SOURCES == digest, f'write SOURCES = "{digest}" in batch_kernels.py'
+    assert digest == batch_kernels.SOURCES, f'write SOURCES = "{digest}" in batch_kernels.py'
 
 
 def test_normal_numbers_are_normal():

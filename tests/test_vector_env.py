@@ -1,4 +1,4 @@
-"""The batched environment: the same as the single one, autoreset, masks, refusals, and the same bits for any threads."""
+"""The batched environment: the same as the single one, autoreset, masks, refusals, the same bits for any threads."""
 
 import inspect
 import pickle
@@ -424,7 +424,7 @@ def test_a_copy_goes_on_alike():
     batch = LimSlamVectorEnv("env1", 1100, sensor_noise=0.02, num_threads=2)
     batch.reset(seed=0)
     batch.step(np.full((1100, 2), 0.4))
-    copy = pickle.loads(pickle.dumps(batch))
+    copy = pickle.loads(pickle.dumps(batch))  # noqa: S301 (our own)
     one, other = (env.step(np.full((1100, 2), 0.4)) for env in (batch, copy))
     np.testing.assert_array_equal(one[0]["ranges"], other[0]["ranges"])
     np.testing.assert_array_equal(one[-1]["pose"], other[-1]["pose"])

@@ -31,12 +31,12 @@ def assert_same(batch: tuple, env: int, single: tuple, atol: float) -> None:
 
 @pytest.mark.parametrize("robots", [1, 2, 3])
 def test_it_is_the_same_environment(robots):
-    singles = [LimSlamParallelEnv("env3", num_robots=robots, noise=QUIET) for _ in range(2)]
-    poses = []
-    for seed, single in enumerate(singles):
-        _, infos = single.reset(seed=seed)
-        poses.append([info["pose"] for info in infos.values()])
-    batch = LimSlamParallelVectorEnv("env3", 2, num_robots=robots, noise=QUIET)
+    singles = [LimSlamParallelEnv("square", num_robots=robots, noise=QUIET) for _ in range(2)]
+    near = np.array([[3.0, 1.0, 0.0], [3.4, 1.1, 2.5], [2.6, 0.9, -1.0]])[:robots]
+    poses = [near, near + np.array([0.4, -0.1, 0.1])]
+    for start, single in zip(poses, singles, strict=True):
+        single.reset(seed=0, options={"start": start})
+    batch = LimSlamParallelVectorEnv("square", 2, num_robots=robots, noise=QUIET)
     batch.reset(seed=0, options={"start": np.array(poses)})
     contacts = meetings = 0
     rows = [holding(300, robots, seed) for seed in range(2)]
@@ -70,19 +70,19 @@ def test_robots_that_meet_push_each_other_as_in_the_single_environment():
 
 
 def test_it_is_made_by_name_and_has_spaces_for_each_robot():
-    env = limslam_env.parallel_vector_env(world="square", num_robots=2, num_envs=4, sensor_noise=0.02)
+    env = limslam_env.parallel_vector_env(world="square", num_robots=3, num_envs=4, sensor_noise=0.02)
     assert isinstance(env, limslam_env.LimSlamParallelVectorEnv)
     observations, infos = env.reset(seed=0)
-    assert list(observations) == list(infos) == env.agents == ["robot_0", "robot_1"]
+    assert list(observations) == list(infos) == env.agents == ["robot_0", "robot_1", "robot_2"]
     for name in env.agents:
         assert env.observation_space(name) is env.observation_space(name)
         assert env.observation_space(name).contains(observations[name])
         assert infos[name]["pose"].shape == (4, 3)
         assert infos[name]["_pose"].all()
-    gaps = np.hypot(*(infos["robot_0"]["pose"] - infos["robot_1"]["pose"])[:, :2].T)
+    gaps = np.hypot(*(infos["robot_0"]["pose"] - infos["robot_2"]["pose"])[:, :2].T)
     assert (gaps > 0.2).all()
     # Starts that are drawn differ from environment to environment.
-    assert len(np.unique(infos["robot_1"]["pose"], axis=0)) == 4
+    assert len(np.unique(infos["robot_2"]["pose"], axis=0)) == 4
     env.close()
     env.close()
 
