@@ -87,15 +87,10 @@ class CloneEKF(LineEKF):
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
         return np.asarray(by_line @ self.P[part, part] @ by_line.T)
 
-    @property
-    def has_factors(self) -> bool:
-        """Whether factors of the odometry are part of the state."""
-        return self._first > self._poses_end
-
-    def factors(self, robot: int = 0) -> tuple[FloatArray, FloatArray]:
-        """A robot's odometry factors (3,) and their covariance (3, 3)."""
+    def factors(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
+        """A robot's odometry factors (3,) and their covariance (3, 3), if they are part of the state."""
         part = self._factors_part(robot)
-        return np.array(self.x[part]), np.array(self.P[part, part])
+        return (np.array(self.x[part]), np.array(self.P[part, part])) if self._first > self._poses_end else None
 
     def predict(
         self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_factors: FloatArray | None = None
@@ -252,7 +247,7 @@ class CloneEKF(LineEKF):
 
     def _carry(self, moved: FloatArray) -> None:
         """P after what moves with the first robot's error (n, 3) has changed by ``moved``, in place."""
-        rows = np.array(self.P[:POSE])
+        rows = self.P[:POSE].copy()
         dgemm(1.0, rows.T, moved.T, beta=1.0, c=self.P.T, overwrite_c=1)
         columns = np.ascontiguousarray(self.P[:, :POSE])
         dgemm(1.0, moved, columns.T, beta=1.0, c=self.P.T, overwrite_c=1)
@@ -260,7 +255,6 @@ class CloneEKF(LineEKF):
     def _carried_rows(self, columns: IntArray, moved: FloatArray) -> FloatArray:
         """Some rows of what P would then be."""
         rows = self.P[columns] + moved[columns] @ self.P[:POSE]
-        # The first robot's own part never moves with itself.
         return np.asarray(rows + rows[:, :POSE] @ moved.T)
 
     def _factors_part(self, robot: int) -> slice:
@@ -281,12 +275,11 @@ class CloneEKF(LineEKF):
 
     def _keep(self, places: IntArray) -> None:
         P = self._spare(len(places))
-        # Mostly the last ones go, and picking rows and columns by number takes five times as long as a block.
+        # Mostly the last ones go; rows and columns by number take five times as long as a block.
         is_block = int(places[-1]) == len(places) - 1
         P[:] = self.P[: len(places), : len(places)] if is_block else self.P[np.ix_(places, places)]
         # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
-        P += P.T.copy()
-        P *= 0.5
+        P[:] = 0.5 * (P + P.T)
         self.x, self.P, self.dim_x = self.x[places], P, len(places)
 
     def _columns(self, clones: IntArray) -> IntArray:

@@ -71,10 +71,8 @@ class ConsistentEstimator(Estimator):
 
     def factors(self, robot: int) -> tuple[Factors, FloatArray] | None:
         """What a robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
-        if not self._filter.has_factors:
-            return None
-        values, covariance = self._filter.factors(robot)
-        return Factors(*values.tolist()), covariance
+        found = self._filter.factors(robot)
+        return (Factors(*found[0].tolist()), found[1]) if found else None
 
     def predict(self, motion: Motion, robot: int) -> None:
         """A robot has moved."""
