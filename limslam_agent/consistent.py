@@ -196,7 +196,8 @@ class ConsistentEstimator(Estimator):
         if best <= settings.gate:
             return self._observe(robot, step, readings, piece, candidates[0])
         least = settings.new_length_complete if is_complete else settings.new_length
-        is_sure = len(piece.members) >= settings.new_readings and piece.angle_std <= settings.max_angle_std
+        is_enough = len(piece.members) >= settings.new_readings * self._std
+        is_sure = is_enough and piece.angle_std <= settings.max_angle_std
         if best < settings.far_gate or piece.length < least or not is_sure:
             return False
         self._add(robot, step, readings, piece)

@@ -51,7 +51,7 @@ class CloneConfig:
     new_length_complete
         The same for a complete piece.
     new_readings
-        Least number of readings of a new landmark.
+        Least number of readings of a new landmark for each metre of the ranges' standard deviation.
     max_angle_std
         Of a new landmark, rad.
     gate
@@ -95,7 +95,7 @@ class CloneConfig:
     new_length: float = 0.7
     new_length_noisy: float = 1.0
     new_length_complete: float = 0.25
-    new_readings: int = 20
+    new_readings: float = 500.0
     max_angle_std: float = math.radians(3.0)
     gate: float = 9.0
     far_gate: float = 25.0

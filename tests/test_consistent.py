@@ -93,11 +93,11 @@ def test_a_new_landmark_is_made_of_enough_readings() -> None:
     _, records = slam_after(observations, CONFIG, np.zeros(3))
     first = next(record for record in records if record.is_new)
     count = len(first.readings)
-    assert count >= CONFIG.clones.new_readings
-    as_many = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=count))
+    assert count >= CONFIG.clones.new_readings * CONFIG.range_std
+    as_many = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=(count - 0.5) / CONFIG.range_std))
     _, again = slam_after(observations, as_many, np.zeros(3))
     np.testing.assert_array_equal(again[0].readings, first.readings)
-    more = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=count + 1))
+    more = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=(count + 0.5) / CONFIG.range_std))
     _, later = slam_after(observations, more, np.zeros(3))
     assert all(len(record.readings) > count for record in later if record.is_new)
 
