@@ -103,8 +103,7 @@ class CloneEKF(LineEKF):
         by_pose, by_increment = compose_jacobians(self.x[moved], increment)
         self.F, self.Q = np.hstack((by_pose, by_increment @ by_factors)), by_increment @ covariance @ by_increment.T
         self.x[moved] = compose(self.x[moved], increment)
-        part = self._factors_part(robot)
-        self._move(moved, self.F, np.r_[moved, part])
+        self._move(moved, self.F, np.r_[moved, self._factors_part(robot)])
 
     def clone(self, robot: int = 0) -> int:
         """Keep a copy of a robot's pose, and give back the copy's number."""

@@ -29,7 +29,6 @@ from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
 
-_NOISY = 0.01  # m, std of a range
 _FEWEST = 6
 _BESIDE_CORNER = 0.15  # m
 
@@ -60,14 +59,12 @@ class ConsistentEstimator(Estimator):
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
-        calibration = config.self_calibration
+        calibration, self._std = config.self_calibration, config.range_std
         self._filter = CloneEKF(start, calibration.covariance if calibration.enabled else None)
-        self._settings, self._std = config.clones, config.range_std
+        self._settings = config.clones.for_ranges(self._std)
         super().__init__(robot, config, self._filter)
         self._map = WallMap(self._filter, config.clones)
         self._tracks = [Track(robot, config.buffer, config.clones.beams) for _ in start]
-        is_noisy = self._std >= _NOISY
-        self._new_length = config.clones.new_length_noisy if is_noisy else config.clones.new_length
 
     def factors(self, robot: int) -> tuple[Factors, FloatArray] | None:
         """What a robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
@@ -204,8 +201,10 @@ class ConsistentEstimator(Estimator):
             return True
         if best <= settings.gate:
             return self._observe(robot, step, readings, piece, candidates[0])
-        least = settings.new_length_complete if is_complete else self._new_length
-        if best < settings.far_gate or piece.length < least or piece.angle_std > settings.max_angle_std:
+        least = settings.new_length_complete if is_complete else settings.new_length
+        is_enough = len(piece.members) >= settings.new_readings * self._std
+        is_sure = is_enough and piece.angle_std <= settings.max_angle_std
+        if best < settings.far_gate or piece.length < least or not is_sure:
             return False
         self._add(robot, step, readings, piece)
         return True

@@ -1,12 +1,15 @@
 """Settings of the consistent estimator. All are ours, tuned on seeds that are not reported; m and rad."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
 from limslam_agent.published_config import HoughConfig
 from limslam_env.geometry import FloatArray
+
+_NOISY = 0.01  # m, std of a range
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ class CloneConfig:
         Least length of a new landmark, for exact ranges and for noisy ones (std of 1 cm or more), m.
     new_length_complete
         The same for a complete piece.
+    new_readings
+        Least number of readings of a new landmark for each metre of the ranges' standard deviation.
     max_angle_std
         Of a new landmark, rad.
     gate
@@ -95,9 +100,9 @@ class CloneConfig:
         Of what is left unexplained, in standard deviations of its chi-square.
     ambiguity
         Readings that a second landmark explains as well but for this chi-square are left out.
-    min_length
-        Shorter pieces are not used, m.
-    end_slack, beyond_length, beyond_gate, beyond_angle_std
+    min_length, min_length_noisy
+        Shorter pieces are not used, m, for exact ranges and for noisy ones.
+    end_slack, beyond_length, beyond_length_noisy, beyond_gate, beyond_angle_std
         Readings mostly more than ``end_slack`` beyond a landmark's known ends must be so long a piece, fit this well,
         and have a direction known this well.
     max_end_gap, max_angle, max_offset
@@ -128,14 +133,17 @@ class CloneConfig:
     new_length: float = 0.7
     new_length_noisy: float = 1.0
     new_length_complete: float = 0.25
+    new_readings: float = 500.0
     max_angle_std: float = math.radians(3.0)
-    gate: float = 16.0
+    gate: float = 9.0
     far_gate: float = 25.0
     left_sigmas: float = 3.0
     ambiguity: float = 9.0
-    min_length: float = 0.20
+    min_length: float = 0.10
+    min_length_noisy: float = 0.15
     end_slack: float = 0.05
-    beyond_length: float = 0.30
+    beyond_length: float = 0.15
+    beyond_length_noisy: float = 0.20
     beyond_gate: float = 9.0
     beyond_angle_std: float = math.radians(4.0)
     max_end_gap: float = 0.35
@@ -154,5 +162,17 @@ class CloneConfig:
     shown_length: float = 0.20
     beams: int = 8
     gap_ahead: float = 0.9
-    hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.20))
+    hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.10))
     straight: StraightConfig = field(default_factory=StraightConfig)
+
+    def for_ranges(self, std: float) -> Self:
+        """These settings with the lengths that ranges of a standard deviation (m) ask for."""
+        if std < _NOISY:
+            return self
+        return replace(
+            self,
+            new_length=self.new_length_noisy,
+            min_length=self.min_length_noisy,
+            beyond_length=self.beyond_length_noisy,
+            hough=replace(self.hough, min_length=max(self.hough.min_length, self.min_length_noisy)),
+        )

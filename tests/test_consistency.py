@@ -39,8 +39,7 @@ class OracleEstimator:
     def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
         self.robot, self.config, self.filter = robot, config, CloneEKF(start)
         self._front, self._track = FrontEnd(robot, config), Track(robot, config.buffer, config.clones.beams)
-        is_noisy = config.range_std >= 0.01
-        self._new_length = config.clones.new_length_noisy if is_noisy else config.clones.new_length
+        self._new_length = config.clones.for_ranges(config.range_std).new_length
         self._waiting: dict[int, list[Pending]] = {}
         self._index: dict[int, int] = {}
 

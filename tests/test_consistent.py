@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,6 +86,39 @@ def check_each_reading_is_used_once(records: Sequence[AssociationRecord]) -> Non
     used = np.vstack([np.insert(record.readings, 0, record.robot, axis=1) for record in records])
     assert len(used) > 50
     assert len(np.unique(used, axis=0)) == len(used)
+
+
+def test_a_new_landmark_is_made_of_enough_readings() -> None:
+    observations, _ = drive(CORRIDOR, np.zeros(3), straight(3.0))
+    _, records = slam_after(observations, CONFIG, np.zeros(3))
+    first = next(record for record in records if record.is_new)
+    count = len(first.readings)
+    assert count >= CONFIG.clones.new_readings * CONFIG.range_std
+    as_many = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=(count - 0.5) / CONFIG.range_std))
+    _, again = slam_after(observations, as_many, np.zeros(3))
+    np.testing.assert_array_equal(again[0].readings, first.readings)
+    more = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=(count + 0.5) / CONFIG.range_std))
+    _, later = slam_after(observations, more, np.zeros(3))
+    assert all(len(record.readings) > count for record in later if record.is_new)
+
+
+@pytest.mark.parametrize("end", [0.8, 0.9, 1.0, 1.1])
+def test_the_last_readings_of_a_wall_are_used(end: float) -> None:
+    # Fewer than a Hough line's votes may be left over, never a whole stretch of the wall.
+    wall = np.array([[-1.0, -0.4, end, -0.4]])
+    observations, _ = drive(wall, np.zeros(3), straight(2.5))
+    _, records = slam_after(observations, CONFIG, np.zeros(3))
+    used = max(int(record.readings[:, 0].max()) for record in records)
+    seen = max(step for step, each in enumerate(observations) if each["ranges"][-1] < 1.0)
+    assert seen - used < CONFIG.clones.hough.min_votes
+
+
+def test_noisy_ranges_ask_for_longer_pieces() -> None:
+    exact, noisy = (CONFIG.clones.for_ranges(std) for std in (0.005, 0.02))
+    assert exact == CONFIG.clones
+    assert noisy.new_length > exact.new_length
+    assert noisy.min_length == noisy.hough.min_length > exact.min_length
+    assert noisy.beyond_length > exact.beyond_length
 
 
 @pytest.mark.parametrize("place", STARTS)
