@@ -11,22 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.batch_state import (
     CLOSURES,
-    GROUPS,
-    HITS,
-    LEAST,
-    LENGTH,
     LINES,
-    LOW,
-    MISSES,
-    MOST,
     NO_PLACE,
     POSE,
-    READINGS,
     REFUSED,
     Capacity,
-    Minds,
     minds_for,
-    settings_of,
+    spec_of,
 )
 from limslam_agent.batch_step import begin_some, step_some
 from limslam_agent.config import AgentConfig, preset
@@ -100,7 +91,7 @@ class BatchSlam:
                 raise ValueError(f"{name} must be {least} or more, not {value}")
         self.robot, self.config, self.num_envs, self.size = robot, config, num_envs, size
         self.capacity = capacity or Capacity()
-        self._settings = settings_of(robot, config)
+        self._spec = spec_of(robot, config)
         self._minds = minds_for(robot, config, num_envs, self.capacity)
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
@@ -119,7 +110,7 @@ class BatchSlam:
         if starts.shape != (self.num_envs, POSE):
             raise ValueError(f"{self.num_envs} robots need start poses ({self.num_envs}, 3), not {starts.shape}")
         _refuse_if_not_finite(starts, chosen, "start pose")
-        begin_some(self._minds, starts, chosen, self._settings.cell)
+        begin_some(self._minds, starts, chosen, self.config.grid.cell)
 
     def step(self, ranges: ArrayLike, wheels: ArrayLike, mask: ArrayLike | None = None) -> Beliefs:
         """Take in an observation of each robot, and say what they believe then.
@@ -151,34 +142,35 @@ class BatchSlam:
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         self._share(
             chosen,
-            lambda some: step_some(self._minds, self._settings, seen, travel, some, poses, covariances, grids),
+            lambda some: step_some(self._minds, self._spec, seen, travel, some, poses, covariances, grids),
         )
         return Beliefs(poses, covariances, grids)
 
     @property
     def num_landmarks(self) -> IntArray:
         """How many walls each robot knows (n,), provisional ones included."""
-        return self._minds.counts[:, LINES].copy()
+        return self._minds.filter.counts[:, LINES].copy()
 
     @property
     def num_closures(self) -> IntArray:
         """How often each robot has taken two landmarks for one wall (n,)."""
-        return self._minds.counts[:, CLOSURES].copy()
+        return self._minds.filter.counts[:, CLOSURES].copy()
 
     @property
     def left_out(self) -> IntArray:
         """How often there was no room for something in each robot's mind (n,): while 0, it is what a single one is."""
-        return self._minds.counts[:, NO_PLACE].copy()
+        return self._minds.filter.counts[:, NO_PLACE].copy()
 
     @property
     def refused_readings(self) -> IntArray:
         """How many readings of each robot were not finite (n,)."""
-        return self._minds.counts[:, REFUSED].copy()
+        return self._minds.filter.counts[:, REFUSED].copy()
 
     @property
     def bytes_per_env(self) -> int:
         """Memory set aside for one robot. What has not been needed yet is not taken from the system."""
-        return sum(each.nbytes for each in self._minds) // self.num_envs
+        minds = self._minds
+        return sum(each.nbytes for each in (*minds.filter, *minds.walls, *minds[2:])) // self.num_envs
 
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
         if mask is None:
