@@ -21,7 +21,10 @@ from limslam_agent.batch_state import (
 )
 from limslam_agent.batch_step import begin_some, step_some
 from limslam_agent.config import AgentConfig, preset
+from limslam_agent.wall_extent import WallExtent
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.line import at
+from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
 _SLICES = 4
@@ -145,6 +148,22 @@ class BatchSlam:
             lambda some: step_some(self._minds, self._spec, seen, travel, some, poses, covariances, grids),
         )
         return Beliefs(poses, covariances, grids)
+
+    def segments(self, number: int) -> FloatArray:
+        """The walls of one robot's map (k, 4), m, as ``WallMap.segments`` draws them."""
+        settings, (belief, walls) = self.config.clones, (self._minds.filter, self._minds.walls)
+        found = [np.zeros((0, 4))]
+        for index in range(belief.counts[number, LINES]):
+            low, length, _, readings = walls.table[number, index]
+            if readings < settings.shown_readings:
+                continue
+            counts, reached = walls.counted[number, index, :, :length], walls.reached[number, index, :, :length]
+            extent = WallExtent.counted(int(low), counts, reached)
+            line = belief.x[number, POSE + 2 * index : POSE + 2 * index + 2]
+            pieces = extent.pieces(settings.max_gap, settings.through_tolerance)
+            found.append((belief.anchors[number, index] + at(line, pieces)).reshape(-1, 4))
+        every = np.concatenate(found)
+        return np.asarray(every[lengths(every) >= settings.shown_length])
 
     @property
     def num_landmarks(self) -> IntArray:

@@ -204,43 +204,51 @@ def use(
 
 
 @algebra
-def step(
-    minds: Minds, ranges: FloatArray, wheels: FloatArray, settings: Settings, beams: FloatArray, marks: MarkArray
+def take_in(
+    minds: Minds, ranges: FloatArray, wheels: FloatArray, settings: Settings, beams: FloatArray, measured: BoolArray
 ) -> None:
-    """Take in one observation of one robot: ranges (b,) and wheel travel (2,), m."""
-    mind, walls, way, waiting = minds.filter, minds.walls, minds.way, minds.waiting
+    """Move, take back what beams have gone through, and let new hits wait; marks which readings (b,) are new."""
+    mind, hits = minds.filter, np.zeros(len(ranges), dtype=np.bool_)
     mind.counts[STEP] += 1
-    move(mind, way, wheels, settings)
-    measured, hits = np.zeros(len(ranges), dtype=np.bool_), np.zeros(len(ranges), dtype=np.bool_)
+    move(mind, minds.way, wheels, settings)
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
         mind.counts[REFUSED] += not is_number
         measured[beam] = is_number and mind.counts[STEP] % int(beams[beam, PERIOD]) == 0
         hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
-    see_through(mind, walls, ranges, measured, settings, beams)
-    collect(mind, way, waiting, ranges, hits, settings, beams)
-    for side in range(_SIDES):
-        is_waiting = mind.counts[WAITING + side] > 0
-        has_ended = is_waiting and way[DRIVEN] - way[LAST_HIT + side] > settings.wall_end
-        if mind.counts[FRESH + side] >= settings.batch or has_ended:
-            use(mind, walls, waiting, side, way[DRIVEN], settings, beams, has_ended)
-    see(mind.x[:POSE], minds.grid, minds.window, ranges, measured, settings, beams, marks)
+    see_through(mind, minds.walls, ranges, measured, settings, beams)
+    collect(mind, minds.way, minds.waiting, ranges, hits, settings, beams)
 
 
 @entry
 def step_some(
-    minds: Minds, spec: Spec, ranges: FloatArray, wheels: FloatArray, chosen: IntArray, pose: FloatArray,
-    covariance: FloatArray, grids: MarkArray,
-) -> None:  # fmt: skip
+    minds: Minds,
+    spec: Spec,
+    ranges: FloatArray,
+    wheels: FloatArray,
+    chosen: IntArray,
+    pose: FloatArray,
+    covariance: FloatArray,
+    grids: MarkArray,
+) -> None:
     """Take in an observation of some robots, by number, and write down what they believe then."""
+    # The compiler works through a kernel and all below it once more for each kernel above: one level less is faster.
     marks, settings = np.zeros((minds.grid.shape[1], minds.grid.shape[2]), dtype=np.uint8), spec.settings[0]
+    measured = np.zeros(ranges.shape[1], dtype=np.bool_)
     for number in chosen:
-        mind = mind_of(minds, number)
-        step(mind, ranges[number], wheels[number], settings, spec.beams, marks)
-        pose[number] = mind.filter.x[:POSE]
-        covariance[number] = mind.filter.top[:, :POSE]
+        one = mind_of(minds, number)
+        belief, way = one.filter, one.way
+        take_in(one, ranges[number], wheels[number], settings, spec.beams, measured)
+        for side in range(_SIDES):
+            is_waiting = belief.counts[WAITING + side] > 0
+            has_ended = is_waiting and way[DRIVEN] - way[LAST_HIT + side] > settings.wall_end
+            if belief.counts[FRESH + side] >= settings.batch or has_ended:
+                use(belief, one.walls, one.waiting, side, way[DRIVEN], settings, spec.beams, has_ended)
+        pose[number] = belief.x[:POSE]
+        covariance[number] = belief.top[:, :POSE]
+        see(pose[number], one.grid, one.window, ranges[number], measured, settings, spec.beams, marks)
         if grids.shape[3]:
-            crop(pose[number], mind.grid, mind.window, settings.cell, grids[number, 0])
+            crop(pose[number], one.grid, one.window, settings.cell, grids[number, 0])
 
 
 @algebra
