@@ -114,7 +114,7 @@ def keep(mind: Filter, kept: IntArray, size: int) -> None:
 
 
 @algebra
-def keep_clones(mind: Filter, wanted: np.ndarray) -> None:  # type: ignore[type-arg]
+def keep_clones(mind: Filter, wanted: np.ndarray) -> None:
     """Let go of the clones that are not wanted, by their places: what they told stays in what correlates with them."""
     start, number, size = clones_from(mind), mind.counts[CLONES], 0
     kept = np.empty(size_of(mind), dtype=np.int64)

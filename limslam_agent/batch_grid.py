@@ -32,13 +32,13 @@ def touched(
     spacing, most = 0.5 * settings.cell, _AROUND + 1
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            most += int(math.floor(ranges[beam] / spacing)) + 1
+            most += math.floor(ranges[beam] / spacing) + 1
     places, kinds, size = np.empty((most, 2)), np.full(most, _CROSSED), 0
     for beam in range(len(ranges)):
         length = ranges[beam]
         if not (measured[beam] and length > beams[beam, TOO_NEAR]):
             continue
-        count = int(math.floor(length / spacing))
+        count = math.floor(length / spacing)
         ended = length < beams[beam, TOO_FAR]
         for i in range(count + ended):
             along = i * spacing if i < count else length

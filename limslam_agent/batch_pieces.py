@@ -31,7 +31,7 @@ _EXACT = (1e-4**2, 1e-5**2)
 def is_near(
     state: FloatArray, anchors: FloatArray, index: int, theta: float, x: float, y: float, angle: float, offset: float
 ) -> bool:
-    """Whether a landmark's direction differs by no more than ``angle`` (rad) and it passes a point within ``offset``."""
+    """Whether a landmark's direction differs by less than ``angle`` (rad), and it passes a point within ``offset``."""
     d, own = state[POSE + 2 * index], state[POSE + 2 * index + 1]
     turn = abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
     off = (x - anchors[index, 0]) * math.cos(own) + (y - anchors[index, 1]) * math.sin(own) - d
@@ -40,10 +40,11 @@ def is_near(
 
 @algebra
 def candidates(
-    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray, settings: Settings,
+    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray,
+    settings: Settings,
     scores: FloatArray, rows: IntArray, told: FloatArray,
 ) -> int:  # fmt: skip
-    """How many landmarks a piece may be of: scores and indices, best first; by index, what is left, and how many tell."""
+    """How many landmarks a piece may be of: scores and indices, best first; by index, what is left and who tells."""
     loose, size = 2.0 * math.atan2(2.0 * settings.std, max(piece[EXTENT], 0.1)), 0
     x, y, limit = piece[MIDDLE_X], piece[MIDDLE_Y], settings.max_angle + loose
     for index in range(mind.counts[LINES]):
@@ -62,7 +63,8 @@ def candidates(
 
 @algebra
 def incorporate(
-    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray, settings: Settings,
+    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray,
+    settings: Settings,
     is_complete: bool,
 ) -> bool:  # fmt: skip
     """Take a piece of wall for a landmark that is known, or for a new one; whether it has been dealt with."""

@@ -128,16 +128,7 @@ def bend(
             shapes[i, kinks + k] = scaled ** (2 + k) / cosines[i]
     whiten(factor, shapes, count, kinks + 3)
     leave_beside(shapes, 0, kinks + 3, basis, count)
-    most, best, angle = -1.0, 0, 0.0
-    for k in range(kinks):
-        square, product = 0.0, 0.0
-        for i in range(count):
-            square += shapes[i, k] * shapes[i, k]
-            product += left[i] * shapes[i, k]
-        square = max(square, 1e-9)
-        gain = (product / square) ** 2 * square
-        if gain > most:
-            most, best, angle = gain, k, product / square
+    most, best, angle = strongest_kink(shapes, left, kinks)
     orthonormalise(shapes, kinks, kinks + 3, count)
     curved = 0.0
     for k in range(3):
@@ -148,6 +139,22 @@ def bend(
     piece[_BEND_AT] = places[best]
     is_kinked = most > settings.kink_gate and abs(angle) > settings.min_kink
     return 1.0 if is_kinked or curved > settings.curve_gate else 0.0
+
+
+@algebra
+def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
+    """The most that a kink gains (chi-square), which one, and its angle, rad."""
+    most, best, angle = -1.0, 0, 0.0
+    for k in range(kinks):
+        square, product = 0.0, 0.0
+        for i in range(len(left)):
+            square += shapes[i, k] * shapes[i, k]
+            product += left[i] * shapes[i, k]
+        square = max(square, 1e-9)
+        gain = (product / square) ** 2 * square
+        if gain > most:
+            most, best, angle = gain, k, product / square
+    return most, best, angle
 
 
 @algebra

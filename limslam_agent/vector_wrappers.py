@@ -54,7 +54,9 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         if size < 1:
             raise ValueError(f"a grid needs at least one cell, not {size}")
         robot = _robot_of(env)
-        self.single_observation_space = belief_space(ranges_space(env.single_observation_space, robot), size)
+        ranges = ranges_space(env.single_observation_space, robot)
+        self._spaces = dict(env.single_observation_space.items())  # type: ignore[attr-defined]
+        self.single_observation_space = belief_space(ranges, size)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self.slam = BatchSlam(robot, agent_config, env.num_envs, capacity, num_threads, size)
         self._starts = np.zeros((env.num_envs, 3))
@@ -97,7 +99,7 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     def _tell_last(self, info: dict[str, Any], ended: BoolArray) -> None:
         """Let the last observations of episodes be taken in, and put what is believed then in their place."""
         last, places = info["final_obs"], np.flatnonzero(ended)
-        seen = {key: np.zeros((self.num_envs, *box.shape)) for key, box in self.env.single_observation_space.items()}
+        seen = {key: np.zeros((self.num_envs, *box.shape)) for key, box in self._spaces.items()}
         for key, rows in seen.items():
             for place in places:
                 rows[place] = last[key][place] if isinstance(last, dict) else last[place][key]
@@ -109,7 +111,7 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     def _believed(self, seen: Observation, mask: BoolArray) -> Observation:
         """What is believed after observations; where there is none, what was told before."""
         beliefs = self.slam.step(seen["ranges"], seen["wheels"], mask)
-        told = {
+        told: Observation = {
             "pose": told_pose(self._starts, beliefs.pose),
             "covariance": told_covariance(beliefs.covariance),
             "grid": beliefs.grid,

@@ -27,7 +27,7 @@ class WallExtent:
 
     @classmethod
     def counted(cls, low: int, counts: IntArray, reached: FloatArray) -> Self:
-        """What was counted elsewhere: hits and misses (2, n) from bin ``low`` on, and least and most place, m (2, n)."""
+        """What was counted elsewhere: hits and misses (2, n) from bin ``low`` on, least and most places (2, n), m."""
         extent = cls()
         extent._low = low
         extent._hits, extent._misses = np.array(counts, dtype=np.int64)

@@ -6,7 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from drives import ROBOT, along, drive, laps_of_square, room, straight, turn
+from drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from limslam_agent.agent import LimSlamAgent
@@ -20,6 +20,7 @@ from limslam_agent.wrappers import SlamObservation
 from limslam_env.config import NoiseConfig
 from limslam_env.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import lengths
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.robots import ring
 from limslam_env.wrappers import NormalizedObservation
@@ -106,20 +107,11 @@ def followed(
     return slam, batch, most
 
 
-@pytest.mark.parametrize("noise", NOISES)
-def test_loops_are_closed_alike(noise: float) -> None:
-    observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP), noise=noise, seed=3)
-    # Odometry that is off makes two landmarks of one wall, until they turn out to be one.
-    for number, seen in enumerate(observations):
-        seen["wheels"] = (seen["wheels"] * (1.0, 1.004 if number % 2 else 1.0)).astype(np.float32)
-    slam, batch, _ = followed(observations, config_of(noise))
-    assert len(slam.closures) == batch.num_closures[0]
-
-
-def test_some_loops_are_closed() -> None:
-    log = laps_of_square(0.02, laps=2.0, robot=ROBOT, seed=5, wheel_variance=2e-4)
-    config = preset("consistent", NominalNoise(0.02, 2e-4))
-    slam, batch, _ = followed(log.observations, config, start=log.poses[0])
+def test_loops_are_closed_alike() -> None:
+    # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
+    log = laps_of_square(0.0, , 2.0, FOUR_BEAMS, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
+    config = preset("consistent", NominalNoise(0.0, 2e-4))
+    slam, batch, _ = followed(log.observations, config, FOUR_BEAMS, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
 
 
@@ -128,10 +120,11 @@ def test_walls_are_taken_back_alike() -> None:
     there, _ = drive(walls, START, straight(2.0))
     # On the way back the wall to the right is gone.
     back, _ = drive(walls[:1], np.array([2.0, 0.0, 0.0]), [*turn(180.0), *straight(2.0)])
-    slam, batch, _ = followed([*there, *back[1:]], config_of(0.0))
+    before, _, _ = followed(there, config_of(0.0))
+    after, batch, _ = followed([*there, *back[1:]], config_of(0.0))
     assert batch._minds.walls.counted[0, :, MISSES].sum() > 20
-    shown = slam.segments[:, [1, 3]].mean(axis=1)
-    assert (shown > 0.0).all()
+    right = [sum(lengths(slam.segments[slam.segments[:, 1] < 0.0])) for slam in (before, after)]
+    assert right[1] < right[0] - 1.0
 
 
 def test_more_clones_than_are_kept_are_let_go_alike() -> None:
@@ -165,7 +158,7 @@ def test_threads_change_no_bit() -> None:
     told = []
     for threads in (1, 2, 5):
         batch = batch_of(9, num_threads=threads)
-        for step in range(0, 200):
+        for step in range(200):
             seen = [DRIVE[rows[step]] for rows in shifted]
             beliefs = batch.step([each["ranges"] for each in seen], [each["wheels"] for each in seen])
         told.append((beliefs.pose.tobytes(), beliefs.covariance.tobytes(), beliefs.grid.tobytes()))
