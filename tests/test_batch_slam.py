@@ -6,7 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
+from drives import ROBOT, along, drive, laps_of_square, room, straight, turn
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from limslam_agent.agent import LimSlamAgent
@@ -109,9 +109,9 @@ def followed(
 
 def test_loops_are_closed_alike() -> None:
     # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
-    log = laps_of_square(0.0, , 2.0, FOUR_BEAMS, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
+    log = laps_of_square(0.0, 1, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
     config = preset("consistent", NominalNoise(0.0, 2e-4))
-    slam, batch, _ = followed(log.observations, config, FOUR_BEAMS, log.poses[0])
+    slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
 
 
