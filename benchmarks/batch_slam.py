@@ -7,8 +7,10 @@ went by: on a machine that does other things, too, the former says what the latt
 """
 
 import argparse
+import hashlib
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -68,6 +70,20 @@ def timed(work: Callable[[], Any]) -> tuple[float, float]:
     begun, used = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - begun, time.process_time() - used
+
+
+def gain_of_two_threads() -> float:
+    """How much more two threads get done than one, now and on this machine, when they have nothing in common."""
+    data, pool = bytes(50_000_000), ThreadPoolExecutor(2)
+
+    def digest(_: int) -> None:
+        # This runs without Python's lock.
+        hashlib.sha256(data).digest()
+
+    one = timed(lambda: digest(0))[0]
+    two = timed(lambda: list(pool.map(digest, range(2))))[0]
+    pool.shutdown()
+    return 2.0 * one / two
 
 
 def time_single(logs: list[tuple[FloatArray, FloatArray, FloatArray]], config: AgentConfig) -> FloatArray:
@@ -131,6 +147,8 @@ def main() -> None:
             f"{f'{chosen.envs} robots, {threads} thread(s)':>24} {1e6 * each[0]:>12.1f} {1e6 * each[1]:>10.1f} "
             f"{1 / each[0]:>9.0f} {single[0] / each[0]:>9.1f} {verdict:>7}"
         )
+        if threads == 2:
+            print(f"what two threads gain at all here: {gain_of_two_threads():.2f}")
     print(f"memory set aside for one robot: {batch.bytes_per_env / 1e6:.2f} MB; no room for {batch.left_out.sum()}")
 
 
