@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from data import data_folder
+from drives import FOUR_BEAMS, laps_of_square
 from typer.testing import CliRunner
 
 from limslam_agent.cli import app
@@ -17,8 +19,6 @@ from limslam_agent.replay_options import replay_config
 from limslam_agent.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise
-from tests.data import data_folder
-from tests.drives import FOUR_BEAMS, laps_of_square
 
 COUNTED = np.array([1.006, 0.994])
 """What encoders count over what wheels turn: the left one is taken for larger than it is, the right for smaller."""
