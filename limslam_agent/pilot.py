@@ -6,20 +6,21 @@ and so that explorers can be measured by one that has nothing to find out.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from limslam_agent.belief import NO_PLAN, Belief
 from limslam_agent.config import AgentConfig, PolicyConfig
 from limslam_agent.controller import bearing_of, wheel_speeds
-from limslam_agent.policies import Laps, Policy, RandomPolicy, WallFollower
+from limslam_agent.policies import FrontierPolicy, Laps, Policy, RandomPolicy, WallFollower
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.parallel import LimSlamParallelEnv
 from limslam_env.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
 from limslam_env.world import World
 
-POLICIES = ("frontier", "wall_follower", "random", "tour", "oracle")
+POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "tour", "oracle")
 
 _PILOTED = ("tour", "oracle")
 _ARRIVED = 0.003  # m: less than a way's distance from the walls
@@ -118,6 +119,9 @@ def policies_for(
     policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, robots: int, laps: int, seed: int
 ) -> list[Policy] | None:
     """A policy for each robot; None for the frontier explorers that a team makes itself."""
+    if policy == "frontier_fast":
+        fast = replace(config.policy, speed=robot.max_wheel_speed)
+        return [FrontierPolicy(robot, fast, number) for number in range(robots)]
     if policy == "wall_follower":
         return [WallFollower(robot, config.policy) for _ in range(robots)]
     if policy == "random":
