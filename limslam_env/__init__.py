@@ -55,6 +55,7 @@ def _register() -> None:
         gym.register(
             f"LimSlam-{place}-v0",
             entry_point="limslam_env.env:LimSlamEnv",
+            vector_entry_point="limslam_env.vector_env:LimSlamVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
             kwargs=arguments,
         )

@@ -100,7 +100,7 @@ class Stage:
     """
 
     def __init__(self, source: PlaceSource, robot: RobotSpec, num_robots: int, noise: NoiseConfig) -> None:
-        self._source = FloorPlanConfig() if _is_random(source) else source
+        self._source = FloorPlanConfig() if is_random(source) else source
         self._robot, self._num_robots, self._noise = robot, num_robots, noise
         self._home: Simulation | None = None
         if isinstance(self._source, FloorPlanConfig):
@@ -173,7 +173,7 @@ class Stage:
     def _simulation_for(self, source: PlaceSource, entropy: int) -> Simulation:
         if source is self._source and self._home is not None:
             return self._home
-        if _is_random(source):
+        if is_random(source):
             source = FloorPlanConfig()
         if isinstance(source, FloorPlanConfig):
             task = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(_TASK_SEED,)))
@@ -257,7 +257,8 @@ class Staged:
         self._painter.close()
 
 
-def _is_random(source: PlaceSource) -> TypeGuard[str]:
+def is_random(source: object) -> TypeGuard[str]:
+    """Whether a world is to be drawn by the default settings."""
     return isinstance(source, str) and source == "random"
 
 

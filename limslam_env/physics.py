@@ -15,7 +15,7 @@ import numpy as np
 import pymunk
 
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.se2 import arc_end, wrap_angle
 
 _WALL, _ROBOT, _QUERY = 1, 2, 4
 _TOUCH = 1e-5
@@ -97,7 +97,7 @@ class Physics:
         # Others may come one's way.
         approach = farthest if len(travel) == 1 else 2.0 * farthest
         self._room -= approach
-        goals = [_driven(pose, wheels, self._axle) for pose, wheels in zip(self._poses, travel, strict=True)]
+        goals = [arc_end(*pose, *wheels, self._axle) for pose, wheels in zip(self._poses, travel, strict=True)]
         if self._room <= 0.0:
             return self._move_bodies(goals, period)
         # Nobody can touch anything: pymunk need not be asked.
@@ -183,17 +183,3 @@ class Physics:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
         self.place(np.array(state["poses"]), state["axle"])
         self._room = state["room"]
-
-
-def _driven(pose: _Pose, wheels: tuple[float, float], axle: float) -> _Pose:
-    """The pose at the end of the arc that wheel travel (m) makes; headings wrapped. See ``geometry.se2.arc``."""
-    # In plain numbers: this is done at every step.
-    x, y, heading = pose
-    left, right = wheels
-    half = 0.5 * (right - left) / axle
-    chord = 0.5 * (left + right) * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
-    middle = heading + half
-    end = middle + half
-    if not -math.pi < end <= math.pi:
-        end = wrap_angle(end)
-    return x + chord * math.cos(middle), y + chord * math.sin(middle), end

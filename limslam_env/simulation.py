@@ -15,10 +15,8 @@ from limslam_env.kernels import observe
 from limslam_env.odometry import carried_travel, wheel_noise
 from limslam_env.physics import Physics
 from limslam_env.sensors import beam_table, build_wall_index, range_noise
-from limslam_env.world import World, WorldError
-
-# Places that are tried for robots without a start, before the world is said to have no room.
-_TRIES = 10_000
+from limslam_env.starts import drawn_starts, starting_places
+from limslam_env.world import World
 
 
 class Readings(NamedTuple):
@@ -122,7 +120,8 @@ class Simulation:
         """
         starts, ranges, wheels, settings = (np.random.default_rng(part) for part in seeds.spawn(4))
         robot, count = self.robot, self.num_robots
-        poses = self._starts(starts, start)
+        places = starting_places(self.world, robot, count, start)
+        poses = drawn_starts(places, self.world, robot, count, starts)
         self._noise = noise.drawn(settings)
         limits = wheel_noise(self._noise, robot.max_wheel_travel)
         self._noise_table = np.concatenate((range_noise(self._noise), limits))
@@ -162,40 +161,6 @@ class Simulation:
         new_area = [cells * CELL**2 for cells in new_cells]
         truth = Truth(poses, time, coverage, new_area, contact, self._hits.copy())
         return Readings(self._ranges.copy(), self._told.copy()), truth
-
-    def _starts(self, generator: np.random.Generator, start: FloatArray | None) -> FloatArray:
-        given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
-        if len(given) > self.num_robots:
-            raise WorldError(f"{len(given)} starts for {self.num_robots} robots")
-        poses: list[FloatArray] = []
-        for pose in given:
-            self.world.check_pose(pose, self.robot.radius)
-            if not self._is_apart(pose, poses):
-                raise WorldError(f"world {self.world.name!r}: two robots are to start in one place")
-            poses.append(pose)
-        for pose in self.world.starts:
-            if len(poses) < self.num_robots and self._is_apart(pose, poses):
-                poses.append(pose)
-        if len(poses) < self.num_robots:
-            self._draw_starts(generator, poses)
-        return np.array(poses)
-
-    def _draw_starts(self, generator: np.random.Generator, poses: list[FloatArray]) -> None:
-        space = self.world.free_space(self.robot.radius)
-        region = space.region_of(poses[0][:2]) if poses else space.largest_closed_region()
-        cells = np.flatnonzero(region)
-        tries = generator.choice(cells, _TRIES) if len(cells) else cells
-        for row, column in zip(*np.unravel_index(tries, region.shape), strict=True):
-            place = space.origin + (np.array([column, row]) + 0.5) * space.cell
-            pose = np.array([*place, generator.uniform(-np.pi, np.pi)])
-            if self._is_apart(pose, poses):
-                poses.append(pose)
-            if len(poses) == self.num_robots:
-                return
-        raise WorldError(f"world {self.world.name!r}: no room for {self.num_robots} robots")
-
-    def _is_apart(self, pose: FloatArray, poses: list[FloatArray]) -> bool:
-        return all(np.hypot(*(pose[:2] - other[:2])) > 2.5 * self.robot.radius for other in poses)
 
 
 def _clipped(speed: float) -> float:

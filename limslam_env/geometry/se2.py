@@ -100,6 +100,24 @@ def arc(distance: float, turn: float) -> FloatArray:
     return np.array([chord * math.cos(half), chord * math.sin(half), turn])
 
 
+def arc_end(x: float, y: float, heading: float, left: float, right: float, axle: float) -> tuple[float, float, float]:
+    """The pose at the end of the arc that wheel travel makes of a pose; the heading wrapped.
+
+    Lengths in metres, ``left`` and ``right`` among them, angles in radians. See :func:`arc`; in plain numbers, since
+    this is done at every step, by compiled code too.
+    """
+    half = 0.5 * (right - left) / axle
+    chord = 0.5 * (left + right) * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
+    middle = heading + half
+    end = middle + half
+    if not -math.pi < end <= math.pi:
+        end = math.pi - (math.pi - end) % _TAU
+        # A hair above pi the remainder rounds up to the whole circle.
+        if end <= -math.pi:
+            end = math.pi
+    return x + chord * math.cos(middle), y + chord * math.sin(middle), end
+
+
 def arc_jacobian(distance: float, turn: float) -> FloatArray:
     """Derivative (3, 2) of :func:`arc` by ``(distance, turn)``."""
     half = 0.5 * turn

@@ -1,0 +1,141 @@
+"""Which world each environment of a batch is in, and where its robots start there."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limslam_env.batch_kernels import Words, draw_starts
+from limslam_env.batch_worlds import Site, Sites, prepare
+from limslam_env.floor_plans import FloorPlanConfig, floor_plan
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.interface import RobotSpec
+from limslam_env.starts import TRIES, least_distance, no_room
+from limslam_env.world import World
+
+
+class Places:
+    """Worlds for a batch of environments, and starts in them.
+
+    Parameters
+    ----------
+    source
+        A world for all, a world for each, or what floor plans are drawn by.
+    robot, num_robots
+        What drives there, and how many of them in each environment.
+    num_envs
+        How many environments there are.
+    plans
+        Seeds of the floor plans that are made beforehand; an environment gets one of them at each reset. None draws
+        every environment a plan of its own at each reset.
+
+    Raises
+    ------
+    WorldError
+        If a world cannot be used.
+    ValueError
+        If floor plans for such a robot cannot be drawn.
+    """
+
+    def __init__(
+        self,
+        source: World | Sequence[World] | FloorPlanConfig,
+        robot: RobotSpec,
+        num_robots: int,
+        num_envs: int,
+        plans: Sequence[int] | None = None,
+    ) -> None:
+        self.num_envs, self.num_robots, self.sites = num_envs, num_robots, Sites()
+        self.world_of: IntArray = np.zeros(num_envs, dtype=np.int64)
+        self._robot = robot
+        self._config: FloorPlanConfig | None = None
+        self._known: list[tuple[World, Site]] = []
+        self._variants: dict[tuple[World, bytes], int] = {}
+        self._is_drawn = False
+        if isinstance(source, FloorPlanConfig):
+            if plans is None:
+                self._config = source
+                # A plan that nobody sees: what is wrong with the settings shows at once.
+                floor_plan(source, np.random.default_rng(0), robot.radius)
+                return
+            self._is_drawn = True
+            source = [floor_plan(source, np.random.default_rng(seed), robot.radius) for seed in plans]
+        worlds = [source] if isinstance(source, World) else list(source)
+        numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
+        for number, world in enumerate(numbers):
+            if not self._is_drawn:
+                world.check(robot.radius)
+            self._known.append((world, prepare(world, robot, num_robots)))
+            self.sites.put(number, self._known[-1][1])
+        if len(worlds) > 1 and not self._is_drawn:
+            self.world_of[:] = [numbers[world] for world in worlds]
+        self._home = self.world_of.copy()
+
+    def begin(self, envs: IntArray, keys: Words, start: FloatArray | None) -> FloatArray:
+        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad.
+
+        Parameters
+        ----------
+        envs
+            Their numbers.
+        keys
+            (k,), of the random numbers for it.
+        start
+            (k, s, 3), poses of the first robots.
+
+        Raises
+        ------
+        WorldError
+            If a start cannot be used, or there is no room.
+        """
+        poses = np.zeros((len(envs), self.num_robots, 3))
+        if self._config is not None:
+            for row, env in enumerate(envs):
+                world = floor_plan(self._config, np.random.default_rng(int(keys[row])), self._robot.radius)
+                site = prepare(world, self._robot, self.num_robots, None if start is None else start[row])
+                self._settle(int(env), world, site, poses[row : row + 1], keys[row : row + 1])
+            return poses
+        if self._is_drawn:
+            self.world_of[envs] = (keys >> np.uint64(11)) % np.uint64(len(self._known))
+        else:
+            self.world_of[envs] = self._home[envs]
+        slots = self.world_of[envs]
+        for slot in np.unique(slots):
+            rows = np.flatnonzero(slots == slot)
+            world, site = self._known[slot]
+            if start is None:
+                poses[rows] = self._started(world, site, keys[rows])
+            else:
+                self._start_at(envs, rows, world, start, keys, poses)
+        return poses
+
+    def _started(self, world: World, site: Site, keys: Words) -> FloatArray:
+        places, robot = site.places, self._robot
+        poses = np.zeros((len(keys), self.num_robots, 3))
+        given = places.given[: self.num_robots]
+        poses[:, : len(given)] = given
+        if not draw_starts(keys, len(given), places.cells, places.space, least_distance(robot), poses, TRIES):
+            raise no_room(world, self.num_robots)
+        return poses
+
+    def _settle(self, env: int, world: World, site: Site, poses: FloatArray, keys: Words) -> None:
+        # Slots in the order of the environments.
+        while len(self.sites) <= env:
+            self.sites.put(len(self.sites), site)
+        self.sites.put(env, site)
+        self.world_of[env] = env
+        poses[:] = self._started(world, site, keys)
+
+    def _start_at(
+        self, envs: IntArray, rows: IntArray, world: World, start: FloatArray, keys: Words, poses: FloatArray
+    ) -> None:
+        """Start environments that share a world at poses of their own; what can be seen from there may differ."""
+        kinds, kind_of = np.unique(start[rows], axis=0, return_inverse=True)
+        for kind, wanted in enumerate(kinds):
+            mine = rows[kind_of.ravel() == kind]
+            site = prepare(world, self._robot, self.num_robots, wanted)
+            key = world, site.grid.coverable.tobytes()
+            if key not in self._variants:
+                self._variants[key] = len(self.sites)
+                self.sites.put(len(self.sites), site)
+            self.world_of[envs[mine]] = self._variants[key]
+            poses[mine] = self._started(world, site, keys[mine])
