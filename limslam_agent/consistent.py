@@ -29,7 +29,6 @@ from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
 
-_NOISY = 0.01  # m, std of a range
 _FEWEST = 6
 _BESIDE_CORNER = 0.15  # m
 
@@ -64,8 +63,7 @@ class ConsistentEstimator(Estimator):
         super().__init__(robot, config, self._filter)
         self._map = WallMap(self._filter, config.clones)
         self._tracks = [Track(robot, config.buffer, config.clones.beams) for _ in start]
-        is_noisy = self._std >= _NOISY
-        self._new_length = config.clones.new_length_noisy if is_noisy else config.clones.new_length
+        self._new_length = config.clones.least_new_length(self._std)
 
     def predict(self, motion: Motion, robot: int) -> None:
         """A robot has moved."""

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 from limslam_agent.published_config import HoughConfig
 
+_NOISY = 0.01  # m, std of a range
+
 
 @dataclass(frozen=True)
 class StraightConfig:
@@ -118,3 +120,7 @@ class CloneConfig:
     gap_ahead: float = 0.9
     hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.20))
     straight: StraightConfig = field(default_factory=StraightConfig)
+
+    def least_new_length(self, std: float) -> float:
+        """Least length of a new landmark, m, for ranges with a standard deviation of ``std`` (m)."""
+        return self.new_length_noisy if std >= _NOISY else self.new_length

@@ -49,7 +49,7 @@ class Track:
 
     def __init__(self, robot: RobotSpec, config: BufferConfig, most: int) -> None:
         self._robot, self._config = robot, config
-        self._beams = {side: _thinned([beam.side == side for beam in robot.beams], most) for side in SIDES}
+        self._beams = {side: thinned([beam.side == side for beam in robot.beams], most) for side in SIDES}
         self.driven = self._turned = 0.0
         self._read_at = (-math.inf, -math.inf)
         self.waiting: dict[Side, list[Pending]] = {side: [] for side in SIDES}
@@ -92,7 +92,7 @@ class Track:
         )  # fmt: skip
 
 
-def _thinned(chosen: list[bool], most: int) -> IntArray:
+def thinned(chosen: list[bool], most: int) -> IntArray:
     """The chosen beams, or ``most`` of them evenly spread."""
     beams = np.flatnonzero(np.array(chosen))
     places = np.unique(np.linspace(0, len(beams) - 1, min(most, len(beams))).round().astype(int))
