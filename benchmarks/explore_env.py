@@ -11,12 +11,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from benchmarks.explore_kernels import MEMORY, look_round, steer, take_in
-from limslam_agent.config import GridConfig
+from limslam_agent.batch_slam import BatchSlam
+from limslam_agent.config import GridConfig, preset
 from limslam_agent.learned import DriveConfig
 from limslam_agent.polar_view import ViewConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import NominalNoise, RobotSpec
 
 PoseSource = Literal["true", "odometry", "belief"]
 
@@ -34,7 +35,9 @@ class ExploreConfig:
         As for `LearnedPolicy` and the agent's grid.
     pose
         By which pose the grid is drawn: the ``true`` one, which no robot knows; by ``odometry``, what the wheels say
-        since the start; by ``belief``, the ``pose`` that a wrapper around the environment puts into its observation.
+        since the start; by ``belief``, what the consistent estimator believes after the same readings.
+    range_std
+        What the estimator is told of the ranges' noise, m.
     reward_scale
         Of the environment's rewards.
     """
@@ -43,6 +46,7 @@ class ExploreConfig:
     drive: DriveConfig = field(default_factory=DriveConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     pose: PoseSource = "true"
+    range_std: float = 0.02
     reward_scale: float = 0.2
 
 
@@ -83,6 +87,10 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self._rules = np.array([grid.cell, grid.seen_through, grid.hit, grid.limit], dtype=float)
         self._drive = np.array([drive.gain, drive.turn_rate, robot.max_wheel_speed, robot.axle, robot.radius])
         self._make_room(count, len(robot.beams))
+        self._slam: BatchSlam | None = None
+        if self.config.pose == "belief":
+            told = preset("consistent", NominalNoise(self.config.range_std))
+            self._slam = BatchSlam(robot, told, count, num_threads=1, size=0)
 
     def _make_room(self, count: int, beams: int) -> None:
         self._values = np.zeros((count, SIDE, SIDE), dtype=np.int8)
@@ -135,6 +143,9 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self._poses[which] = info["pose"][which]
         self._corners[which] = np.floor(self._poses[which, :2] / self.config.grid.cell).astype(np.int64) - SIDE // 2
         self._boxes[which] = (SIDE, 0, SIDE, 0)
+        if self._slam is not None:
+            self._slam.reset(self._poses, which)
+            self._move(which, told, self._poses)
         self._add(which, told["ranges"])
 
     def _take_in(self, which: BoolArray, told: dict[str, Any], info: dict[str, Any]) -> None:
@@ -152,8 +163,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     def _move(self, which: BoolArray, told: dict[str, Any], true: FloatArray) -> None:
         if self.config.pose == "true":
             self._poses[which] = true[which]
-        elif self.config.pose == "belief":
-            self._poses[which] = told["pose"][which]
+        elif self._slam is not None:
+            self._poses[which] = self._slam.step(told["ranges"], told["wheels"], which).pose[which]
         else:
             left, right = np.asarray(told["wheels"][which], dtype=float).T
             half = 0.5 * (right - left) / self.robot.axle
@@ -165,13 +176,11 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
 
     def _finish(self, which: BoolArray, info: dict[str, Any], final: NDArray[Any]) -> None:
         """Take in the last readings of episodes that end, for a last look."""
-        last = {key: np.zeros((self.num_envs, *np.shape(info["final_obs"][np.argmax(which)][key]))) for key in ("ranges", "wheels")}
-        if self.config.pose == "belief":
-            last["pose"] = np.zeros((self.num_envs, 3))
+        last = {"ranges": np.zeros_like(self._ranges), "wheels": np.zeros((self.num_envs, 2), dtype=np.float32)}
         for robot in np.flatnonzero(which):
             for key, values in last.items():
                 values[robot] = info["final_obs"][robot][key]
-        self._take_in(which, {**last, "ranges": last["ranges"].astype(np.float32)}, {"pose": info["final_info"]["pose"]})
+        self._take_in(which, last, info["final_info"])
         views = self._look(which)
         for robot in np.flatnonzero(which):
             final[robot] = views[robot].copy()
