@@ -18,6 +18,9 @@ from limslam_env.interface import RobotSpec
 WEIGHTS = Path(__file__).parent / "weights"
 """Where the shipped weights lie: ``belief.npz`` and ``true_pose.npz``."""
 
+TEMPERATURE = 0.5
+"""Directions are drawn by their scores over this: the best one each time would now and then go to and fro for ever."""
+
 
 @dataclass(frozen=True)
 class DriveConfig:
@@ -48,7 +51,9 @@ class LearnedPolicy(Wanderer):
     drive
         How a direction is driven.
     seed
-        Of the numbers drawn, or a generator: directions are drawn by their scores. None takes the best one always.
+        Of the numbers drawn, or a generator.
+    temperature
+        Directions are drawn by their scores over this; 0 takes the best one.
     patience
         Time without anything new after which it stops, s.
     """
@@ -59,13 +64,14 @@ class LearnedPolicy(Wanderer):
         config: PolicyConfig,
         network: DirectionNetwork | None = None,
         drive: DriveConfig | None = None,
-        seed: int | np.random.Generator | None = None,
+        seed: int | np.random.Generator = 0,
+        temperature: float = TEMPERATURE,
         patience: float = 90.0,
     ) -> None:
         super().__init__(robot, config, patience, "wherever it went")
         self._network = network or load_network(WEIGHTS / "belief.npz")
         self._drive = drive or DriveConfig()
-        self._generator = None if seed is None else np.random.default_rng(seed)
+        self._generator, self._temperature = np.random.default_rng(seed), temperature
         self._until_choice, self._heading = 0, 0.0
 
     def _wheels(self, belief: Belief) -> FloatArray:
@@ -83,7 +89,5 @@ class LearnedPolicy(Wanderer):
         view = self._network.view
         observation = observe(belief.grid, belief.pose, belief.ranges, self._robot.max_ranges, view)
         scores = self._network.scores(observation).astype(float)
-        if self._generator is None:
-            return int(np.argmax(scores))
-        shares = np.exp(scores - scores.max())
-        return int(self._generator.choice(len(scores), p=shares / shares.sum()))
+        # The largest of scores with Gumbel noise is drawn by its softmax.
+        return int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))

@@ -57,7 +57,7 @@ def save_network(path: Path, network: DirectionNetwork) -> None:
     view = network.view
     shape = np.array([view.directions, view.rings, view.nearest, view.growth])
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, view=shape, **network.weights)
+        np.savez_compressed(file, view=shape, **network.weights)
 
 
 def load_network(path: Path) -> DirectionNetwork:
