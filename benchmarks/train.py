@@ -38,7 +38,7 @@ SAVE_EVERY = 60.0
 
 @dataclass
 class Progress:
-    """How far a training is: decisions made, and wall-clock time spent (s)."""
+    """How far a training is: decisions made, and processor time spent (s)."""
 
     decisions: int = 0
     spent: float = 0.0
@@ -146,8 +146,8 @@ class _Keeper(BaseCallback):
         super().__init__()
         self._config, self._phase, self._folder, self._progress = config, phase, folder, progress
         self._trial: Trial | None = None
-        self._begin, self._before = time.monotonic(), progress.spent
-        self._saved, self._tried = self._begin, progress.decisions
+        self._begin, self._before = time.process_time(), progress.spent
+        self._saved, self._tried = time.monotonic(), progress.decisions
 
     def _on_step(self) -> bool:
         self._note()
@@ -176,7 +176,7 @@ class _Keeper(BaseCallback):
 
     def _note(self) -> None:
         self._progress.decisions = self.num_timesteps
-        self._progress.spent = self._before + time.monotonic() - self._begin
+        self._progress.spent = self._before + time.process_time() - self._begin
 
     def _try(self) -> None:
         config = self._config

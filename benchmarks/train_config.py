@@ -71,7 +71,8 @@ class TrainConfig:
     try_every
         Decisions between two trials on the held-out plans.
     minutes
-        Wall-clock time after which training stops in any case.
+        Processor time after which training stops in any case: on a machine that is busy otherwise, too, the same budget
+        gives the same policy. One thread does the work, so that on an idle machine it is the time by the clock.
     seed
         Of all random numbers.
 

@@ -79,9 +79,9 @@ def main() -> None:
         batch = [part.flatten(0, 1) for part in (observations, actions, old, gain, gain + values)]
         for _ in range(EPOCHS):
             for rows_of in torch.randperm(NUM_ENVS * ROLLOUT).chunk(MINIBATCHES):
-                seen, done_there, before, better, worth = (part[rows_of] for part in batch)
+                seen, chosen, before, better, worth = (part[rows_of] for part in batch)
                 policy, value = agent(seen)
-                ratio = (policy.log_prob(done_there).sum(-1) - before).exp()
+                ratio = (policy.log_prob(chosen).sum(-1) - before).exp()
                 better = (better - better.mean()) / (better.std() + 1e-8)
                 surrogate = torch.min(ratio * better, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * better).mean()
                 loss = VALUE * (value - worth).square().mean() - surrogate - ENTROPY * policy.entropy().sum(-1).mean()
