@@ -120,6 +120,21 @@ def table(
 
 
 @app.command()
+def curves(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")],
+    out: Annotated[Path | None, typer.Option(help="PNG of coverage over time.", show_default="none")] = None,
+) -> None:
+    """Print how soon explorers see the same floor plans, and draw it."""
+    from benchmarks.explore_table import curve_table, draw_curves, read_curves
+
+    found = read_curves(folders)
+    typer.echo(curve_table(found).rstrip("\n"))
+    if out is not None:
+        draw_curves(found, out)
+        typer.echo(f"plot        {out}")
+
+
+@app.command()
 def plot(
     folder: Folder,
     out: Annotated[Path | None, typer.Option(help="Folder for the plots.", show_default="FOLDER/plots")] = None,

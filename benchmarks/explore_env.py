@@ -134,7 +134,13 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
             self._take_in(~now, told, info)
         over = terminated | truncated
         info = {**info, "final_obs": final, "_final_obs": over} if over.any() else info
-        return self._look(np.ones(self.num_envs, dtype=bool)), self.config.reward_scale * rewards, terminated, truncated, info
+        return (
+            self._look(np.ones(self.num_envs, dtype=bool)),
+            self.config.reward_scale * rewards,
+            terminated,
+            truncated,
+            info,
+        )
 
     def _begin(self, which: BoolArray, told: dict[str, Any], info: dict[str, Any]) -> None:
         """Empty the grids of robots that start anew, and take in the first readings."""

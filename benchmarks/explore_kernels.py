@@ -165,7 +165,11 @@ def soften(
 
 @compiled
 def frontier_steps(
-    values: NDArray[np.int8], box: IntArray, steps: NDArray[np.int32], tolls: NDArray[np.int32], queue: NDArray[np.int32]
+    values: NDArray[np.int8],
+    box: IntArray,
+    steps: NDArray[np.int32],
+    tolls: NDArray[np.int32],
+    queue: NDArray[np.int32],
 ) -> int:
     """Fill ``steps`` (side, side), within the box, with the cost of the way to the nearest frontier; how many there are.
 

@@ -198,4 +198,9 @@ class _Keeper(BaseCallback):
         for name, value in row.items():
             if isinstance(value, float):
                 self.logger.record(f"held_out/{name}", value)
-        print(" ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items()), flush=True)
+        print(
+            " ".join(
+                f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items()
+            ),
+            flush=True,
+        )

@@ -71,7 +71,9 @@ def main() -> None:
                 action = policy.sample()
             told, reward, terminated, truncated, _ = envs.step(action.clamp(-1.0, 1.0).numpy())
             done = torch.as_tensor(np.logical_or(terminated, truncated), dtype=torch.float32)
-            rows.append([observation, action, policy.log_prob(action).sum(-1), value, torch.as_tensor(reward).float(), done])
+            rows.append(
+                [observation, action, policy.log_prob(action).sum(-1), value, torch.as_tensor(reward).float(), done]
+            )
             observation = torch.as_tensor(told)
         observations, actions, old, values, rewards, dones = (torch.stack(part) for part in zip(*rows, strict=True))
         with torch.no_grad():

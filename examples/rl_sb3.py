@@ -29,7 +29,9 @@ def main() -> None:
     model = PPO("MlpPolicy", make_env(), n_steps=min(options.steps, 2048), batch_size=64, seed=0, device="cpu")
     model.learn(options.steps)
     mean, std = evaluate_policy(model, make_env(), n_eval_episodes=2)
-    print(f"{model.num_timesteps} steps: reward {float(mean):.1f} +- {float(std):.1f} (m^2 seen, less time and collisions)")
+    print(
+        f"{model.num_timesteps} steps: reward {float(mean):.1f} +- {float(std):.1f} (m^2 seen, less time and collisions)"
+    )
     if options.out:
         model.save(options.out)
 

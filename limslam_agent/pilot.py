@@ -164,7 +164,9 @@ def policies_for(
     if policy == "random":
         return [RandomPolicy(robot, config.policy, np.random.default_rng([seed, number])) for number in range(robots)]
     if policy == "learned":
-        return [LearnedPolicy(robot, config.policy, seed=np.random.default_rng([seed, number])) for number in range(robots)]
+        return [
+            LearnedPolicy(robot, config.policy, seed=np.random.default_rng([seed, number])) for number in range(robots)
+        ]
     if policy == "learned_true_pose":
         return [TruePose(robot, config, seed)]
     if policy == "oracle":
