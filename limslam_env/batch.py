@@ -10,10 +10,10 @@ import numpy as np
 from limslam_env.batch_kernels import BEGIN, SKIP, STEP, Words, advance, derive_keys
 from limslam_env.batch_noise import BatchNoise
 from limslam_env.batch_places import Places
+from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CELL
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
-from limslam_env.config import NoiseConfig
 from limslam_env.sensors import beam_table
 
 THREADS_FROM = 1024

@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from limslam_env.adapter import PlaceSource, is_random
 from limslam_env.batch import BatchSimulation, BatchTruth

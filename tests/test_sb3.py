@@ -8,10 +8,10 @@ import limslam_env  # noqa: F401 (registers the environments)
 
 pytest.importorskip("stable_baselines3", reason="needs the extra rl", exc_type=ImportError)
 
-from stable_baselines3 import PPO  # noqa: E402
-from stable_baselines3.common.env_util import is_wrapped  # noqa: E402
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import is_wrapped
 
-from limslam_env.sb3 import Sb3VecEnv  # noqa: E402
+from limslam_env.sb3 import Sb3VecEnv
 
 AHEAD = np.full((3, 2), 0.5, dtype=np.float32)
 
