@@ -214,7 +214,9 @@ def correct(mind: Minds, moved: FloatArray, W: FloatArray, rank: int, change: Fl
 
 
 @algebra
-def stack_carry(mind: Minds, moved: FloatArray, size: int, left: FloatArray, right: FloatArray, row: int) -> None:
+def stack_carry(
+    mind: Minds, moved: FloatArray, size: int, left: FloatArray, right: FloatArray, row: int
+) -> None:
     """The six products of a carry, for ``add_products``; right's first three rows are the pose's rows of P after it."""
     carry_top(mind, moved, size, right[row : row + POSE])
     for k in range(POSE):

@@ -90,7 +90,7 @@ def see(
         marks[row, column] = 0
         value = min(max(mind.grid[row, column] + amount, -settings.limit), settings.limit)
         # 0 is kept for cells about which nothing is known.
-        mind.grid[row, column] = value or (1 if amount > 0 else -1)
+        mind.grid[row, column] = value if value else (1 if amount > 0 else -1)
 
 
 @compiled

@@ -118,7 +118,9 @@ def fits(
 
 
 @algebra
-def update(mind: Minds, places: IntArray, reads: FloatArray, index: int, settings: Settings, iterations: int) -> None:
+def update(
+    mind: Minds, places: IntArray, reads: FloatArray, index: int, settings: Settings, iterations: int
+) -> None:
     """Correct the filter by readings of a wall, let the wall grow, and look for others that are the same."""
     observe(mind, places, reads, index, settings.std, iterations, settings.huber)
     start = clones_from(mind)

@@ -11,11 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.batch_state import (
     CLOSURES,
+    GROUPS,
+    HITS,
+    LEAST,
+    LENGTH,
     LINES,
+    LOW,
+    MISSES,
+    MOST,
     NO_PLACE,
     POSE,
+    READINGS,
     REFUSED,
     Capacity,
+    Minds,
     minds_for,
     settings_of,
 )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from limslam_agent.batch_compile import algebra
-from limslam_agent.batch_filter import clone, clones_from, keep_clones, predict
+from limslam_agent.batch_filter import clone, keep_clones, predict
 from limslam_agent.batch_grid import crop, see
 from limslam_agent.batch_hough import extract, uncontested
 from limslam_agent.batch_pieces import incorporate
@@ -31,6 +31,7 @@ from limslam_agent.batch_state import (
 )
 from limslam_agent.batch_straight import straight_pieces
 from limslam_agent.batch_update import ends_at
+from limslam_agent.batch_filter import clones_from
 from limslam_agent.batch_walls import see_through
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 

@@ -61,7 +61,9 @@ def clear_of(mind: Minds, places: IntArray, reads: FloatArray, index: int) -> In
 
 
 @algebra
-def expect_all(mind: Minds, places: IntArray, reads: FloatArray, chosen: IntArray, index: int, out: FloatArray) -> None:
+def expect_all(
+    mind: Minds, places: IntArray, reads: FloatArray, chosen: IntArray, index: int, out: FloatArray
+) -> None:
     """What some beams should measure, a row of ``expect`` each."""
     start, row = clones_from(mind), POSE + 2 * index
     for i in range(len(chosen)):
@@ -124,7 +126,9 @@ def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variance: 
 
 
 @algebra
-def disagreement(mind: Minds, places: IntArray, reads: FloatArray, index: int, std: float) -> tuple[float, float, int]:
+def disagreement(
+    mind: Minds, places: IntArray, reads: FloatArray, index: int, std: float
+) -> tuple[float, float, int]:
     """How badly readings fit a line: by where it lies, beside that, and how many were used; 0 are too few to say."""
     chosen = clear_of(mind, places, reads, index)
     count = len(chosen)

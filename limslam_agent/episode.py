@@ -18,13 +18,14 @@ from limslam_agent.motion import motion_of
 from limslam_agent.pilot import Pilot, TruePose, check_policy, needs_loop, policies_for
 from limslam_agent.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
+from limslam_env.adapter import MAX_ROBOTS
 from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CoverageGrid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.limits import require_gtsam
-from limslam_env.parallel import MAX_ROBOTS, LimSlamParallelEnv
+from limslam_env.parallel import LimSlamParallelEnv
 from limslam_env.world import World, WorldError, WorldSource, load_world
 
 LONGEST_TIME = 1e6

@@ -4,6 +4,7 @@ Importing this package registers the environments with Gymnasium, by name only: 
 and the compiled kernels are loaded when the first environment is made.
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -14,12 +15,16 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSp
 
 if TYPE_CHECKING:
     from limslam_env.parallel import LimSlamParallelEnv, aec_env, parallel_env
+    from limslam_env.vector_env import LimSlamVectorEnv
+    from limslam_env.vector_parallel import LimSlamParallelVectorEnv, parallel_vector_env
 
 __version__ = "0.1.0"
 
 __all__ = [
     "NOISE_PRESETS_M",
     "LimSlamParallelEnv",
+    "LimSlamParallelVectorEnv",
+    "LimSlamVectorEnv",
     "NoiseConfig",
     "NominalNoise",
     "Observation",
@@ -28,9 +33,20 @@ __all__ = [
     "SensorSpec",
     "aec_env",
     "parallel_env",
+    "parallel_vector_env",
 ]
 
 MAX_EPISODE_STEPS = 18_000
+
+# Where names are that are loaded when somebody asks for them.
+_ROOMS = {
+    "LimSlamParallelEnv": "parallel",
+    "LimSlamParallelVectorEnv": "vector_parallel",
+    "LimSlamVectorEnv": "vector_env",
+    "aec_env": "parallel",
+    "parallel_env": "parallel",
+    "parallel_vector_env": "vector_parallel",
+}
 
 _PLACES = {
     "Env1": {"world": "env1"},
@@ -43,10 +59,8 @@ _PLACES = {
 
 def __getattr__(name: str) -> Any:
     # Physics and kernels are loaded when somebody asks for an environment.
-    if name in {"LimSlamParallelEnv", "aec_env", "parallel_env"}:
-        from limslam_env import parallel
-
-        return getattr(parallel, name)
+    if name in _ROOMS:
+        return getattr(importlib.import_module(f"limslam_env.{_ROOMS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -28,6 +28,8 @@ PlaceSource: TypeAlias = WorldSource | FloorPlanConfig
 
 Action: TypeAlias = NDArray[np.floating[Any]] | Sequence[float]
 
+MAX_ROBOTS = 8
+
 RESET_OPTIONS = frozenset({"start", "world"})
 
 # Seeds 0 to 3 are the simulation's: starts, ranges, wheels, settings.

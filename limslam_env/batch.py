@@ -3,17 +3,18 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from limslam_env.batch_kernels import BEGIN, SKIP, STEP, Words, advance, derive_keys
+from limslam_env.batch_kernels import BEGIN, NUM_NOISES, SKIP, STEP, advance
 from limslam_env.batch_noise import BatchNoise
 from limslam_env.batch_places import Places
 from limslam_env.config import NoiseConfig
 from limslam_env.coverage import CELL
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
+from limslam_env.random_kernels import Words, derive_keys
 from limslam_env.sensors import beam_table
 
 THREADS_FROM = 1024
@@ -87,25 +88,25 @@ class BatchSimulation:
         count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
         self.robot, self.num_envs, self.num_robots = robot, count, robots
         self._places, self._noise = places, BatchNoise(noise, robot)
-        self._beams = np.column_stack((beam_table(robot), robot.beam_directions))
+        self._beams = beam_table(robot)
         self._farthest = robot.max_wheel_speed * robot.control_period
         self._homes, self._keys = np.zeros(count, dtype=np.uint64), np.zeros(count, dtype=np.uint64)
         self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self._rooms, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._poses, self._untold = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
-        self._left: Words = np.zeros((count, 0), dtype=np.uint64)
+        self._left = _padded(count, 0)
         self._hits = np.zeros((count, robots, num_beams), dtype=np.int64)
         self._ranges = np.zeros((count, robots, num_beams), dtype=np.float32)
         self._told = np.zeros((count, robots, 2), dtype=np.float32)
         self._contact = np.zeros((count, robots), dtype=bool)
         self._new_cells = np.zeros((count, robots), dtype=np.int64)
-        self._table = np.zeros((count, 14))
+        self._table = np.zeros((count, NUM_NOISES))
         self._threads = num_threads or _cores()
         self._pool: ThreadPoolExecutor | None = None
 
     def seed(self, seeds: np.random.SeedSequence) -> None:
         """Begin all sequences of random numbers anew."""
-        self._homes = seeds.generate_state(self.num_envs, np.uint64)
+        self._homes[:] = seeds.generate_state(self.num_envs, np.uint64)
         self._episodes[:] = 0
 
     def reset(self, mask: BoolArray, start: FloatArray | None = None) -> tuple[BatchReadings, BatchTruth]:
@@ -127,7 +128,8 @@ class BatchSimulation:
         self._covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
         if width > self._left.shape[1]:
-            self._left = np.pad(self._left, ((0, 0), (0, width - self._left.shape[1])))
+            left, self._left = self._left, _padded(self.num_envs, width)
+            self._left[:, : left.shape[1]] = left
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
         """Drive for one control period.
@@ -153,9 +155,13 @@ class BatchSimulation:
             self._pool.shutdown()
             self._pool = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Threads stay where they are.
+        return {**vars(self), "_pool": None}
+
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
         places = self._places
-        arguments = (
+        arguments: tuple[Any, ...] = (
             tasks, actions, self._farthest, self.robot.radius, self._beams, places.world_of, *places.sites.scene,
             self._table, self._keys, self._steps, self._rooms, self._poses, self._untold, self._left,
             self._hits, self._ranges, self._told, self._contact, self._new_cells,
@@ -174,7 +180,9 @@ class BatchSimulation:
             others = [self._pool.submit(work) for _ in range(self._threads - 1)]
             work()
             for other in others:
-                other.result()
+                # Who has not woken up by now is not waited for.
+                if not other.cancel():
+                    other.result()
         else:
             advance(0, self.num_envs, *arguments)
         return self._result(tasks)
@@ -186,13 +194,18 @@ class BatchSimulation:
         self._covered += new_cells.sum(axis=1)
         truth = BatchTruth(
             self._poses.copy(),
-            self._steps * self.robot.control_period,
+            np.asarray(self._steps * self.robot.control_period),
             self._covered / self._places.sites.totals[self._places.world_of],
-            new_cells * CELL**2,
+            np.asarray(new_cells * CELL**2),
             self._contact.copy(),
             self._hits.copy(),
         )
         return BatchReadings(self._ranges.copy(), self._told.copy()), truth
+
+
+def _padded(rows: int, columns: int) -> Words:
+    """Zeros (rows, columns) that a kernel may read a little beyond, for words that it masks."""
+    return np.zeros(rows * columns + 3 * columns + 3, dtype=np.uint64)[: rows * columns].reshape(rows, columns)
 
 
 def _cores() -> int:

@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import ArrayLike
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
 
 from limslam_env.adapter import PlaceSource, is_random
-from limslam_env.batch import BatchSimulation, BatchTruth
+from limslam_env.batch import BatchReadings, BatchSimulation, BatchTruth
 from limslam_env.batch_places import Places
 from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
 from limslam_env.floor_plans import FloorPlanConfig
@@ -24,7 +25,34 @@ BatchSource: TypeAlias = PlaceSource | Sequence[PlaceSource]
 Plans: TypeAlias = int | Sequence[int] | None
 """How many floor plans to make beforehand, or their seeds; None for one of its own at each reset."""
 
+BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
+"""The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
+
 OPTIONS = frozenset({"start", "reset_mask"})
+
+
+class Outcome(NamedTuple):
+    """What comes of a step.
+
+    Attributes
+    ----------
+    readings, truth
+        Of the episodes that run now, new ones among them.
+    rewards
+        (n, m).
+    terminated, truncated
+        (n,).
+    last
+        Readings and truth of the episodes that ended in this step, and in which environments (n,) they did, if new
+        ones have begun already.
+    """
+
+    readings: BatchReadings
+    truth: BatchTruth
+    rewards: FloatArray
+    terminated: BoolArray
+    truncated: BoolArray
+    last: tuple[BatchReadings, BatchTruth, BoolArray] | None
 
 
 class Batched:
@@ -36,6 +64,8 @@ class Batched:
         What each robot is, and what is asked of it.
     noise
         The noise of each environment, or one for all.
+    autoreset_mode
+        As Gymnasium names it.
     """
 
     def _set_up(
@@ -51,6 +81,7 @@ class Batched:
         max_steps: int | None,
         plans: Plans,
         num_threads: int | None,
+        autoreset_mode: AutoresetMode | str,
     ) -> None:
         """Take an environment's arguments; see its class for what they mean, and what is refused."""
         if not isinstance(num_envs, int) or num_envs < 1:
@@ -65,28 +96,49 @@ class Batched:
         self._max_steps, self._num_robots, self._count = max_steps, num_robots, num_envs
         places = Places(_worlds(world, num_envs), self.robot, num_robots, num_envs, _seeds(plans, world))
         self._simulation = BatchSimulation(places, self.robot, self.noise, num_threads)
-        self._lengths = np.zeros(num_envs, dtype=np.int64)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._lengths, self._is_over = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
         self._is_running = False
 
     def seen(self, env: int) -> BoolArray:
         """Which cells of an environment's coverage grid have truly been seen (rows, columns), of those that count."""
         return self._simulation.seen(env)
 
-    def _checked(self, actions: ArrayLike) -> FloatArray:
-        """Actions as an array (n, m, 2) of finite numbers."""
-        if not self._is_running:
-            raise gym.error.ResetNeeded("call reset before step")
-        shape = (self._count, self._num_robots, 2)
-        try:
-            array = np.asarray(actions, dtype=np.float64)
-        except (TypeError, ValueError):
-            array = np.zeros(0)
-        if array.size != self._count * self._num_robots * 2 or array.shape[0] != self._count or array.shape[-1] != 2:
-            raise ValueError(f"actions must be {shape[0]} rows of two numbers, left and right wheel speed")
-        if not np.isfinite(array).all():
-            row = int(np.argwhere(~np.isfinite(array))[0, 0])
-            raise ValueError(f"actions must be finite numbers; those of environment {row} are {array[row].tolist()}")
-        return array.reshape(shape)
+    def _begin(
+        self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
+    ) -> tuple[BatchReadings, BatchTruth, BoolArray]:
+        """Begin new episodes; which environments (n,) they are of comes last. See the adapters' ``reset``."""
+        mask, start = self._asked(options)
+        if seed is not None or not self._is_running:
+            self._simulation.seed(np.random.SeedSequence(int(generator.integers(2**63))))
+        readings, truth = self._simulation.reset(mask, start)
+        self._is_running = True
+        self._is_over[mask], self._lengths[mask] = False, 0
+        return readings, truth, mask
+
+    def _drive(self, actions: FloatArray) -> Outcome:
+        """Drive all robots with actions (n, m, 2), and reset where the mode says so."""
+        fresh = self._is_over if self._is_over.any() else None
+        if fresh is not None:
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                raise gym.error.ResetNeeded(f"the episode of environment {int(np.argmax(fresh))} is over")
+            self._simulation.begin(fresh)
+        readings, truth = self._simulation.step(actions, fresh)
+        self._lengths += 1
+        rewards = np.asarray(reward(self.task.reward, truth.new_area, truth.contact))
+        if fresh is not None:
+            self._lengths[fresh], rewards[fresh] = 0, 0.0
+        terminated, truncated = self._ends(truth)
+        if fresh is not None:
+            terminated[fresh] = truncated[fresh] = False
+        over = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            last = readings, truth, over
+            readings, truth = self._simulation.reset(over)
+            self._lengths[over] = 0
+            return Outcome(readings, truth, rewards, terminated, truncated, last)
+        self._is_over = over
+        return Outcome(readings, truth, rewards, terminated, truncated, None)
 
     def _asked(self, options: dict[str, Any] | None) -> tuple[BoolArray, FloatArray | None]:
         """Which environments a reset is for (n,), and where robots are to start (n, s, 3)."""
@@ -130,9 +182,48 @@ class Batched:
         late = np.zeros(self._count, dtype=bool) if self._max_steps is None else self._lengths >= self._max_steps
         return terminated, late
 
-    def _rewards(self, truth: BatchTruth) -> FloatArray:
-        """What the step is worth for each robot (n, m)."""
-        return np.asarray(reward(self.task.reward, truth.new_area, truth.contact))
+
+def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> FloatArray:
+    """Actions as an array (n, 2).
+
+    Raises
+    ------
+    ValueError
+        If they are not n rows of two finite numbers.
+    """
+    try:
+        array = np.asarray(actions, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (num_envs, 2):
+        raise ValueError(
+            f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel, not shape {array.shape}"
+        )
+    if not np.isfinite(array).all():
+        row = int(np.argwhere(~np.isfinite(array))[0, 0])
+        raise ValueError(f"actions{whose} must be finite numbers; those of environment {row} are {array[row].tolist()}")
+    return array
+
+
+def observation_of(readings: BatchReadings, robot: int) -> BatchObservation:
+    """What one robot of each environment is told."""
+    return {"ranges": readings.ranges[:, robot], "wheels": readings.wheels[:, robot]}
+
+
+def infos_of(outcome: Outcome, robot: int) -> dict[str, Any]:
+    """What is true of one robot of each environment after a step; and what was last of the episodes that ended in it.
+
+    As Gymnasium's own vector environments give it, each key with a mask (n,) beside it.
+    """
+    info = info_of(outcome.truth, robot, np.ones(len(outcome.terminated), dtype=bool))
+    if outcome.last is None:
+        return info
+    readings, truth, over = outcome.last
+    observation, final = observation_of(readings, robot), np.full(len(over), None, dtype=object)
+    for env in np.flatnonzero(over):
+        final[env] = {key: value[env].copy() for key, value in observation.items()}
+    info |= {"final_obs": final, "_final_obs": over.copy()}
+    return info | {"final_info": info_of(truth, robot, over), "_final_info": over.copy()}
 
 
 def info_of(truth: BatchTruth, robot: int, mask: BoolArray) -> dict[str, Any]:

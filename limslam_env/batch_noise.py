@@ -7,11 +7,11 @@ from typing import cast
 
 import numpy as np
 
-from limslam_env.batch_kernels import Words, fill_units
 from limslam_env.config import DrawnNoise, NoiseConfig, bounds_of
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.odometry import wheel_noise
+from limslam_env.random_kernels import Words, fill_units
 from limslam_env.sensors import range_noise
 
 _NAMES = [part.name for part in fields(NoiseConfig)]

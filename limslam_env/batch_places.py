@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_env.batch_kernels import Words, draw_starts
 from limslam_env.batch_worlds import Site, Sites, prepare
 from limslam_env.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
+from limslam_env.random_kernels import Words, draw_starts
 from limslam_env.starts import TRIES, least_distance, no_room
 from limslam_env.world import World
 

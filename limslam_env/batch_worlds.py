@@ -6,13 +6,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.batch_kernels import TILE, Words
 from limslam_env.coverage import CoverageGrid, coverage_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.sensors import WallIndex, build_wall_index
+from limslam_env.random_kernels import Words
+from limslam_env.sensors import WallIndex, build_wall_index, walls_around
 from limslam_env.starts import StartingPlaces, starting_places
+from limslam_env.tile_kernels import TILE
 from limslam_env.world import World
+
+# Near walls, on the average, up to which a ray tries them all.
+_MOST_NEAR = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +27,8 @@ class Site:
     ----------
     walls
         For rays and contact.
+    near
+        The walls within the beams' reach of each cell of that list; None where these are too many.
     grid
         The cells that count for coverage.
     places
@@ -30,6 +36,7 @@ class Site:
     """
 
     walls: WallIndex
+    near: tuple[IntArray, IntArray] | None
     grid: CoverageGrid
     places: StartingPlaces
 
@@ -43,7 +50,17 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
         If a start cannot be used or there is no room.
     """
     places = starting_places(world, robot, num_robots, start)
-    return Site(build_wall_index(world.edges), coverage_grid(world, robot, places.known), places)
+    walls = build_wall_index(world.edges)
+    return Site(walls, _near(walls, robot.reach), coverage_grid(world, robot, places.known), places)
+
+
+def _near(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
+    # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
+    low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
+    share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
+    if share * len(walls.edges) > _MOST_NEAR:
+        return None
+    return walls_around(walls, reach)
 
 
 def to_tiles(cells: BoolArray) -> Words:
@@ -106,8 +123,9 @@ class Sites:
 
     def __init__(self) -> None:
         self._edges, self._cells, self._items = _Shelf(np.float64, 4), _Shelf(np.int32), _Shelf(np.int32)
-        self.layout: IntArray = np.zeros((0, 5), dtype=np.int64)
-        self.grids: FloatArray = np.zeros((0, 5))
+        self._near_cells, self._near_items = _Shelf(np.int32), _Shelf(np.int32)
+        self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
+        self.grids: FloatArray = np.zeros((0, 3))
         self.areas: FloatArray = np.zeros((0, 3))
         self.totals: IntArray = np.zeros(0, dtype=np.int64)
         self.tiles: Words = np.zeros((0, 0), dtype=np.uint64)
@@ -117,9 +135,9 @@ class Sites:
         return len(self.shapes)
 
     @property
-    def scene(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray, Words]:
+    def scene(self) -> tuple[NDArray[Any], ...]:
         """The arrays, in the order in which the kernel takes them."""
-        walls = self._edges.rows, self._cells.rows, self._items.rows
+        walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
         return self.layout, self.grids, self.areas, *walls, self.tiles
 
     def put(self, slot: int, site: Site) -> None:
@@ -127,13 +145,16 @@ class Sites:
         if slot == len(self):
             self._grow()
         walls, tiles = site.walls, to_tiles(site.grid.coverable)
-        firsts = (
-            self._edges.put(slot, walls.edges),
-            self._cells.put(slot, walls.cell_starts),
-            self._items.put(slot, walls.cell_edges),
-        )
-        self.layout[slot] = *firsts, tiles.shape[1], tiles.shape[0]
-        self.grids[slot], self.areas[slot] = walls.grid, site.grid.area
+        first_edge = self._edges.put(slot, walls.edges)
+        first_item = self._items.put(slot, walls.cell_edges + first_edge)
+        first_cell = self._cells.put(slot, walls.cell_starts + first_item)
+        columns, rows = walls.grid[3:].astype(int)
+        starts, numbers = site.near or (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+        first_item = self._near_items.put(slot, numbers + first_edge)
+        first_near = self._near_cells.put(slot, starts + first_item)
+        near = -1 if site.near is None else first_near
+        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], near
+        self.grids[slot], self.areas[slot] = walls.grid[:3], site.grid.area
         self.totals[slot], self.shapes[slot] = max(site.grid.total, 1), site.grid.coverable.shape
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
@@ -142,7 +163,7 @@ class Sites:
 
     def to_cells(self, slot: int, tiles: Words) -> BoolArray:
         """Tiles (t,) of a world as a grid (rows, columns)."""
-        columns, rows = self.layout[slot, 3:]
+        columns, rows = self.layout[slot, 4:6]
         return from_tiles(tiles[: rows * columns].reshape(rows, columns), self.shapes[slot])
 
     def _grow(self) -> None:

@@ -17,26 +17,28 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+# The same, done by LLVM: for functions with loops and returns in their middle.
+merged = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 
 # Rays that pass exactly through the joint of two walls must hit one of them.
 _END_SLACK = 1e-9
 
-# Walls are listed in a cell if they come as near as this to it, m.
-_BORDER = 1e-6
-
 # A body may stand this deep in a wall and must not be taken to see what is behind it, m.
-_BODY_MARGIN = 1e-3
+BODY_MARGIN = 1e-3
+
+# A ray ends this much of a cell before the wall it hits, so that it never marks the cell behind.
+RAY_MARGIN = 1e-6
 
 # Where the rays of a cone lie besides its middle, in shares of half its opening.
-_CONE = (-1.0, -0.5, 0.5, 1.0)
+CONE = (-1.0, -0.5, 0.5, 1.0)
 
 NOTHING, ROBOT = -1, -2
 """What a beam hits that hits no wall."""
 
 
 @compiled
-def list_walls(edges: FloatArray, grid: FloatArray, cell_starts: IntArray, cell_edges: IntArray) -> None:
-    """Sort walls into the cells that they cross.
+def list_walls(edges: FloatArray, grid: FloatArray, border: float, cell_starts: IntArray, cell_edges: IntArray) -> None:
+    """Sort walls into the cells that they cross, or come as near to as ``border``, m.
 
     Called twice: with an empty ``cell_edges`` it fills ``cell_starts`` (cells + 1,), all 0 before; with one of
     ``cell_starts[-1]`` places it fills that.
@@ -48,14 +50,14 @@ def list_walls(edges: FloatArray, grid: FloatArray, cell_starts: IntArray, cell_
         x1, y1, x2, y2 = edges[edge]
         normal_x, normal_y = y1 - y2, x2 - x1
         # Half a cell's width across the wall. Walls that run along the border of a cell are in both.
-        half = (0.5 * side + _BORDER) * (abs(normal_x) + abs(normal_y))
+        half = 0.5 * side * (abs(normal_x) + abs(normal_y)) + border * math.hypot(normal_x, normal_y)
         for row in range(
-            max(math.floor((min(y1, y2) - _BORDER - grid[1]) / side), 0),
-            min(math.floor((max(y1, y2) + _BORDER - grid[1]) / side), rows - 1) + 1,
+            max(math.floor((min(y1, y2) - border - grid[1]) / side), 0),
+            min(math.floor((max(y1, y2) + border - grid[1]) / side), rows - 1) + 1,
         ):
             for column in range(
-                max(math.floor((min(x1, x2) - _BORDER - grid[0]) / side), 0),
-                min(math.floor((max(x1, x2) + _BORDER - grid[0]) / side), columns - 1) + 1,
+                max(math.floor((min(x1, x2) - border - grid[0]) / side), 0),
+                min(math.floor((max(x1, x2) + border - grid[0]) / side), columns - 1) + 1,
             ):
                 x, y = grid[0] + (column + 0.5) * side, grid[1] + (row + 0.5) * side
                 if abs((x - x1) * normal_x + (y - y1) * normal_y) > half:
@@ -98,6 +100,60 @@ def crossings(place: float, direction: float, side: float) -> tuple[int, int, fl
 
 
 @inlined
+def meeting(ax: float, ay: float, ex: float, ey: float, dx: float, dy: float) -> tuple[float, bool]:
+    """How far along a ray (dx, dy) a wall from (ax, ay), seen from its start, along (ex, ey) is met, and whether."""
+    # Parallel ones divide by 0, and compare as not met.
+    cross = dx * ey - dy * ex
+    distance = (ax * ey - ay * ex) / cross
+    fraction = (ax * dy - ay * dx) / cross
+    return distance, (distance >= 0.0) & (fraction >= -_END_SLACK) & (fraction <= 1.0 + _END_SLACK)
+
+
+@inlined
+def first_wall(
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    low_x: float,
+    low_y: float,
+    side: float,
+    columns: int,
+    rows: int,
+    first_cell: int,
+) -> tuple[float, int]:
+    """:func:`cast_ray` in one of several cell lists that lie one after the other; its own begins at ``first_cell``.
+
+    The ray starts inside the cell list's grid, goes from cell to cell, and stops in the first one that holds a hit.
+    """
+    column, column_step, next_column, per_column = crossings((x - low_x) / side, dx, side)
+    row, row_step, next_row, per_row = crossings((y - low_y) / side, dy, side)
+    best, hit, travelled = reach, NOTHING, 0.0
+    while travelled <= best and 0 <= column < columns and 0 <= row < rows:
+        cell = first_cell + row * columns + column
+        for item in range(cell_starts[cell], cell_starts[cell + 1]):
+            edge = cell_edges[item]
+            ax, ay = edges[edge, 0] - x, edges[edge, 1] - y
+            ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
+            distance, is_met = meeting(ax, ay, ex, ey, dx, dy)
+            if is_met and distance < best:
+                best, hit = distance, edge
+        if next_column < next_row:
+            travelled = next_column
+            next_column += per_column
+            column += column_step
+        else:
+            travelled = next_row
+            next_row += per_row
+            row += row_step
+    return best, hit
+
+
+@inlined
 def cast_ray(
     x: float,
     y: float,
@@ -109,36 +165,11 @@ def cast_ray(
     cell_edges: IntArray,
     grid: FloatArray,
 ) -> tuple[float, int]:
-    """Distance (m) and index of the first wall on a ray; ``reach`` and -1 where there is none.
-
-    The ray starts inside the cell list's grid, goes from cell to cell, and stops in the first one that holds a hit.
-    """
-    side, columns, rows = grid[2], int(grid[3]), int(grid[4])
-    column, column_step, next_column, per_column = crossings((x - grid[0]) / side, dx, side)
-    row, row_step, next_row, per_row = crossings((y - grid[1]) / side, dy, side)
-    best, hit, travelled = reach, NOTHING, 0.0
-    while travelled <= best and 0 <= column < columns and 0 <= row < rows:
-        cell = row * columns + column
-        for item in range(cell_starts[cell], cell_starts[cell + 1]):
-            edge = cell_edges[item]
-            ax, ay = edges[edge, 0] - x, edges[edge, 1] - y
-            ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
-            cross = dx * ey - dy * ex
-            if cross == 0.0:
-                continue
-            distance = (ax * ey - ay * ex) / cross
-            fraction = (ax * dy - ay * dx) / cross
-            if 0.0 <= distance < best and -_END_SLACK <= fraction <= 1.0 + _END_SLACK:
-                best, hit = distance, edge
-        if next_column < next_row:
-            travelled = next_column
-            next_column += per_column
-            column += column_step
-        else:
-            travelled = next_row
-            next_row += per_row
-            row += row_step
-    return best, hit
+    """Distance (m) and index of the first wall on a ray; ``reach`` and -1 where there is none."""
+    return first_wall(
+        x, y, dx, dy, reach, edges, cell_starts, cell_edges,
+        grid[0], grid[1], grid[2], int(grid[3]), int(grid[4]), 0,
+    )  # fmt: skip
 
 
 @compiled
@@ -165,8 +196,7 @@ def mark_ray(
     """Set every cell that a ray crosses; the number of coverable cells that are new."""
     cell = area[2]
     x, y = (x - area[0]) / cell, (y - area[1]) / cell
-    # A ray ends before the wall it hits, so that it never marks the cell behind.
-    end = reach / cell - 1e-6
+    end = reach / cell - RAY_MARGIN
     rows, columns = seen.shape
     column, column_step, next_column, per_column = crossings(x, dx, 1.0)
     row, row_step, next_row, per_row = crossings(y, dy, 1.0)
@@ -187,18 +217,28 @@ def mark_ray(
 
 
 @inlined
+def is_touched(column: int, row: int, x: float, y: float, radius: float) -> bool:
+    """Whether a disc touches a cell; all in cells."""
+    aside = x - min(max(x, column), column + 1.0)
+    above = y - min(max(y, row), row + 1.0)
+    return aside * aside + above * above < radius * radius
+
+
+@inlined
 def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float) -> int:
     """Set every cell that a body touches; the number of coverable cells that are new."""
     cell = area[2]
-    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - _BODY_MARGIN) / cell
+    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - BODY_MARGIN) / cell
     rows, columns = seen.shape
     new = 0
     for row in range(math.floor(y - radius), math.floor(y + radius) + 1):
         for column in range(math.floor(x - radius), math.floor(x + radius) + 1):
-            aside = x - min(max(x, column), column + 1.0)
-            above = y - min(max(y, row), row + 1.0)
-            is_touched = aside * aside + above * above < radius * radius
-            if is_touched and 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
+            if (
+                is_touched(column, row, x, y, radius)
+                and 0 <= row < rows
+                and 0 <= column < columns
+                and not seen[row, column]
+            ):
                 seen[row, column] = True
                 new += coverable[row, column]
     return new
@@ -206,21 +246,31 @@ def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float,
 
 @inlined
 def noisy_reading(
-    ideal: float, hit: int, shortest: float, longest: float, noise: FloatArray, normal: float, uniform: float
+    ideal: float,
+    hit: int,
+    shortest: float,
+    longest: float,
+    deviation: float,
+    growth: float,
+    dropout: float,
+    resolution: float,
+    fold_back: float,
+    normal: float,
+    uniform: float,
 ) -> float:
     """What a beam reads of a wall at ``ideal`` (m), with numbers drawn from N(0, 1) and U(0, 1).
 
-    ``noise``: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
+    Noise: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
     resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing reads
     ``longest`` exactly.
     """
-    if hit == NOTHING or uniform < noise[2]:
+    if hit == NOTHING or uniform < dropout:
         return longest
-    std = math.hypot(noise[0], noise[1] * ideal * ideal)
-    folds = noise[4] > 0.0 and ideal < shortest
-    reading = (shortest + noise[4] * (shortest - ideal) if folds else ideal) + std * normal
-    if noise[3] > 0.0:
-        reading = math.floor(reading / noise[3] + 0.5) * noise[3]
+    std = math.hypot(deviation, growth * ideal * ideal) if growth > 0.0 else deviation
+    folds = fold_back > 0.0 and ideal < shortest
+    reading = (shortest + fold_back * (shortest - ideal) if folds else ideal) + std * normal
+    if resolution > 0.0:
+        reading = math.floor(reading / resolution + 0.5) * resolution
     return min(max(reading, shortest), longest)
 
 
@@ -237,6 +287,12 @@ def reported_travel(
     told = np.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
     told = min(max(told, -limit), limit)
     return told, counted - told
+
+
+@inlined
+def turned(x: float, y: float, cos: float, sin: float) -> tuple[float, float]:
+    """A point or direction of the robot's frame in the world's, for a heading with this cosine and sine."""
+    return cos * x - sin * y, sin * x + cos * y
 
 
 @inlined
@@ -296,8 +352,8 @@ def observe(
     radius
         Of their bodies, m.
     beams
-        (n_beams, 7): origin x, y (m), angle (rad), how far before the origin the ray starts (m), shortest and
-        longest reading (m), and the period in steps.
+        (n_beams, 9): origin x, y (m), angle (rad), how far before the origin the ray starts (m), shortest and
+        longest reading (m), the period in steps, and the direction's x and y.
     noise
         What :func:`noisy_reading` needs, half the opening of the beams' cone (rad), then the factor of the left and
         the right wheel and what follows it in :func:`reported_travel`.
@@ -326,17 +382,17 @@ def observe(
                 continue
             offset, longest = beams[number, 3], beams[number, 5]
             # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
-            rim_x = body_x + cos * beams[number, 0] - sin * beams[number, 1]
-            rim_y = body_y + sin * beams[number, 0] + cos * beams[number, 1]
-            angle = heading + beams[number, 2]
-            dx, dy = math.cos(angle), math.sin(angle)
+            rim_x, rim_y = turned(beams[number, 0], beams[number, 1], cos, sin)
+            rim_x, rim_y = body_x + rim_x, body_y + rim_y
+            dx, dy = turned(beams[number, 7], beams[number, 8], cos, sin)
             x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
             distance, hit = measure(
                 robot, poses, radius, x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid
             )  # fmt: skip
             new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
             if noise[5] > 0.0:
-                for share in _CONE:
+                angle = heading + beams[number, 2]
+                for share in CONE:
                     dx, dy = math.cos(angle + share * noise[5]), math.sin(angle + share * noise[5])
                     x, y = rim_x - offset * dx, rim_y - offset * dy
                     aside, other = measure(
@@ -347,8 +403,9 @@ def observe(
             normal, uniform = draws[robot, number, 0], draws[robot, number, 1]
             hits[robot, number] = hit
             ranges[robot, number] = noisy_reading(
-                distance - offset, hit, beams[number, 4], longest, noise, normal, uniform
-            )
+                distance - offset, hit, beams[number, 4], longest,
+                noise[0], noise[1], noise[2], noise[3], noise[4], normal, uniform,
+            )  # fmt: skip
         new_cells[robot] = new
         for side in range(2):
             wheels[robot, side], untold[robot, side] = reported_travel(
@@ -382,11 +439,10 @@ def sweep(
         new = mark_disc(seen, coverable, area, body_x, body_y, radius)
         for beam in range(len(beams)):
             if (step + number) % int(beams[beam, 6]) == 0:
-                offset, angle = beams[beam, 3], heading + beams[beam, 2]
-                dx, dy = math.cos(angle), math.sin(angle)
-                x = body_x + cos * beams[beam, 0] - sin * beams[beam, 1] - offset * dx
-                y = body_y + sin * beams[beam, 0] + cos * beams[beam, 1] - offset * dy
-                reach = beams[beam, 5] + offset
+                offset = beams[beam, 3]
+                dx, dy = turned(beams[beam, 7], beams[beam, 8], cos, sin)
+                x, y = turned(beams[beam, 0], beams[beam, 1], cos, sin)
+                x, y, reach = body_x + x - offset * dx, body_y + y - offset * dy, beams[beam, 5] + offset
                 distance, _ = cast_ray(x, y, dx, dy, reach, edges, cell_starts, cell_edges, grid)
                 new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
         new_cells[number] = new

@@ -10,6 +10,7 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from limslam_env.adapter import (
+    MAX_ROBOTS,
     RESET_OPTIONS,
     Action,
     PlaceSource,
@@ -24,8 +25,6 @@ from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.task import is_done, reward
-
-MAX_ROBOTS = 8
 
 
 class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):

@@ -14,14 +14,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import pymunk
 
+from limslam_env.contact_kernels import DEEPEST, LONGEST_MOVE, MAX_PUSHES, TOUCH
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc_end, wrap_angle
 
 _WALL, _ROBOT, _QUERY = 1, 2, 4
-_TOUCH = 1e-5
-_MAX_PUSHES = 24
-_LONGEST_MOVE = 0.5
-_DEEPEST = 5e-4
 
 # How far is looked for things that could be touched in later steps, m.
 _OUTLOOK = 0.5
@@ -44,7 +41,7 @@ class Physics:
 
     def __init__(self, edges: FloatArray, radius: float, num_robots: int) -> None:
         self._edges, self._radius = edges, radius
-        self._longest_move = _LONGEST_MOVE * radius
+        self._longest_move = LONGEST_MOVE * radius
         self._space = pymunk.Space()
         self._space.iterations = 1
         for x1, y1, x2, y2 in edges.tolist():
@@ -117,7 +114,7 @@ class Physics:
         """Whether a robot touches something; if none does, ``_room`` says for how long none can."""
         nearest = [self._nearest(number, _OUTLOOK) for number in range(len(self._bodies))]
         gaps = [_OUTLOOK if found is None else found.distance - self._radius for found in nearest]
-        self._room = min(gaps) - _TOUCH
+        self._room = min(gaps) - TOUCH
         return self._room <= 0.0
 
     def _add_robot(self, number: int) -> pymunk.Body:
@@ -130,7 +127,7 @@ class Physics:
     def _separate(self) -> list[bool]:
         contact = [False] * len(self._bodies)
         self._room = 0.0
-        for _ in range(_MAX_PUSHES):
+        for _ in range(MAX_PUSHES):
             pushed = [self._push_out(number, contact) for number in range(len(self._bodies))]
             if not any(pushed):
                 return contact
@@ -143,11 +140,11 @@ class Physics:
         return contact
 
     def _is_deep(self, number: int) -> bool:
-        nearest = self._nearest(number, _TOUCH)
-        return nearest is not None and nearest.distance < self._radius - _DEEPEST
+        nearest = self._nearest(number, TOUCH)
+        return nearest is not None and nearest.distance < self._radius - DEEPEST
 
     def _push_out(self, number: int, contact: list[bool]) -> bool:
-        nearest = self._nearest(number, _TOUCH)
+        nearest = self._nearest(number, TOUCH)
         if nearest is None or nearest.shape is None:
             return False
         depth = self._radius - nearest.distance
@@ -160,7 +157,7 @@ class Physics:
         self._put(body, body.position + nearest.gradient * (depth * share))
         if is_robot and other is not None:
             self._put(other, other.position - nearest.gradient * (depth * share))
-        return depth > _TOUCH
+        return depth > TOUCH
 
     def _nearest(self, number: int, outlook: float) -> pymunk.PointQueryInfo | None:
         position = self._bodies[number].position

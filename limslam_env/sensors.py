@@ -11,6 +11,9 @@ from limslam_env.kernels import cast_rays, list_walls
 
 CELL = 0.5
 
+# Walls are listed in a cell if they come as near as this to it, m.
+_BORDER = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class WallIndex:
@@ -54,11 +57,21 @@ def build_wall_index(edges: FloatArray) -> WallIndex:
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0) + CELL
     columns, rows = np.ceil((high - low) / CELL).astype(int)
     grid = np.array([low[0], low[1], CELL, columns, rows])
-    edges, starts, empty = np.array(edges), np.zeros(rows * columns + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    list_walls(edges, grid, starts, empty)
-    owners = np.empty(starts[-1], dtype=np.int64)
-    list_walls(edges, grid, starts, owners)
-    return WallIndex(edges, starts, owners, grid)
+    edges = np.array(edges)
+    return WallIndex(edges, *_listed(edges, grid, _BORDER), grid)
+
+
+def walls_around(index: WallIndex, reach: float) -> tuple[IntArray, IntArray]:
+    """The walls (``starts`` and numbers, as the cell list has them) that are within ``reach`` (m) of each cell."""
+    return _listed(index.edges, index.grid, reach)
+
+
+def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArray, IntArray]:
+    starts, empty = np.zeros(int(grid[3] * grid[4]) + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    list_walls(edges, grid, border, starts, empty)
+    numbers = np.empty(starts[-1], dtype=np.int64)
+    list_walls(edges, grid, border, starts, numbers)
+    return starts, numbers
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
@@ -66,7 +79,15 @@ def beam_table(robot: RobotSpec) -> FloatArray:
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
     return np.column_stack(
-        (robot.beam_origins, robot.beam_angles, offsets, robot.min_ranges, robot.max_ranges, periods)
+        (
+            robot.beam_origins,
+            robot.beam_angles,
+            offsets,
+            robot.min_ranges,
+            robot.max_ranges,
+            periods,
+            robot.beam_directions,
+        )
     )
 
 

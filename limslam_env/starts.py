@@ -40,7 +40,7 @@ class StartingPlaces:
     def centre(self, cell: int) -> FloatArray:
         """Centre (2,) of a cell, m."""
         row, column = divmod(cell, int(self.space[3]))
-        return self.space[:2] + (np.array([column, row]) + 0.5) * self.space[2]
+        return np.asarray(self.space[:2] + (np.array([column, row]) + 0.5) * self.space[2])
 
 
 def least_distance(robot: RobotSpec) -> float:

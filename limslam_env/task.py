@@ -1,6 +1,6 @@
 """Exploration as a task: what a step is worth, and when the goal is reached. Pure functions."""
 
-from typing import overload
+from typing import Any, cast, overload
 
 from limslam_env.config import RewardConfig, TaskConfig
 from limslam_env.geometry import BoolArray, FloatArray
@@ -11,8 +11,9 @@ def reward(config: RewardConfig, new_area: float, contact: bool) -> float: ...
 @overload
 def reward(config: RewardConfig, new_area: FloatArray, contact: BoolArray) -> FloatArray: ...
 def reward(config: RewardConfig, new_area: float | FloatArray, contact: bool | BoolArray) -> float | FloatArray:
-    """What one step is worth: ``new_area`` (m^2) seen for the first time, time, and ``contact``; arrays of one shape."""
-    return config.new_area * new_area + config.step + config.collision * contact
+    """What one step is worth: ``new_area`` (m^2) seen for the first time, time, and ``contact``; or arrays of each."""
+    worth: Any = config.new_area * new_area + config.step + config.collision * contact
+    return cast("float | FloatArray", worth)
 
 
 @overload

@@ -10,17 +10,67 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from limslam_env.adapter import action_space, observation_space
-from limslam_env.batch import BatchReadings, BatchTruth
-from limslam_env.batch_adapter import Batched, BatchSource, Plans, info_of
+from limslam_env.batch_adapter import (
+    Batched,
+    BatchObservation,
+    BatchSource,
+    Plans,
+    checked_actions,
+    info_of,
+    infos_of,
+    observation_of,
+)
 from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
-BatchObservation = dict[str, NDArray[np.float32]]
-
 
 class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[np.floating[Any]], NDArray[Any]]):
-    """Many environments of :class:`limslam_env.env.LimSlamEnv`, driven together by compiled code."""
+    """Many environments like :class:`limslam_env.env.LimSlamEnv`, driven together by compiled code.
+
+    ## Description
+    `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes one. It is the same environment: without noise the single one
+    and this one say the same, with noise the same distributions. No loop over environments runs in Python, and
+    from 1024 on several threads share the work. The same seed and number of environments give the same bits, whatever
+    the number of threads.
+
+    ## Spaces
+    `single_action_space` and `single_observation_space` are those of the single environment; actions are (n, 2), and
+    an observation is a dict of new arrays, `ranges` (n, n_beams) and `wheels` (n, 2), float32, m. Actions outside of
+    -1 to 1 are clipped.
+
+    ## Info
+    `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,), `wall_seen` (n, n_beams), each with a mask
+    `_pose` ... (n,) of where it is known.
+
+    ## Episode End
+    As in the single environment: terminated at `coverage_goal`, truncated after `max_episode_steps`. What follows is
+    `autoreset_mode`, which is in `metadata` too:
+
+    | Mode      | Meaning                                                                                    |
+    |-----------|--------------------------------------------------------------------------------------------|
+    | NEXT_STEP | the next step ignores that environment's action and gives the first observation, reward 0   |
+    | SAME_STEP | the step gives the new episode's first observation; the last one is in `info["final_obs"]`, an array of dicts, its info in `info["final_info"]` |
+    | DISABLED  | `reset(options={"reset_mask": mask})` is called before the next step                         |
+
+    ## Arguments
+    | Argument          | Default          | Meaning                                                              |
+    |-------------------|------------------|----------------------------------------------------------------------|
+    | world             | the id's world   | as in the single environment, or a sequence of worlds, one for each  |
+    | num_envs          | 1                | how many                                                             |
+    | robot             | `RobotSpec()`    | body, wheels and beams of all                                        |
+    | sensor_noise      | None             | as in the single environment, or one for each; an array (n,) or (n, 2) |
+    | noise             | `NoiseConfig()`  | for all, or one for each; ranges are drawn from for each at each reset |
+    | coverage_goal     | 0.99             | see Episode End                                                      |
+    | rewards           | `RewardConfig()` | as in the single environment                                         |
+    | max_episode_steps | 18000            | see Episode End; None never truncates                                |
+    | autoreset_mode    | NEXT_STEP        | see Episode End                                                      |
+    | plans             | None             | floor plans made beforehand, a number or seeds, which environments draw from; None draws each environment a plan of its own at each reset, which takes some 60 ms |
+    | num_threads       | None             | threads at most; None for one a core                                 |
+
+    ## Version History
+    * v0: first release.
+    """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
@@ -41,17 +91,16 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         render_mode: None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"a batch cannot be rendered: render_mode must be None, not {render_mode!r}")
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+            raise ValueError(f"a batch draws no pictures: render_mode must be None, not {render_mode!r}")
         self._set_up(
-            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans, num_threads
+            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans,
+            num_threads, autoreset_mode,
         )  # fmt: skip
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs = num_envs
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._is_over = np.zeros(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -64,7 +113,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             Of all random numbers from now on; without it they go on.
         options
             ``start``: a pose (3,), m and rad, or one for each environment (n, 3). ``reset_mask`` (n,): which
-            environments are reset, the others stay as they are.
+            environments are reset; the others stay as they are.
 
         Raises
         ------
@@ -74,13 +123,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             If a start cannot be used.
         """
         super().reset(seed=seed)
-        mask, start = self._asked(options)
-        if seed is not None or not self._is_running:
-            self._simulation.seed(np.random.SeedSequence(int(self.np_random.integers(2**63))))
-        readings, truth = self._simulation.reset(mask, start)
-        self._is_running = True
-        self._is_over[mask], self._lengths[mask] = False, 0
-        return _observation(readings), info_of(truth, 0, mask)
+        readings, truth, mask = self._begin(self.np_random, seed, options)
+        return observation_of(readings, 0), info_of(truth, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Drive for one control period; ``actions`` (n, 2) are left and right wheel speeds, -1 to 1.
@@ -92,50 +136,12 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         gymnasium.error.ResetNeeded
             If there was no reset yet, or an episode is over and there is no autoreset.
         """
-        wanted = self._checked(actions)
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._is_over.any():
-            raise gym.error.ResetNeeded(f"the episode of environment {int(np.argmax(self._is_over))} is over")
-        fresh = self._is_over if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._is_over.any() else None
-        if fresh is not None:
-            self._simulation.begin(fresh)
-        readings, truth = self._simulation.step(wanted, fresh)
-        self._lengths += 1
-        rewards = self._rewards(truth)[:, 0]
-        if fresh is not None:
-            self._lengths[fresh], rewards[fresh] = 0, 0.0
-        terminated, truncated = self._ends(truth)
-        if fresh is not None:
-            terminated[fresh], truncated[fresh] = False, False
-        self._is_over = terminated | truncated
-        everywhere = np.ones(self.num_envs, dtype=bool)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._is_over.any():
-            return self._renewed(readings, truth, rewards, terminated, truncated)
-        return _observation(readings), rewards, terminated, truncated, info_of(truth, 0, everywhere)
-
-    def _renewed(
-        self,
-        readings: BatchReadings,
-        truth: BatchTruth,
-        rewards: FloatArray,
-        terminated: BoolArray,
-        truncated: BoolArray,
-    ) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
-        """The result of a step that ended episodes, in whose places new ones begin."""
-        over, last = self._is_over, _observation(readings)
-        final = np.full(self.num_envs, None, dtype=object)
-        for env in np.flatnonzero(over):
-            final[env] = {key: value[env].copy() for key, value in last.items()}
-        readings, begun = self._simulation.reset(over)
-        self._is_over, self._lengths[over] = np.zeros(self.num_envs, dtype=bool), 0
-        info = info_of(begun, 0, np.ones(self.num_envs, dtype=bool))
-        info |= {"final_obs": final, "_final_obs": over.copy()}
-        info |= {"final_info": info_of(truth, 0, over), "_final_info": over.copy()}
-        return _observation(readings), rewards, terminated, truncated, info
+        if not self._is_running:
+            raise gym.error.ResetNeeded("call reset before step")
+        outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
+        rewards = outcome.rewards[:, 0]
+        return observation_of(outcome.readings, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._simulation.close()
-
-
-def _observation(readings: BatchReadings) -> BatchObservation:
-    return {"ranges": readings.ranges[:, 0], "wheels": readings.wheels[:, 0]}

@@ -24,10 +24,18 @@ def first_column(text: str) -> set[str]:
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
 
 
-@pytest.mark.parametrize("number", range(ENVIRONMENTS.count("```python")))
-def test_the_examples_run(number):
-    example = re.findall(r"```python\n(.*?)```", ENVIRONMENTS, re.DOTALL)[number]
-    exec(compile(example, f"environments.md, example {number + 1}", "exec"), {})  # noqa: S102
+EXAMPLES = [
+    (page, number, example)
+    for page in ("environments.md", "batch.md")
+    for number, example in enumerate(
+        re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL), start=1
+    )
+]
+
+
+@pytest.mark.parametrize(("page", "number", "example"), EXAMPLES)
+def test_the_examples_run(page, number, example):
+    exec(compile(example, f"{page}, example {number}", "exec"), {})  # noqa: S102
 
 
 def test_every_setting_of_the_noise_is_explained():
