@@ -103,7 +103,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self._ranges = np.zeros((count, beams), dtype=np.float32)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin again with empty grids."""
         told, info = self.env.reset(seed=seed, options=options)
@@ -192,8 +192,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
             final[robot] = views[robot].copy()
 
     def _look(self, which: BoolArray) -> NDArray[np.float32]:
-        views = np.zeros(self.observation_space.shape, dtype=np.float32)
         view = self.config.view
+        views = np.zeros((self.num_envs, view.size(len(self.robot.beams))), dtype=np.float32)
         look_round(
             which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._steps, self._tolls,
             self._queue, view.samples, view.radii, self.config.grid.cell, self.robot.max_ranges, views,

@@ -171,7 +171,7 @@ def frontier_steps(
     tolls: NDArray[np.int32],
     queue: NDArray[np.int32],
 ) -> int:
-    """Fill ``steps`` (side, side), within the box, with the cost of the way to the nearest frontier; how many there are.
+    """Fill ``steps`` (side, side) within the box with the cost of the way to the nearest frontier; how many there are.
 
     In half cells, as `polar_view.frontier_distance` counts; a very large number where no way leads. ``tolls``
     (side, side) and ``queue`` (more than side * side,) are scratch.
@@ -323,9 +323,10 @@ def steer(
     drive: FloatArray,
     wheels: NDArray[np.float32],
 ) -> None:
-    """Fill ``wheels`` (n, 2), shares of the maximum, for robots at poses (n, 3) that are to go where headings (n,) point.
+    """Fill ``wheels`` (n, 2), shares of the maximum, of robots at poses (n, 3) that are to go where ``headings`` say.
 
-    ``drive``: gain of the turn (1/s), fastest turn (rad/s), top wheel speed (m/s), axle (m), radius (m).
+    ``headings`` (n,), rad. ``drive``: gain of the turn (1/s), fastest turn (rad/s), top wheel speed (m/s), axle (m),
+    radius (m).
     """
     top, axle = drive[2], drive[3]
     for robot in range(len(poses)):

@@ -25,9 +25,9 @@ LABELS = {
 }
 """What policies are called, in the order of the table."""
 
-GOAL = 0.8
+GOAL, NOTHING = 0.8, "\N{EN DASH}"
 MOMENTS = (30.0, 60.0, 90.0, 120.0, 180.0, 240.0)
-_BASE = "frontier"
+_BASES = {"frontier": "minus frontier's, s", "frontier_fast": "minus fast frontier's, s"}
 _PERIOD = 2.0
 
 
@@ -56,11 +56,11 @@ class Curves:
     def times(self) -> FloatArray:
         """When each plan (n,) was covered to the goal, s; the last time for those that were not by then."""
         reached = self.coverage >= GOAL
-        return np.where(reached.any(axis=1), self.time[reached.argmax(axis=1)], self.time[-1])
+        return np.asarray(np.where(reached.any(axis=1), self.time[reached.argmax(axis=1)], self.time[-1]))
 
 
 def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
-    """The curves of each policy in folders of results, in the order of the table; of a plan that comes twice, the first.
+    """The curves of each policy in folders of results, in the table's order; of a plan that comes twice, the first.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def _course(folder: Path, row: Row) -> tuple[FloatArray, FloatArray, float] | No
 
 
 def curve_table(curves: Mapping[str, Curves]) -> str:
-    """Markdown: medians with 95 % bootstrap intervals, and the time that is gained on the frontier explorer, by plan."""
+    """Markdown: medians with 95 % bootstrap intervals, and the time that is gained on frontier explorers, by plan."""
     last = next(iter(curves.values())).time[-1]
     moments = [moment for moment in MOMENTS if moment <= last]
     head = [
@@ -108,7 +108,7 @@ def curve_table(curves: Mapping[str, Curves]) -> str:
         *(f"{moment:g} s" for moment in moments),
         "80 % after, s",
         "got there",
-        "minus frontier's, s",
+        *_BASES.values(),
         "touched",
     ]
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
@@ -118,12 +118,12 @@ def curve_table(curves: Mapping[str, Curves]) -> str:
         got_there = float((curve.coverage[:, -1] >= GOAL).mean())
         cells = [
             LABELS[policy], str(len(curve.plans)), *shares, _words(median(curve.times), 0, last), f"{got_there:.0%}",
-            _gain(curve, curves.get(_BASE)), f"{np.nanmean(curve.collisions):.2f}",
+            *(_gain(curve, curves.get(base)) for base in _BASES), f"{np.nanmean(curve.collisions):.2f}",
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     note = (
-        f"Medians of coverage after so many seconds, with 95 % bootstrap intervals; runs that did not see 80 % within {last:g} s"
-        " count as later. Minus frontier's: median over the plans that both explored. Touched: mean per run."
+        "Medians of coverage after so many seconds, with 95 % bootstrap intervals; runs that did not see 80 % within"
+        f" {last:g} s count as later. Minus another's: median over plans that both explored. Touched: mean per run."
     )
     return "\n".join([*lines, "", note, ""])
 
@@ -134,15 +134,15 @@ def _at(curve: Curves, moment: float) -> FloatArray:
 
 def _gain(curve: Curves, base: Curves | None) -> str:
     if base is None or curve is base:
-        return "–"
+        return NOTHING
     known = dict(zip(base.plans, base.times.tolist(), strict=True))
     both = [(time, known[plan]) for plan, time in zip(curve.plans, curve.times.tolist(), strict=True) if plan in known]
-    return _words(median([time - other for time, other in both]), 0) + f" ({len(both)})" if both else "–"
+    return _words(median([time - other for time, other in both]), 0) + f" ({len(both)})" if both else NOTHING
 
 
 def _words(estimate: Estimate | None, digits: int, last: float = math.inf) -> str:
     if estimate is None:
-        return "–"
+        return NOTHING
 
     def said(value: float) -> str:
         return f"> {last:g}" if value >= last else f"{value:.{digits}f}"
@@ -155,13 +155,13 @@ def _words(estimate: Estimate | None, digits: int, last: float = math.inf) -> st
 def draw_curves(curves: Mapping[str, Curves], path: Path) -> None:
     """Write a figure: median coverage over time, and the band that half of the plans lie in."""
     figure, [[axes]] = sheet_of(1, 1, (6.4, 3.8))
-    handles = []
+    handles: list[Line2D] = []
     for number, (policy, curve) in enumerate(curves.items()):
         colour, dash = COLOURS[number % len(COLOURS)], DASHES[0 if policy.startswith("learned") else 1]
         low, middle, high = np.quantile(curve.coverage, (0.25, 0.5, 0.75), axis=0)
         axes.fill_between(curve.time, low, high, color=colour, alpha=BAND, linewidth=0.0)
-        axes.plot(curve.time, middle, color=colour, linestyle=dash, linewidth=1.8)
-        handles.append(Line2D([], [], color=colour, linestyle=dash, label=f"{LABELS[policy]} (n = {len(curve.plans)})"))
+        label = f"{LABELS[policy]} (n = {len(curve.plans)})"
+        handles += axes.plot(curve.time, middle, color=colour, linestyle=dash, linewidth=1.8, label=label)
     axes.axhline(GOAL, color=INK, linewidth=0.6)
     axes.set(
         xlabel="time, s", ylabel="coverage, true", xlim=(0.0, next(iter(curves.values())).time[-1]), ylim=(0.0, 1.0)

@@ -57,6 +57,6 @@ class Trial:
 
 
 def times_to(coverage: FloatArray, goal: float, period: float) -> FloatArray:
-    """When each plan (n,) was covered to a share, s, of rows (n, k) that are ``period`` (s) apart; infinite for never."""
+    """When each plan (n,) was covered to a share, s; rows (n, k) are ``period`` (s) apart. Infinite for never."""
     reached = coverage >= goal
     return np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)

@@ -59,7 +59,7 @@ def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
     Returns
     -------
     weights
-        Those of the last phase.
+        Those of the last phase that there was time for.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
     saved = _claim(config, folder, resume=resume)
     torch.set_num_threads(1)
     progress = Progress()
-    model = _model(config, config.phases[0], folder)
+    model, weights = _model(config, config.phases[0], folder), folder
     if saved is not None:
         progress = Progress(int(saved["decisions"]), float(saved["spent"]))
         model.policy.load_state_dict(saved["policy"])
@@ -86,7 +86,10 @@ def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
             model.learn(end - progress.decisions, callback=keeper, reset_num_timesteps=False, tb_log_name=phase.pose)
             keeper.keep()
             save_network(folder / f"{_name(phase.pose)}.npz", _network(model))
-    return folder / f"{_name(config.phases[-1].pose)}.npz"
+        # When the time is over before its turn, a phase leaves none.
+        if (folder / f"{_name(phase.pose)}.npz").exists():
+            weights = folder / f"{_name(phase.pose)}.npz"
+    return weights
 
 
 def _name(pose: Pose) -> str:
@@ -102,7 +105,7 @@ def _claim(config: TrainConfig, folder: Path, *, resume: bool) -> dict[str, Any]
             known = json.loads(path.read_text(encoding="utf-8"))["config"]
             # Tensors and numbers only: loading runs nothing.
             saved: dict[str, Any] = torch.load(folder / CHECKPOINT, weights_only=True)
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, RuntimeError, EOFError) as error:
             raise ValueError(f"{folder}: no training to resume: {error}") from error
         if known != asked:
             raise ValueError(f"{folder}: holds a training with other settings")
@@ -135,7 +138,7 @@ def _model(config: TrainConfig, phase: Phase, folder: Path) -> PPO:
 
 
 def _network(model: PPO) -> DirectionNetwork:
-    network: DirectionNetwork = model.policy.mlp_extractor.to_numpy()  # type: ignore[operator, union-attr]
+    network: DirectionNetwork = model.policy.mlp_extractor.to_numpy()
     return network
 
 
@@ -155,7 +158,7 @@ class _Keeper(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         left = float(self.model._current_progress_remaining)  # noqa: SLF001 (it has no other name)
-        self.model.ent_coef = self._config.entropy * max(left, LEAST_SHARE)  # type: ignore[attr-defined]
+        self.model.ent_coef = self._config.entropy * max(left, LEAST_SHARE)
         if time.monotonic() - self._saved > SAVE_EVERY:
             self.keep()
             self._saved = time.monotonic()
@@ -183,7 +186,7 @@ class _Keeper(BaseCallback):
         if self._trial is None:
             explore = ExploreConfig(pose=self._phase.pose, range_std=config.noise)
             self._trial = Trial(config.held_out.seeds, config.noise, explore)
-        coverage = self._trial.coverage(_network(self.model), TEMPERATURE)  # type: ignore[arg-type]
+        coverage = self._trial.coverage(_network(self.model), TEMPERATURE)
         times = times_to(coverage, GOAL, self._trial.period)
         # Of a time that half of the plans did not reach, there is no median.
         middle = float(np.median(times))

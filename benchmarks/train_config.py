@@ -141,7 +141,7 @@ def train_config(table: Any) -> TrainConfig:
     known = _table(table, TrainConfig, "a training")
     phases = known.get("phases")
     if not isinstance(phases, list):
-        raise ValueError(f"phases: must be a list of tables, not {phases!r}")
+        raise ValueError(f"phases: must be a list of tables, not {phases!r}")  # noqa: TRY004 (a value of a file)
     known["phases"] = tuple(Phase(**_table(part, Phase, "a phase")) for part in phases)
     for name in ("plans", "held_out"):
         known[name] = Plans(**_table(known.get(name), Plans, name))
@@ -150,7 +150,7 @@ def train_config(table: Any) -> TrainConfig:
 
 def _table(table: Any, kind: type[Any], what: str) -> dict[str, Any]:
     if not isinstance(table, dict):
-        raise ValueError(f"{what} must be a table, not {table!r}")
+        raise ValueError(f"{what} must be a table, not {table!r}")  # noqa: TRY004 (a value of a file)
     names = {part.name for part in fields(kind)}
     if unknown := sorted(set(table) - names):
         raise ValueError(f"unknown key {unknown[0]!r}; {what} has {', '.join(sorted(names))}")

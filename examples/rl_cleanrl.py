@@ -1,4 +1,4 @@
-"""PPO in one file, as CleanRL writes it: ``python examples/rl_cleanrl.py`` (needs torch, which the extra ``rl`` brings).
+"""PPO in one file, as CleanRL writes it: ``python examples/rl_cleanrl.py`` (needs torch, as the extra ``rl`` does).
 
 Nothing is hidden: environments, network, rollout, advantages and update stand one below the other. The environments
 are Gymnasium's; any other vector of them that ends an episode and begins the next one in the same step will do.
@@ -60,9 +60,9 @@ def main() -> None:
     options = arguments.parse_args()
     torch.manual_seed(0)
     envs = SyncVectorEnv([make_env] * NUM_ENVS, autoreset_mode=AutoresetMode.SAME_STEP)
-    agent = Agent(envs.single_observation_space.shape[0])
-    optimizer = torch.optim.Adam(agent.parameters(), lr=3e-4)
     observation = torch.as_tensor(envs.reset(seed=0)[0])
+    agent = Agent(observation.shape[1])
+    optimizer = torch.optim.Adam(agent.parameters(), lr=3e-4)
     for update in range(1, max(options.steps // (NUM_ENVS * ROLLOUT), 1) + 1):
         rows: list[list[Tensor]] = []
         for _ in range(ROLLOUT):

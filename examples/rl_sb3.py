@@ -14,9 +14,9 @@ import limslam_env  # noqa: F401 (registers the environments)
 from limslam_env.wrappers import DiscreteAction, FlattenObservation, FrameStackObservation, NormalizedObservation
 
 
-def make_env(max_episode_steps: int = 600) -> gym.Env:
+def make_env() -> Monitor:
     """One floor plan a minute, in numbers that a network likes."""
-    env = gym.make("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=max_episode_steps)
+    env = gym.make("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600)
     return Monitor(FrameStackObservation(FlattenObservation(DiscreteAction(NormalizedObservation(env))), 4))
 
 
@@ -29,9 +29,8 @@ def main() -> None:
     model = PPO("MlpPolicy", make_env(), n_steps=min(options.steps, 2048), batch_size=64, seed=0, device="cpu")
     model.learn(options.steps)
     mean, std = evaluate_policy(model, make_env(), n_eval_episodes=2)
-    print(
-        f"{model.num_timesteps} steps: reward {float(mean):.1f} +- {float(std):.1f} (m^2 seen, less time and collisions)"
-    )
+    # Square metres seen, less time and collisions.
+    print(f"{model.num_timesteps} steps: reward {mean:.1f} +- {std:.1f}")
     if options.out:
         model.save(options.out)
 

@@ -20,7 +20,7 @@ def in_a_row(team: ParallelEnv) -> ParallelEnv:
     return supersuit.observation_lambda_v0(
         team,
         lambda observation, space: np.asarray(spaces.flatten(space, observation)),
-        lambda space: spaces.flatten_space(space),
+        spaces.flatten_space,
     )
 
 

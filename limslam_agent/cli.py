@@ -59,7 +59,8 @@ def run(
     policy: Annotated[
         str,
         typer.Option(
-            help="Who drives: frontier, frontier_fast, learned, wall_follower, random; by the truth: learned_true_pose, tour, oracle."
+            help="Who drives: frontier, frontier_fast, learned, wall_follower, random; "
+            "or by the truth: learned_true_pose, tour, oracle."
         ),
     ] = "frontier",
     laps: Annotated[int, typer.Option(help="Drive round the world's loop this often instead of exploring.")] = 0,

@@ -3,6 +3,7 @@
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,8 @@ def save_network(path: Path, network: DirectionNetwork) -> None:
     view = network.view
     shape = np.array([view.directions, view.rings, view.nearest, view.growth])
     with path.open("wb") as file:
-        np.savez_compressed(file, view=shape, **network.weights)
+        held: dict[str, Any] = {"view": shape, **network.weights}
+        np.savez_compressed(file, **held)
 
 
 def load_network(path: Path) -> DirectionNetwork:

@@ -108,11 +108,7 @@ class TruePose:
         self._robot, self._grid, self._pose = robot, OccupancyGrid(config.grid), np.zeros(3)
         self._explorer = LearnedPolicy(robot, config.policy, load_network(WEIGHTS / "true_pose.npz"), seed=seed)
         self.plan: FloatArray = NO_PLAN
-
-    @property
-    def stop_reason(self) -> str | None:
-        """Why there is nothing left to do; None while there is."""
-        return self._explorer.stop_reason
+        self.stop_reason: str | None = None
 
     def look(self, env: LimSlamParallelEnv, pose: FloatArray, coverage: float) -> None:
         """Take in the true pose (3,), m and rad."""
@@ -122,7 +118,9 @@ class TruePose:
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,); of what is believed, only the readings are asked."""
         self._grid.update(self._pose, self._robot, belief.ranges, np.ones(len(belief.ranges), dtype=bool))
-        return self._explorer.act(replace(belief, pose=self._pose, grid=self._grid.view))
+        wheels = self._explorer.act(replace(belief, pose=self._pose, grid=self._grid.view))
+        self.stop_reason = self._explorer.stop_reason
+        return wheels
 
 
 def check_policy(policy: str, laps: int, robots: int) -> None:
@@ -156,26 +154,32 @@ def policies_for(
     policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, robots: int, laps: int, seed: int
 ) -> list[Policy] | None:
     """A policy for each robot; None for the frontier explorers that a team makes itself."""
+    if policy == "frontier":
+        return [Laps(robot, config.policy, world.loop, laps)] if laps else None
+    if policy in _PILOTED:
+        return [_pilot_for(policy, robot, config, world, laps=laps, seed=seed)]
+    return [_policy_for(policy, robot, config.policy, number, seed) for number in range(robots)]
+
+
+def _policy_for(policy: str, robot: RobotSpec, config: PolicyConfig, number: int, seed: int) -> Policy:
+    """A policy that acts on what is believed."""
     if policy == "frontier_fast":
-        fast = replace(config.policy, speed=robot.max_wheel_speed)
-        return [FrontierPolicy(robot, fast, number) for number in range(robots)]
+        return FrontierPolicy(robot, replace(config, speed=robot.max_wheel_speed), number)
     if policy == "wall_follower":
-        return [WallFollower(robot, config.policy) for _ in range(robots)]
-    if policy == "random":
-        return [RandomPolicy(robot, config.policy, np.random.default_rng([seed, number])) for number in range(robots)]
-    if policy == "learned":
-        return [
-            LearnedPolicy(robot, config.policy, seed=np.random.default_rng([seed, number])) for number in range(robots)
-        ]
+        return WallFollower(robot, config)
+    kind = LearnedPolicy if policy == "learned" else RandomPolicy
+    return kind(robot, config, seed=np.random.default_rng([seed, number]))
+
+
+def _pilot_for(policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, laps: int, seed: int) -> Policy:
+    """Whoever knows the truth."""
     if policy == "learned_true_pose":
-        return [TruePose(robot, config, seed)]
+        return TruePose(robot, config, seed)
     if policy == "oracle":
-        return [Pilot(robot, top_speeds(robot), _oracle(world, robot), _MOST_TOURS, GOAL)]
-    if policy == "tour":
-        # The speeds of laps, and never those of a preset: all estimators are to listen to the same drive.
-        speeds = Speeds(PolicyConfig().lap_speed, PolicyConfig().turn_rate)
-        return [Pilot(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))]
-    return [Laps(robot, config.policy, world.loop, laps)] if laps else None
+        return Pilot(robot, top_speeds(robot), _oracle(world, robot), _MOST_TOURS, GOAL)
+    # The speeds of laps, and never those of a preset: all estimators are to listen to the same drive.
+    speeds = Speeds(PolicyConfig().lap_speed, PolicyConfig().turn_rate)
+    return Pilot(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
 
 
 def _oracle(world: World, robot: RobotSpec) -> Planner:

@@ -50,7 +50,7 @@ def test_grid_view_and_bumper_are_those_of_one_agent(pose):
     choices = [np.where(generator.random(3) < 0.4, generator.integers(-11, 12, 3), 0) for _ in range(40)]
     views += [explore.step(choice)[0] for choice in choices]
     for robot in range(3):
-        grid, bumper, believed, heading = OccupancyGrid(GridConfig()), Bumper(ROBOT), None, 0.0
+        grid, bumper, believed, heading, expected = OccupancyGrid(GridConfig()), Bumper(ROBOT), None, 0.0, None
         for step, (asked, ranges, true, wheels) in enumerate(env.rows):
             if asked is not None:
                 np.testing.assert_allclose(asked[robot], expected, atol=1e-6)

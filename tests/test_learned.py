@@ -105,7 +105,7 @@ def test_turning_what_is_seen_turns_the_scores_but_for_the_compass():
     np.testing.assert_allclose(blind.scores(turned), np.roll(blind.scores(told), 3), atol=1e-4)
 
 
-def test_torch_trains_what_numpy_runs(tmp_path):
+def test_torch_trains_what_numpy_runs():
     torch = pytest.importorskip("torch", reason="needs the extra rl")
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     from benchmarks.direction_policy import DirectionExtractor
@@ -138,7 +138,10 @@ def test_a_map_without_frontiers_has_no_way():
 def test_the_view_turns_with_the_robot():
     pose = np.array([1.03, 0.35, 0.0])
     size = VIEW.rings * VIEW.directions
-    looks = [observe(HALL, pose + [0, 0, turn], np.full(6, 1.5), ROBOT.max_ranges, VIEW) for turn in (0.0, math.pi / 2)]
+    looks = [
+        observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT.max_ranges, VIEW)
+        for turn in (0.0, math.pi / 2)
+    ]
     first, second = (look[: CHANNELS * size].reshape(-1, VIEW.directions) for look in looks)
     np.testing.assert_allclose(second, np.roll(first, -2, axis=1), atol=1e-5)
     # Ahead lies the frontier: every ring gains there, until the unknown begins.
@@ -152,7 +155,7 @@ def test_it_drives_where_the_network_says(turn):
     class Fixed:
         view = ViewConfig()
 
-        def scores(self, observation):
+        def scores(self, _):
             return np.eye(24)[turn] * 50.0
 
     policy, pose = LearnedPolicy(ROBOT, PolicyConfig(), Fixed()), np.array([1.0, 0.35, 0.0])

@@ -99,7 +99,7 @@ def test_titles_name_the_policy():
     [
         (
             {"policy": "magic"},
-            "no policy is called 'magic'; there are frontier, frontier_fast, wall_follower, random, learned, learned_true_pose, tour, oracle",
+            "no policy is called 'magic'; there are frontier, frontier_fast, wall_follower, random, learned, .*oracle",
         ),
         ({"policy": "oracle", "laps": 2}, "not by 'oracle'"),
         ({"policy": "random", "laps": 1}, "not by 'random'"),

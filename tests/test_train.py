@@ -73,6 +73,7 @@ def test_a_training_without_phases_is_refused():
 def test_a_training_stops_goes_on_and_leaves_its_weights(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     pytest.importorskip("tensorboard", reason="needs the extra rl")
+    torch = pytest.importorskip("torch", reason="needs the extra rl")
     from benchmarks.train import train
     from limslam_agent.network import load_network
 
@@ -90,7 +91,10 @@ def test_a_training_stops_goes_on_and_leaves_its_weights(tmp_path):
     # As if it had been killed after the first phase: the second one is done again.
     before = load_network(folder / "true_pose.npz").weights["score.weight"]
     weights.unlink()
+    saved = torch.load(folder / "checkpoint.pt", weights_only=True)
+    torch.save({**saved, "decisions": 96}, folder / "checkpoint.pt")
     assert train(config, folder, resume=True) == weights
+    assert weights.is_file()
     assert json.loads((folder / "train.json").read_text(encoding="utf-8"))["config"]["robots"] == 4
     np.testing.assert_array_equal(load_network(folder / "true_pose.npz").weights["score.weight"], before)
     with pytest.raises(ValueError, match="other settings"):
