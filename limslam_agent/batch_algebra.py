@@ -103,7 +103,7 @@ def add_products(rest: FloatArray, left: FloatArray, right: FloatArray, rank: in
 def quantile(ordered: FloatArray, size: int, share: float) -> float:
     """A quantile of sorted numbers, interpolated as numpy does."""
     place = share * (size - 1)
-    low = int(math.floor(place))
+    low = math.floor(place)
     high, part = min(low + 1, size - 1), place - low
     step = ordered[high] - ordered[low]
     return ordered[high] - step * (1.0 - part) if part >= 0.5 else ordered[low] + step * part
@@ -119,7 +119,7 @@ def wrapped(angle: float) -> float:
 
 
 @algebra
-def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:  # type: ignore[type-arg]
+def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
     """Sort a few keys in place, stably, and carry along what belongs to them."""
     for i in range(1, size):
         key, other = keys[i], follow[i]

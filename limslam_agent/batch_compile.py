@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from numba import njit
 
@@ -19,19 +19,21 @@ _STAMP = _stamp()
 
 
 def compiled(kernel: Kernel) -> Kernel:
-    """Compile when first called, keep the result on disk, and run without Python's lock."""
-    return _noticing_others(njit(cache=True, nogil=True, error_model="numpy")(kernel))
+    """Compile what other kernels call, when they are."""
+    return cast(Kernel, njit(nogil=True, error_model="numpy")(kernel))
 
 
 def algebra(kernel: Kernel) -> Kernel:
     """The same for sums of products, in which a product and a sum may be rounded once."""
-    return _noticing_others(njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(kernel))
+    return cast(Kernel, njit(nogil=True, error_model="numpy", fastmath={"contract"})(kernel))
 
 
-def _noticing_others(kernel: Kernel) -> Kernel:
-    # What numba keeps on disk is used until the file of that kernel changes. A kernel holds the code of those that it
-    # calls, too, so it has to go when the file of any of them changes. numba has no public way to say so.
-    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+def entry(kernel: Kernel) -> Kernel:
+    """Compile what Python calls when it first does, with all that it calls, keep it on disk, and run without a lock."""
+    done = njit(cache=True, nogil=True, error_model="numpy")(kernel)
+    # What numba keeps on disk is used until the file of that kernel changes. It holds the code of all that is called,
+    # too, so it has to go when any of their files changes. numba has no public way to say so.
+    file = getattr(getattr(done, "_cache", None), "_cache_file", None)
     if file is not None:
         file._source_stamp = _STAMP  # noqa: SLF001
-    return kernel
+    return cast(Kernel, done)

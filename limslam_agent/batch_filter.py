@@ -1,6 +1,6 @@
 """The filter with clones of one robot, in fixed arrays: `clone_ekf` once more, for kernels.
 
-Letters x, P, F, Q, H, S, W are the literature's. What P is kept as says ``Minds``.
+Letters x, P, F, Q, H, S, W are the literature's. What P is kept as says ``Filter``.
 """
 
 import math
@@ -9,50 +9,52 @@ import numpy as np
 
 from limslam_agent.batch_algebra import add_products, wrapped
 from limslam_agent.batch_compile import algebra
-from limslam_agent.batch_state import CLONES, LINES, NEXT_CLONE, POSE, Minds
+from limslam_agent.batch_state import CLONES, LINES, NEXT_CLONE, POSE, Filter
 from limslam_env.geometry import FloatArray, IntArray
 
 _PRIOR = (10.0**2, 3.0**2)
 
 
 @algebra
-def clones_from(mind: Minds) -> int:
+def clones_from(mind: Filter) -> int:
     """The first number of the state that belongs to a clone."""
     return POSE + 2 * mind.counts[LINES]
 
 
 @algebra
-def size_of(mind: Minds) -> int:
+def size_of(mind: Filter) -> int:
     """How many numbers the state has."""
     return POSE + 2 * mind.counts[LINES] + POSE * mind.counts[CLONES]
 
 
 @algebra
-def cov(mind: Minds, i: int, j: int) -> float:
+def cov(top: FloatArray, rest: FloatArray, i: int, j: int) -> float:
     """One number of P."""
     if i < j:
         i, j = j, i
-    return mind.top[j, i] if j < POSE else mind.rest[i * (i + 1) // 2 + j]
+    return top[j, i] if j < POSE else rest[i * (i + 1) // 2 + j]
 
 
 @algebra
-def gather_row(mind: Minds, column: int, size: int, out: FloatArray) -> None:
-    """One row of P, in full."""
-    if column < POSE:
-        for j in range(size):
-            out[j] = mind.top[column, j]
-        return
-    for j in range(POSE):
-        out[j] = mind.top[j, column]
-    base = column * (column + 1) // 2
-    for j in range(POSE, column + 1):
-        out[j] = mind.rest[base + j]
-    for j in range(column + 1, size):
-        out[j] = mind.rest[j * (j + 1) // 2 + column]
+def gather_rows(top: FloatArray, rest: FloatArray, columns: IntArray, size: int) -> FloatArray:
+    """Some rows of P, none of them the pose's, in full."""
+    rows = np.empty((len(columns), size))
+    for i in range(len(columns)):
+        column = columns[i]
+        base = column * (column + 1) // 2
+        for j in range(POSE):
+            rows[i, j] = top[j, column]
+        for j in range(POSE, column + 1):
+            rows[i, j] = rest[base + j]
+        base += column
+        for j in range(column + 1, size):
+            base += j
+            rows[i, j] = rest[base]
+    return rows
 
 
 @algebra
-def predict(mind: Minds, increment: FloatArray, covariance: FloatArray) -> None:
+def predict(mind: Filter, increment: FloatArray, covariance: FloatArray) -> None:
     """Move the robot by an increment (3,) in its frame, with its covariance (3, 3)."""
     x, top, size = mind.x, mind.top, size_of(mind)
     cos, sin = math.cos(x[2]), math.sin(x[2])
@@ -75,7 +77,7 @@ def predict(mind: Minds, increment: FloatArray, covariance: FloatArray) -> None:
 
 
 @algebra
-def clone(mind: Minds) -> int:
+def clone(mind: Filter) -> int:
     """Keep a copy of the pose, for which there is room, and give back the copy's number."""
     x, top, rest, old = mind.x, mind.top, mind.rest, size_of(mind)
     for k in range(POSE):
@@ -96,7 +98,7 @@ def clone(mind: Minds) -> int:
 
 
 @algebra
-def keep(mind: Minds, kept: IntArray, size: int) -> None:
+def keep(mind: Filter, kept: IntArray, size: int) -> None:
     """Let go of all numbers of the state but ``size`` of them, in order; the caller counts lines and clones."""
     x, top, rest = mind.x, mind.top, mind.rest
     for new in range(size):
@@ -112,7 +114,7 @@ def keep(mind: Minds, kept: IntArray, size: int) -> None:
 
 
 @algebra
-def keep_clones(mind: Minds, wanted: np.ndarray) -> None:  # type: ignore[type-arg]
+def keep_clones(mind: Filter, wanted: np.ndarray) -> None:
     """Let go of the clones that are not wanted, by their places: what they told stays in what correlates with them."""
     start, number, size = clones_from(mind), mind.counts[CLONES], 0
     kept = np.empty(size_of(mind), dtype=np.int64)
@@ -130,7 +132,7 @@ def keep_clones(mind: Minds, wanted: np.ndarray) -> None:  # type: ignore[type-a
 
 
 @algebra
-def add_line(mind: Minds, theta: float, anchor_x: float, anchor_y: float) -> int:
+def add_line(mind: Filter, theta: float, anchor_x: float, anchor_y: float) -> int:
     """A new line, for which there is room, through a point (m) with the normal at ``theta``; nothing else is known."""
     x, top, rest, at, old = mind.x, mind.top, mind.rest, clones_from(mind), size_of(mind)
     for i in range(old - 1, at - 1, -1):
@@ -156,7 +158,7 @@ def add_line(mind: Minds, theta: float, anchor_x: float, anchor_y: float) -> int
 
 
 @algebra
-def carried(mind: Minds, size: int, out: FloatArray) -> None:
+def carried(mind: Filter, size: int, out: FloatArray) -> None:
     """How all of the state (size, 3) moves with the robot when the whole world does."""
     x, start = mind.x, clones_from(mind)
     out[:size] = 0.0
@@ -175,7 +177,7 @@ def carried(mind: Minds, size: int, out: FloatArray) -> None:
 
 
 @algebra
-def carry_top(mind: Minds, moved: FloatArray, size: int, out: FloatArray) -> None:
+def carry_top(mind: Filter, moved: FloatArray, size: int, out: FloatArray) -> None:
     """The pose's rows of P (3, size) when all else (size, 3) has moved with the robot's error."""
     top = mind.top
     for k in range(POSE):
@@ -184,7 +186,7 @@ def carry_top(mind: Minds, moved: FloatArray, size: int, out: FloatArray) -> Non
 
 
 @algebra
-def correct(mind: Minds, moved: FloatArray, W: FloatArray, rank: int, change: FloatArray) -> None:
+def correct(mind: Filter, moved: FloatArray, W: FloatArray, rank: int, change: FloatArray) -> None:
     """Let P follow to where W was found, subtract W^T W, change the state, and let P follow it there.
 
     With M the move (n, 3), A the pose's rows of P, and B their first three columns, P becomes
@@ -214,9 +216,7 @@ def correct(mind: Minds, moved: FloatArray, W: FloatArray, rank: int, change: Fl
 
 
 @algebra
-def stack_carry(
-    mind: Minds, moved: FloatArray, size: int, left: FloatArray, right: FloatArray, row: int
-) -> None:
+def stack_carry(mind: Filter, moved: FloatArray, size: int, left: FloatArray, right: FloatArray, row: int) -> None:
     """The six products of a carry, for ``add_products``; right's first three rows are the pose's rows of P after it."""
     carry_top(mind, moved, size, right[row : row + POSE])
     for k in range(POSE):

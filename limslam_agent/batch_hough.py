@@ -1,4 +1,4 @@
-"""Lines in the readings of one side: `hough` and `line_fit` once more, for kernels, vote by vote as OpenCV counts them."""
+"""Lines in the readings of one side: `hough` and `line_fit` for kernels, vote by vote as OpenCV counts them."""
 
 import math
 
@@ -17,7 +17,7 @@ _FEWEST = 6
 @compiled
 def num_angles(step: float) -> int:
     """How many bins OpenCV makes of half a turn."""
-    number = int(math.floor(math.pi / step)) + 1
+    number = math.floor(math.pi / step) + 1
     return number - 1 if number > 1 and abs(math.pi - (number - 1) * step) < 0.5 * step else number
 
 
@@ -55,7 +55,7 @@ def votes(points: FloatArray, settings: Settings) -> FloatArray:
 
 @compiled
 def peaks(
-    counts: np.ndarray, wide: int, found: IntArray, low: np.float32, settings: Settings  # type: ignore[type-arg]
+    counts: np.ndarray, wide: int, found: IntArray, low: np.float32, settings: Settings
 ) -> FloatArray:  # fmt: skip
     """The lines of those places that have more votes than their neighbours."""
     keys, places, size = np.empty(len(found)), np.empty(len(found), dtype=np.int64), 0
@@ -106,7 +106,7 @@ def fit(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float,
 
 
 @compiled
-def near(points: FloatArray, free: np.ndarray, r: float, theta: float, most: float) -> IntArray:  # type: ignore[type-arg]
+def near(points: FloatArray, free: np.ndarray, r: float, theta: float, most: float) -> IntArray:
     """The free points within ``most`` (m) of a line."""
     chosen, size = np.empty(len(points), dtype=np.int64), 0
     cos, sin = math.cos(theta), math.sin(theta)
@@ -119,7 +119,7 @@ def near(points: FloatArray, free: np.ndarray, r: float, theta: float, most: flo
 
 @compiled
 def refined(
-    points: FloatArray, free: np.ndarray, r: float, theta: float, settings: Settings  # type: ignore[type-arg]
+    points: FloatArray, free: np.ndarray, r: float, theta: float, settings: Settings
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
     """The points of a candidate line (n,), refined on them twice, and where they fall along it, in order."""
     ends = np.empty((2, 2))

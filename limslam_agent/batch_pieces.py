@@ -6,7 +6,7 @@ import numpy as np
 
 from limslam_agent.batch_algebra import sort_with, wrapped
 from limslam_agent.batch_compile import algebra
-from limslam_agent.batch_filter import add_line, clones_from, correct, cov, gather_row, keep, size_of
+from limslam_agent.batch_filter import add_line, clones_from, correct, gather_rows, keep, size_of
 from limslam_agent.batch_state import (
     CLOSURES,
     GROUPS,
@@ -14,12 +14,13 @@ from limslam_agent.batch_state import (
     NO_PLACE,
     POSE,
     READINGS,
-    Minds,
+    Filter,
     Settings,
+    Walls,
 )
 from limslam_agent.batch_straight import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
-from limslam_agent.batch_update import disagreement, ends_at, observe
-from limslam_agent.batch_walls import absorb, along_of, ends_of, forget_wall, hit, remove_wall
+from limslam_agent.batch_update import block_of, disagreement, end_points, observe
+from limslam_agent.batch_walls import absorb, along_all, along_of, ends_of, forget_wall, hit, remove_wall
 from limslam_env.geometry import FloatArray, IntArray
 
 _STRAIGHTNESS = (1e-3**2, 1e-4**2)
@@ -27,32 +28,30 @@ _EXACT = (1e-4**2, 1e-5**2)
 
 
 @algebra
-def is_near(mind: Minds, index: int, theta: float, x: float, y: float, angle: float, offset: float) -> bool:
-    """Whether a landmark's direction differs by no more than ``angle`` (rad) and it passes a point within ``offset``."""
-    d, own = mind.x[POSE + 2 * index], mind.x[POSE + 2 * index + 1]
+def is_near(
+    state: FloatArray, anchors: FloatArray, index: int, theta: float, x: float, y: float, angle: float, offset: float
+) -> bool:
+    """Whether a landmark's direction differs by less than ``angle`` (rad), and it passes a point within ``offset``."""
+    d, own = state[POSE + 2 * index], state[POSE + 2 * index + 1]
     turn = abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
-    off = (x - mind.anchors[index, 0]) * math.cos(own) + (y - mind.anchors[index, 1]) * math.sin(own) - d
+    off = (x - anchors[index, 0]) * math.cos(own) + (y - anchors[index, 1]) * math.sin(own) - d
     return turn < angle and abs(off) < offset
 
 
 @algebra
 def candidates(
-    mind: Minds, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray, settings: Settings,
+    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray,
+    settings: Settings,
     scores: FloatArray, rows: IntArray, told: FloatArray,
 ) -> int:  # fmt: skip
-    """How many landmarks a piece may be of: scores and indices, best first; by index, what is left, and how many tell."""
+    """How many landmarks a piece may be of: scores and indices, best first; by index, what is left and who tells."""
     loose, size = 2.0 * math.atan2(2.0 * settings.std, max(piece[EXTENT], 0.1)), 0
+    x, y, limit = piece[MIDDLE_X], piece[MIDDLE_Y], settings.max_angle + loose
     for index in range(mind.counts[LINES]):
-        if not is_near(
-            mind, index, piece[THETA], piece[MIDDLE_X], piece[MIDDLE_Y], settings.max_angle + loose, settings.max_offset
-        ):
+        if not is_near(mind.x, mind.anchors, index, piece[THETA], x, y, limit, settings.max_offset):
             continue
-        least, most = np.inf, -np.inf
-        for i in range(len(points)):
-            along = along_of(mind, index, points[i, 0], points[i, 1])
-            least, most = min(least, along), max(most, along)
-        low, high = ends_of(mind, index)
-        if max(least - high, low - most) > settings.max_end_gap:
+        along, (low, high) = along_all(mind, index, points), ends_of(walls, index)
+        if max(along.min() - high, low - along.max()) > settings.max_end_gap:
             continue
         of_line, left, used = disagreement(mind, places, reads, index, settings.std)
         if used:
@@ -64,25 +63,26 @@ def candidates(
 
 @algebra
 def incorporate(
-    mind: Minds, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray, settings: Settings,
+    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray,
+    settings: Settings,
     is_complete: bool,
 ) -> bool:  # fmt: skip
     """Take a piece of wall for a landmark that is known, or for a new one; whether it has been dealt with."""
     room = len(mind.anchors)
     scores, rows, told = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
-    number = candidates(mind, places, reads, points, piece, settings, scores, rows, told)
+    number = candidates(mind, walls, places, reads, points, piece, settings, scores, rows, told)
     while number > 1 and scores[1] <= settings.gate:
-        if not closes_loop(mind, rows[0], rows[1], settings):
+        if not closes_loop(mind, walls, rows[0], rows[1], settings):
             break
-        number = candidates(mind, places, reads, points, piece, settings, scores, rows, told)
+        number = candidates(mind, walls, places, reads, points, piece, settings, scores, rows, told)
     best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
     if second <= settings.gate and second - best < settings.ambiguity:
         return True
     if best <= settings.gate:
         index = rows[0]
-        if not fits(mind, index, points, piece, settings, best, told[index, 0], told[index, 1]):
+        if not fits(mind, walls, index, points, piece, settings, best, told[index, 0], told[index, 1]):
             return False
-        update(mind, places, reads, index, settings, settings.iterations)
+        update(mind, walls, places, reads, index, settings, settings.iterations)
         return True
     least = settings.new_length_complete if is_complete else settings.new_length
     if best < settings.far_gate or piece[EXTENT] < least or piece[ANGLE_STD] > settings.max_angle_std:
@@ -91,23 +91,22 @@ def incorporate(
         mind.counts[NO_PLACE] += 1
         return False
     index = add_line(mind, piece[THETA], piece[MIDDLE_X], piece[MIDDLE_Y])
-    forget_wall(mind, index)
-    update(mind, places, reads, index, settings, settings.first_iterations)
+    forget_wall(walls, index)
+    update(mind, walls, places, reads, index, settings, settings.first_iterations)
     return True
 
 
 @algebra
 def fits(
-    mind: Minds, index: int, points: FloatArray, piece: FloatArray, settings: Settings,
+    mind: Filter, walls: Walls, index: int, points: FloatArray, piece: FloatArray, settings: Settings,
     of_line: float, left: float, used: float,
 ) -> bool:  # fmt: skip
     """Whether a piece of a known landmark is good enough to correct by."""
     free = max(used - 2.0, 1.0)
     if left > free + settings.left_sigmas * math.sqrt(2.0 * free) + 2.0 or piece[EXTENT] < settings.min_length:
         return False
-    (low, high), inside = ends_of(mind, index), 0
-    for i in range(len(points)):
-        along = along_of(mind, index, points[i, 0], points[i, 1])
+    (low, high), inside = ends_of(walls, index), 0
+    for along in along_all(mind, index, points):
         inside += low - settings.end_slack < along < high + settings.end_slack
     is_clear = (
         piece[EXTENT] >= settings.beyond_length
@@ -119,27 +118,23 @@ def fits(
 
 @algebra
 def update(
-    mind: Minds, places: IntArray, reads: FloatArray, index: int, settings: Settings, iterations: int
+    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, index: int, settings: Settings, iterations: int
 ) -> None:
     """Correct the filter by readings of a wall, let the wall grow, and look for others that are the same."""
     observe(mind, places, reads, index, settings.std, iterations, settings.huber)
-    start = clones_from(mind)
-    for i in range(len(places)):
-        at = start + POSE * places[i]
-        x, y = ends_at(mind.x[at : at + POSE], reads[i], reads[i, 3])
-        hit(mind, index, along_of(mind, index, x, y))
-    mind.walls[index, GROUPS] += 1
-    mind.walls[index, READINGS] += len(places)
+    points = end_points(mind.x, clones_from(mind), places, reads, reads[:, 3])
+    for along in along_all(mind, index, points):
+        hit(walls, mind.counts, index, along)
+    walls.table[index, GROUPS] += 1
+    walls.table[index, READINGS] += len(places)
     found = True
     while found:
-        found = False
+        found, most = False, 2.0 * settings.max_offset
         theta, x, y = mind.x[POSE + 2 * index + 1], mind.anchors[index, 0], mind.anchors[index, 1]
         for other in range(mind.counts[LINES]):
-            if other == index or not is_near(
-                mind, other, theta, x, y, settings.max_angle, 2.0 * settings.max_offset
-            ):  # fmt: skip
+            if other == index or not is_near(mind.x, mind.anchors, other, theta, x, y, settings.max_angle, most):
                 continue
-            if closes_loop(mind, other, index, settings):
+            if closes_loop(mind, walls, other, index, settings):
                 # The younger is no more; if that is this one, there is nothing left to look at.
                 if other < index:
                     return
@@ -148,16 +143,16 @@ def update(
 
 
 @algebra
-def closes_loop(mind: Minds, first: int, second: int, settings: Settings) -> bool:
+def closes_loop(mind: Filter, walls: Walls, first: int, second: int, settings: Settings) -> bool:
     """Whether two landmarks are one wall; then they are made one, and the younger is no more."""
     older, younger = min(first, second), max(first, second)
     a, b = POSE + 2 * older, POSE + 2 * younger
-    low, high = ends_of(mind, younger)
+    low, high = ends_of(walls, younger)
     nx, ny = math.cos(mind.x[b + 1]), math.sin(mind.x[b + 1])
     foot_x, foot_y = mind.anchors[younger, 0] + mind.x[b] * nx, mind.anchors[younger, 1] + mind.x[b] * ny
     one = along_of(mind, older, foot_x - low * ny, foot_y + low * nx)
     two = along_of(mind, older, foot_x - high * ny, foot_y + high * nx)
-    least, most = ends_of(mind, older)
+    least, most = ends_of(walls, older)
     overlap = min(max(one, two), most) - max(min(one, two), least)
     if not settings.closes_loops or overlap < settings.min_overlap:
         return False
@@ -177,30 +172,18 @@ def closes_loop(mind: Minds, first: int, second: int, settings: Settings) -> boo
     ])  # fmt: skip
     H = np.array([[sign, sign * (between_x * sin - between_y * cos), -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
     columns = np.array([a, a + 1, b, b + 1])
-    S = difference_covariance(mind, H, columns)
+    S = H @ block_of(mind.top, mind.rest, columns) @ H.T
     squared = quadratic(S, off, _STRAIGHTNESS)
     if squared > settings.one_wall_gate or abs(off[1]) > settings.max_angle or offset > settings.max_offset:
         return False
     origin_x, origin_y = mind.anchors[younger, 0], mind.anchors[younger, 1]
     equate(mind, H, columns, S, off)
     factor = 1.0 if -ny * -math.sin(mind.x[a + 1]) + nx * math.cos(mind.x[a + 1]) > 0.0 else -1.0
-    absorb(mind, older, younger, factor, along_of(mind, older, origin_x, origin_y))
-    remove_wall(mind, younger)
+    absorb(walls, mind.counts, older, younger, factor, along_of(mind, older, origin_x, origin_y))
+    remove_wall(walls, younger, mind.counts[LINES])
     remove_line(mind, younger)
     mind.counts[CLOSURES] += 1
     return True
-
-
-@algebra
-def difference_covariance(mind: Minds, H: FloatArray, columns: IntArray) -> FloatArray:
-    """Covariance (2, 2) of how far two lines are from being one."""
-    S = np.zeros((2, 2))
-    for i in range(2):
-        for j in range(2):
-            for k in range(4):
-                for m in range(4):
-                    S[i, j] += H[i, k] * cov(mind, columns[k], columns[m]) * H[j, m]
-    return S
 
 
 @algebra
@@ -211,15 +194,10 @@ def quadratic(S: FloatArray, off: FloatArray, more: tuple[float, float]) -> floa
 
 
 @algebra
-def equate(mind: Minds, H: FloatArray, columns: IntArray, S: FloatArray, off: FloatArray) -> None:
+def equate(mind: Filter, H: FloatArray, columns: IntArray, S: FloatArray, off: FloatArray) -> None:
     """Correct two lines, and the whole state, by their being equal."""
     size = size_of(mind)
-    HP, row, change = np.zeros((2, size)), np.empty(size), np.zeros(size)
-    for k in range(4):
-        gather_row(mind, columns[k], size, row)
-        for i in range(2):
-            for j in range(size):
-                HP[i, j] += H[i, k] * row[j]
+    HP, change = H @ gather_rows(mind.top, mind.rest, columns, size), np.empty(size)
     # With S = L L^T and W = L^-1 H P, the gain's correction is W^T L^-1 y.
     first = math.sqrt(S[0, 0] + _EXACT[0])
     beside = S[1, 0] / first
@@ -234,7 +212,7 @@ def equate(mind: Minds, H: FloatArray, columns: IntArray, S: FloatArray, off: Fl
 
 
 @algebra
-def remove_line(mind: Minds, index: int) -> None:
+def remove_line(mind: Filter, index: int) -> None:
     """Let go of a line."""
     size, row = size_of(mind), POSE + 2 * index
     kept = np.empty(size - 2, dtype=np.int64)

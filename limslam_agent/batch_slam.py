@@ -11,26 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.batch_state import (
     CLOSURES,
-    GROUPS,
-    HITS,
-    LEAST,
-    LENGTH,
     LINES,
-    LOW,
-    MISSES,
-    MOST,
     NO_PLACE,
     POSE,
-    READINGS,
     REFUSED,
     Capacity,
-    Minds,
     minds_for,
-    settings_of,
+    spec_of,
 )
 from limslam_agent.batch_step import begin_some, step_some
 from limslam_agent.config import AgentConfig, preset
+from limslam_agent.wall_extent import WallExtent
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.line import at
+from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
 _SLICES = 4
@@ -100,7 +94,7 @@ class BatchSlam:
                 raise ValueError(f"{name} must be {least} or more, not {value}")
         self.robot, self.config, self.num_envs, self.size = robot, config, num_envs, size
         self.capacity = capacity or Capacity()
-        self._settings = settings_of(robot, config)
+        self._spec = spec_of(robot, config)
         self._minds = minds_for(robot, config, num_envs, self.capacity)
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
@@ -119,7 +113,7 @@ class BatchSlam:
         if starts.shape != (self.num_envs, POSE):
             raise ValueError(f"{self.num_envs} robots need start poses ({self.num_envs}, 3), not {starts.shape}")
         _refuse_if_not_finite(starts, chosen, "start pose")
-        begin_some(self._minds, starts, chosen, self._settings.cell)
+        begin_some(self._minds, starts, chosen, self.config.grid.cell)
 
     def step(self, ranges: ArrayLike, wheels: ArrayLike, mask: ArrayLike | None = None) -> Beliefs:
         """Take in an observation of each robot, and say what they believe then.
@@ -151,34 +145,51 @@ class BatchSlam:
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         self._share(
             chosen,
-            lambda some: step_some(self._minds, self._settings, seen, travel, some, poses, covariances, grids),
+            lambda some: step_some(self._minds, self._spec, seen, travel, some, poses, covariances, grids),
         )
         return Beliefs(poses, covariances, grids)
+
+    def segments(self, number: int) -> FloatArray:
+        """The walls of one robot's map (k, 4), m, as ``WallMap.segments`` draws them."""
+        settings, (belief, walls) = self.config.clones, (self._minds.filter, self._minds.walls)
+        found = [np.zeros((0, 4))]
+        for index in range(belief.counts[number, LINES]):
+            low, length, _, readings = walls.table[number, index]
+            if readings < settings.shown_readings:
+                continue
+            counts, reached = walls.counted[number, index, :, :length], walls.reached[number, index, :, :length]
+            extent = WallExtent.counted(int(low), counts, reached)
+            line = belief.x[number, POSE + 2 * index : POSE + 2 * index + 2]
+            pieces = extent.pieces(settings.max_gap, settings.through_tolerance)
+            found.append((belief.anchors[number, index] + at(line, pieces)).reshape(-1, 4))
+        every = np.concatenate(found)
+        return np.asarray(every[lengths(every) >= settings.shown_length])
 
     @property
     def num_landmarks(self) -> IntArray:
         """How many walls each robot knows (n,), provisional ones included."""
-        return self._minds.counts[:, LINES].copy()
+        return self._minds.filter.counts[:, LINES].copy()
 
     @property
     def num_closures(self) -> IntArray:
         """How often each robot has taken two landmarks for one wall (n,)."""
-        return self._minds.counts[:, CLOSURES].copy()
+        return self._minds.filter.counts[:, CLOSURES].copy()
 
     @property
     def left_out(self) -> IntArray:
         """How often there was no room for something in each robot's mind (n,): while 0, it is what a single one is."""
-        return self._minds.counts[:, NO_PLACE].copy()
+        return self._minds.filter.counts[:, NO_PLACE].copy()
 
     @property
     def refused_readings(self) -> IntArray:
         """How many readings of each robot were not finite (n,)."""
-        return self._minds.counts[:, REFUSED].copy()
+        return self._minds.filter.counts[:, REFUSED].copy()
 
     @property
     def bytes_per_env(self) -> int:
         """Memory set aside for one robot. What has not been needed yet is not taken from the system."""
-        return sum(each.nbytes for each in self._minds) // self.num_envs
+        minds = self._minds
+        return sum(each.nbytes for each in (*minds.filter, *minds.walls, *minds[2:])) // self.num_envs
 
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
         if mask is None:

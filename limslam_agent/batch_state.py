@@ -13,15 +13,17 @@ from limslam_env.interface import RobotSpec
 
 POSE = 3
 
-# Places in ``Minds.counts``.
+# Places in ``Filter.counts``.
 LINES, CLONES, NEXT_CLONE, STEP, FRESH, WAITING, CLOSURES, NO_PLACE, REFUSED = 0, 1, 2, 3, 4, 7, 10, 11, 12
 # Places in ``Minds.way``.
 DRIVEN, TURNED, DRIVEN_AT, TURNED_AT, LAST_HIT = 0, 1, 2, 3, 4
-# Columns of ``Minds.waiting``, and of what is handed from kernel to kernel as ``readings``.
+# Columns of ``Minds.waiting``.
 CLONE, BEAM, RANGE, DRIVEN_THEN = 0, 1, 2, 3
-# Columns of ``Minds.walls``.
+# Columns of ``Spec.beams``.
+FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, ANGLE, FARTHEST, TOO_NEAR, TOO_FAR, PERIOD, SIDE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+# Columns of ``Walls.table``.
 LOW, LENGTH, GROUPS, READINGS = 0, 1, 2, 3
-# Rows of ``Minds.counted`` and of ``Minds.reached``.
+# Rows of ``Walls.counted`` and of ``Walls.reached``.
 HITS, MISSES = 0, 1
 LEAST, MOST = 0, 1
 
@@ -60,12 +62,11 @@ class Capacity:
                 raise ValueError(f"a capacity's {name} must be {least} or more, not {getattr(self, name)}")
 
 
-class Minds(NamedTuple):
-    """All that is known in the heads of n robots; of one robot, the same arrays without their first axis.
+class Filter(NamedTuple):
+    """The state of ``CloneEKF``, pose, lines and clones, for n robots; for one, the arrays without their first axis.
 
-    The state is that of ``CloneEKF``: pose, lines, clones. P is kept once, not twice: the pose's rows in ``top``, and
-    of the others the part up to the diagonal, one row after the other, in ``rest``. A prediction and a clone touch
-    the former, which is short, and add to the end of the latter.
+    P is kept once, not twice: the pose's rows in ``top``, and of the others the part up to the diagonal, one row after
+    the other, in ``rest``. A prediction and a clone touch the former, which is short, and add to the end of the latter.
 
     Attributes
     ----------
@@ -77,17 +78,6 @@ class Minds(NamedTuple):
         Numbers of the clones (n, clones), in order.
     counts
         (n, 13) how many there are of this and that.
-    way
-        (n, 7) how far the robot has come, when it last read, and when it last saw something on each side.
-    waiting
-        (n, 3, most, 4) readings that wait, by side: clone, beam, range (m), distance driven (m).
-    walls
-        (n, landmarks, 4) first bin, number of bins, groups of readings, readings.
-    counted, reached
-        (n, landmarks, 2, bins) beams that ended and passed; least and most place of a hit, m.
-    grid, window
-        (n, cells, cells) occupancy, cell (row, column) of the world at those modulo ``cells``; (n, 2) row and column
-        of the world's cells from which on the grid holds them.
     """
 
     x: FloatArray
@@ -96,11 +86,44 @@ class Minds(NamedTuple):
     anchors: FloatArray
     clones: IntArray
     counts: IntArray
-    way: FloatArray
-    waiting: FloatArray
-    walls: IntArray
+
+
+class Walls(NamedTuple):
+    """From where to where the landmarks go, as ``WallExtent`` counts it.
+
+    Attributes
+    ----------
+    table
+        (n, landmarks, 4) first bin, number of bins, groups of readings, readings.
+    counted, reached
+        (n, landmarks, 2, bins) beams that ended and passed; least and most place of a hit, m.
+    """
+
+    table: IntArray
     counted: NDArray[np.int32]
     reached: FloatArray
+
+
+class Minds(NamedTuple):
+    """All that is known in the heads of n robots; of one robot, the same arrays without their first axis.
+
+    Attributes
+    ----------
+    filter, walls
+        What is believed of poses and lines, and where the walls are on them.
+    way
+        (n, 7) how far the robot has come, when it last read, and when it last saw something on each side.
+    waiting
+        (n, 3, most, 4) readings that wait, by side: clone, beam, range (m), distance driven (m).
+    grid, window
+        (n, cells, cells) occupancy, cell (row, column) of the world at those modulo ``cells``; (n, 2) row and column
+        of the world's cells from which on the grid holds them.
+    """
+
+    filter: Filter
+    walls: Walls
+    way: FloatArray
+    waiting: FloatArray
     grid: NDArray[np.int16]
     window: IntArray
 
@@ -160,17 +183,19 @@ class Settings(NamedTuple):
     seen_through: int
     hit: int
     limit: int
-    origins: FloatArray
-    directions: FloatArray
-    angles: FloatArray
-    max_ranges: FloatArray
-    too_near: FloatArray
-    too_far: FloatArray
-    periods: IntArray
-    sides: IntArray
 
 
-def settings_of(robot: RobotSpec, config: AgentConfig) -> Settings:
+_KINDS = Settings.__annotations__
+
+
+class Spec(NamedTuple):
+    """What kernels are told: an array of one ``Settings``, and the beams (b, 10), whose columns are named above."""
+
+    settings: NDArray[np.void]
+    beams: FloatArray
+
+
+def spec_of(robot: RobotSpec, config: AgentConfig) -> Spec:
     """What kernels need of a robot and of its settings."""
     clones, hough, straight, std = config.clones, config.clones.hough, config.clones.straight, config.range_std
     sides = np.full(len(robot.beams), -1)
@@ -196,16 +221,24 @@ def settings_of(robot: RobotSpec, config: AgentConfig) -> Settings:
         "piece_gap": hough.max_gap,
         "piece_length": hough.min_length,
         "only_best": hough.only_best,
-        "origins": np.array(robot.beam_origins),
-        "directions": np.array(robot.beam_directions),
-        "angles": np.array(robot.beam_angles),
-        "max_ranges": np.array(robot.max_ranges),
-        "too_near": np.array(robot.too_near),
-        "too_far": np.array(robot.too_far),
-        "periods": np.array([beam.period for beam in robot.beams]),
-        "sides": sides,
     }
-    return Settings(**given)
+    kinds = {"float": np.float64, "int": np.int64, "bool": np.bool_}
+    # One record is one argument to a kernel; a tuple of sixty numbers would be sixty.
+    fields = [(name, kinds[kind if isinstance(kind, str) else kind.__name__]) for name, kind in _KINDS.items()]
+    settings = np.array([tuple(given[name] for name in _KINDS)], dtype=fields)
+    return Spec(settings, beams_of(robot, sides))
+
+
+def beams_of(robot: RobotSpec, sides: IntArray) -> FloatArray:
+    """The beams (b, 10) as kernels read them."""
+    return np.ascontiguousarray(
+        np.column_stack(
+            (
+                robot.beam_origins, robot.beam_directions, robot.beam_angles, robot.max_ranges, robot.too_near,
+                robot.too_far, [beam.period for beam in robot.beams], sides,
+            )
+        )
+    )  # fmt: skip
 
 
 def most_clones(robot: RobotSpec, config: AgentConfig) -> int:
@@ -224,18 +257,24 @@ def minds_for(robot: RobotSpec, config: AgentConfig, num_envs: int, capacity: Ca
     size = POSE + 2 * capacity.landmarks + POSE * clones
     widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.clones.beams)
     shape, bins = (num_envs, capacity.landmarks), capacity.bins
-    return Minds(
+    belief = Filter(
         x=np.zeros((num_envs, size)),
         top=np.zeros((num_envs, POSE, size)),
         rest=np.zeros((num_envs, size * (size + 1) // 2)),
         anchors=np.zeros((*shape, 2)),
         clones=np.zeros((num_envs, clones), dtype=np.int64),
         counts=np.zeros((num_envs, 13), dtype=np.int64),
-        way=np.zeros((num_envs, 7)),
-        waiting=np.zeros((num_envs, len(SIDES), clones * widest, 4)),
-        walls=np.zeros((*shape, 4), dtype=np.int64),
+    )
+    walls = Walls(
+        table=np.zeros((*shape, 4), dtype=np.int64),
         counted=np.zeros((*shape, 2, bins), dtype=np.int32),
         reached=np.zeros((*shape, 2, bins)),
+    )
+    return Minds(
+        filter=belief,
+        walls=walls,
+        way=np.zeros((num_envs, 7)),
+        waiting=np.zeros((num_envs, len(SIDES), clones * widest, 4)),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),
     )

@@ -7,8 +7,8 @@ import numpy as np
 from limslam_agent.batch_algebra import dot, factorise, leave_beside, orthonormalise, quantile, whiten
 from limslam_agent.batch_compile import algebra
 from limslam_agent.batch_filter import clones_from
-from limslam_agent.batch_state import POSE, Minds, Settings
-from limslam_agent.batch_update import GRAZING, block_of, columns_of, covariance_of, ends_at, expect
+from limslam_agent.batch_state import Filter, Settings
+from limslam_agent.batch_update import GRAZING, block_of, columns_of, covariance_of, end_points, expect
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FEWEST = 6
@@ -50,20 +50,8 @@ def anchor_of(points: FloatArray, members: IntArray, r: float, theta: float) -> 
 
 
 @algebra
-def expect_from(
-    mind: Minds, places: IntArray, reads: FloatArray, members: IntArray, line: FloatArray, anchor: FloatArray
-) -> FloatArray:
-    """What beams should measure of a line that is not in the filter (n, 7)."""
-    start, H = clones_from(mind), np.empty((len(members), 7))
-    for i in range(len(members)):
-        at = start + POSE * places[members[i]]
-        expect(mind.x[at : at + POSE], reads[members[i]], line, anchor, H[i])
-    return H
-
-
-@algebra
 def fit_straight(
-    mind: Minds, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    mind: Filter, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
     settings: Settings, piece: FloatArray, along: FloatArray, loose: BoolArray,
 ) -> bool:  # fmt: skip
     """The line through readings in generalised least squares, and whether they are straight; whether there is one.
@@ -72,7 +60,8 @@ def fit_straight(
     """
     number, start = len(members), clones_from(mind)
     anchor, state, step = anchor_of(points, members, line[0], line[1]), np.array([0.0, line[1]]), np.empty(2)
-    expected = expect_from(mind, places, reads, members, state, anchor)
+    foot, expected = (anchor[0], anchor[1]), np.empty((number, 7))
+    expect(mind.x, start, places, reads, members, (0.0, line[1]), foot, expected)
     clear, count = np.empty(number, dtype=np.int64), 0
     for i in range(number):
         if abs(expected[i, 6]) > GRAZING:
@@ -82,12 +71,12 @@ def fit_straight(
         return False
     clear = clear[:count]
     columns, begins = columns_of(mind, places, members[clear], -1)
-    factor = covariance_of(block_of(mind, columns), begins, expected[clear], settings.std**2)
+    factor = covariance_of(block_of(mind.top, mind.rest, columns), begins, expected[clear], settings.std**2)
     factorise(factor, count)
     values = np.empty((count, 3))
     for iteration in range(2):
         if iteration:
-            expected = expect_from(mind, places, reads, members, state, anchor)
+            expect(mind.x, start, places, reads, members, (state[0], state[1]), foot, expected)
         for i in range(count):
             seen = expected[clear[i]]
             values[i, 0] = reads[members[clear[i]], 3] - seen[0]
@@ -98,12 +87,12 @@ def fit_straight(
     basis = values[:, 1:3].copy()
     leave_beside(values, 0, 1, basis, count)
     cos, sin = math.cos(state[1]), math.sin(state[1])
-    is_clear = np.zeros(number, dtype=np.bool_)
-    is_clear[clear] = True
+    own_reads = reads[members]
+    met = own_reads[:, 3].copy()
+    met[clear] = expected[clear, 0]
+    where = end_points(mind.x, start, places[members], own_reads, met)
     for i in range(number):
-        at, read = start + POSE * places[members[i]], reads[members[i]]
-        x, y = ends_at(mind.x[at : at + POSE], read, expected[i, 0] if is_clear[i] else read[3])
-        along[i] = (x - anchor[0]) * -sin + (y - anchor[1]) * cos
+        along[i] = (where[i, 0] - anchor[0]) * -sin + (where[i, 1] - anchor[1]) * cos
     own, cosines, left = along[clear], expected[clear, 6], values[:, 0].copy()
     spread = own - own.mean()
     ordered = np.sort(along[:number])
@@ -139,16 +128,7 @@ def bend(
             shapes[i, kinks + k] = scaled ** (2 + k) / cosines[i]
     whiten(factor, shapes, count, kinks + 3)
     leave_beside(shapes, 0, kinks + 3, basis, count)
-    most, best, angle = -1.0, 0, 0.0
-    for k in range(kinks):
-        square, product = 0.0, 0.0
-        for i in range(count):
-            square += shapes[i, k] * shapes[i, k]
-            product += left[i] * shapes[i, k]
-        square = max(square, 1e-9)
-        gain = (product / square) ** 2 * square
-        if gain > most:
-            most, best, angle = gain, k, product / square
+    most, best, angle = strongest_kink(shapes, left, kinks)
     orthonormalise(shapes, kinks, kinks + 3, count)
     curved = 0.0
     for k in range(3):
@@ -159,6 +139,22 @@ def bend(
     piece[_BEND_AT] = places[best]
     is_kinked = most > settings.kink_gate and abs(angle) > settings.min_kink
     return 1.0 if is_kinked or curved > settings.curve_gate else 0.0
+
+
+@algebra
+def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
+    """The most that a kink gains (chi-square), which one, and its angle, rad."""
+    most, best, angle = -1.0, 0, 0.0
+    for k in range(kinks):
+        square, product = 0.0, 0.0
+        for i in range(len(left)):
+            square += shapes[i, k] * shapes[i, k]
+            product += left[i] * shapes[i, k]
+        square = max(square, 1e-9)
+        gain = (product / square) ** 2 * square
+        if gain > most:
+            most, best, angle = gain, k, product / square
+    return most, best, angle
 
 
 @algebra
@@ -196,7 +192,7 @@ def principal_line(points: FloatArray, members: IntArray) -> FloatArray:
 
 @algebra
 def straight_pieces(
-    mind: Minds, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    mind: Filter, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
     settings: Settings,
 ) -> tuple[FloatArray, list[IntArray]]:  # fmt: skip
     """Cut readings about one line where they bend, and cut off ends that bend away: the pieces, and their readings."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from limslam_agent.batch_algebra import dot, factorise, solve_factored, whiten
 from limslam_agent.batch_compile import algebra
-from limslam_agent.batch_filter import carried, carry_top, clones_from, correct, cov, gather_row, size_of
-from limslam_agent.batch_state import POSE, Minds
+from limslam_agent.batch_filter import carried, carry_top, clones_from, correct, cov, gather_rows, size_of
+from limslam_agent.batch_state import POSE, Filter
 from limslam_env.geometry import FloatArray, IntArray
 
 GRAZING = 0.2
@@ -20,59 +20,72 @@ _FEWEST = 4
 
 
 @algebra
-def expect(pose: FloatArray, read: FloatArray, line: FloatArray, anchor: FloatArray, out: FloatArray) -> None:
-    """What `beam_model.expected_ranges` says of one beam, (7,): range, by pose (3), by line (2), cosine."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    offset_x, offset_y = cos * read[0] - sin * read[1], sin * read[0] + cos * read[1]
-    ux, uy = math.cos(pose[2] + read[2]), math.sin(pose[2] + read[2])
-    from_x, from_y = pose[0] + offset_x - anchor[0], pose[1] + offset_y - anchor[1]
+def expect(
+    x: FloatArray, start: int, places: IntArray, reads: FloatArray, chosen: IntArray, line: tuple[float, float],
+    anchor: tuple[float, float], out: FloatArray,
+) -> None:  # fmt: skip
+    """What `beam_model.expected_ranges` says of some beams (n, 7): range, by pose (3), by line (2), cosine.
+
+    Clones begin at ``start`` in the state ``x``. What is called in the inner loops takes arrays, not the filter:
+    each array that is handed on costs as much as a beam.
+    """
     nx, ny = math.cos(line[1]), math.sin(line[1])
-    cosine = nx * ux + ny * uy
-    divisor = math.copysign(max(abs(cosine), _ALONG), cosine)
-    reach = (line[0] - nx * from_x - ny * from_y) / divisor
-    hit_x, hit_y = from_x + reach * ux, from_y + reach * uy
-    turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)
-    out[0] = reach
-    out[1], out[2], out[3] = -nx / divisor, -ny / divisor, -turning / divisor
-    out[4], out[5], out[6] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor, cosine
+    for i in range(len(chosen)):
+        read = chosen[i]
+        at = start + POSE * places[read]
+        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+        offset_x, offset_y = cos * reads[read, 0] - sin * reads[read, 1], sin * reads[read, 0] + cos * reads[read, 1]
+        ux, uy = math.cos(x[at + 2] + reads[read, 2]), math.sin(x[at + 2] + reads[read, 2])
+        from_x, from_y = x[at] + offset_x - anchor[0], x[at + 1] + offset_y - anchor[1]
+        cosine = nx * ux + ny * uy
+        divisor = math.copysign(max(abs(cosine), _ALONG), cosine)
+        reach = (line[0] - nx * from_x - ny * from_y) / divisor
+        hit_x, hit_y = from_x + reach * ux, from_y + reach * uy
+        turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)
+        out[i, 0] = reach
+        out[i, 1], out[i, 2], out[i, 3] = -nx / divisor, -ny / divisor, -turning / divisor
+        out[i, 4], out[i, 5], out[i, 6] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor, cosine
 
 
 @algebra
-def ends_at(pose: FloatArray, read: FloatArray, reach: float) -> tuple[float, float]:
-    """Where a beam of that length ends in the world, m."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x = pose[0] + (cos * read[0] - sin * read[1]) + reach * math.cos(pose[2] + read[2])
-    y = pose[1] + (sin * read[0] + cos * read[1]) + reach * math.sin(pose[2] + read[2])
-    return x, y
-
-
-@algebra
-def clear_of(mind: Minds, places: IntArray, reads: FloatArray, index: int) -> IntArray:
-    """Which readings do not graze a line."""
-    start, row, size = clones_from(mind), POSE + 2 * index, 0
-    chosen, out = np.empty(len(places), dtype=np.int64), np.empty(7)
+def end_points(x: FloatArray, start: int, places: IntArray, reads: FloatArray, ranges: FloatArray) -> FloatArray:
+    """Where beams of those ranges (n,) end in the world (n, 2), m."""
+    points = np.empty((len(places), 2))
     for i in range(len(places)):
         at = start + POSE * places[i]
-        expect(mind.x[at : at + POSE], reads[i], mind.x[row : row + 2], mind.anchors[index], out)
-        if abs(out[6]) > GRAZING and out[0] > 0.0:
+        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+        ux, uy = math.cos(x[at + 2] + reads[i, 2]), math.sin(x[at + 2] + reads[i, 2])
+        points[i, 0] = x[at] + (cos * reads[i, 0] - sin * reads[i, 1]) + ranges[i] * ux
+        points[i, 1] = x[at + 1] + (sin * reads[i, 0] + cos * reads[i, 1]) + ranges[i] * uy
+    return points
+
+
+@algebra
+def expect_line(
+    mind: Filter, places: IntArray, reads: FloatArray, chosen: IntArray, index: int, out: FloatArray
+) -> None:
+    """What some beams should measure of a line of the filter, a row of ``expect`` each."""
+    row, anchors = POSE + 2 * index, mind.anchors
+    expect(
+        mind.x, clones_from(mind), places, reads, chosen, (mind.x[row], mind.x[row + 1]),
+        (anchors[index, 0], anchors[index, 1]), out,
+    )  # fmt: skip
+
+
+@algebra
+def clear_of(mind: Filter, places: IntArray, reads: FloatArray, index: int) -> IntArray:
+    """Which readings do not graze a line."""
+    chosen, size, out = np.arange(len(places)), 0, np.empty((len(places), 7))
+    expect_line(mind, places, reads, chosen, index, out)
+    for i in range(len(places)):
+        if abs(out[i, 6]) > GRAZING and out[i, 0] > 0.0:
             chosen[size] = i
             size += 1
     return chosen[:size]
 
 
 @algebra
-def expect_all(
-    mind: Minds, places: IntArray, reads: FloatArray, chosen: IntArray, index: int, out: FloatArray
-) -> None:
-    """What some beams should measure, a row of ``expect`` each."""
-    start, row = clones_from(mind), POSE + 2 * index
-    for i in range(len(chosen)):
-        at = start + POSE * places[chosen[i]]
-        expect(mind.x[at : at + POSE], reads[chosen[i]], mind.x[row : row + 2], mind.anchors[index], out[i])
-
-
-@algebra
-def columns_of(mind: Minds, places: IntArray, chosen: IntArray, index: int) -> tuple[IntArray, IntArray]:
+def columns_of(mind: Filter, places: IntArray, chosen: IntArray, index: int) -> tuple[IntArray, IntArray]:
     """The numbers of the state that readings depend on: clones, then the line; and where each one's clone begins."""
     start, size = clones_from(mind), 0
     columns = np.empty(POSE * len(chosen) + 2, dtype=np.int64)
@@ -92,13 +105,13 @@ def columns_of(mind: Minds, places: IntArray, chosen: IntArray, index: int) -> t
 
 
 @algebra
-def block_of(mind: Minds, columns: IntArray) -> FloatArray:
+def block_of(top: FloatArray, rest: FloatArray, columns: IntArray) -> FloatArray:
     """The part of P of some numbers of the state, in full."""
     size = len(columns)
     block = np.empty((size, size))
     for i in range(size):
         for j in range(i + 1):
-            block[i, j] = block[j, i] = cov(mind, columns[i], columns[j])
+            block[i, j] = block[j, i] = cov(top, rest, columns[i], columns[j])
     return block
 
 
@@ -126,9 +139,7 @@ def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variance: 
 
 
 @algebra
-def disagreement(
-    mind: Minds, places: IntArray, reads: FloatArray, index: int, std: float
-) -> tuple[float, float, int]:
+def disagreement(mind: Filter, places: IntArray, reads: FloatArray, index: int, std: float) -> tuple[float, float, int]:
     """How badly readings fit a line: by where it lies, beside that, and how many were used; 0 are too few to say."""
     chosen = clear_of(mind, places, reads, index)
     count = len(chosen)
@@ -136,8 +147,8 @@ def disagreement(
         return 0.0, 0.0, 0
     columns, begins = columns_of(mind, places, chosen, index)
     H, values = np.empty((count, 7)), np.empty((count, 3))
-    expect_all(mind, places, reads, chosen, index, H)
-    S = covariance_of(block_of(mind, columns), begins, H, std**2)
+    expect_line(mind, places, reads, chosen, index, H)
+    S = covariance_of(block_of(mind.top, mind.rest, columns), begins, H, std**2)
     for i in range(count):
         values[i, 0] = reads[chosen[i], 3] - H[i, 0]
         values[i, 1], values[i, 2] = H[i, 4], H[i, 5]
@@ -151,9 +162,9 @@ def disagreement(
 
 @algebra
 def carry_rows(
-    mind: Minds, rows: FloatArray, columns: IntArray, moved: FloatArray, top: FloatArray, out: FloatArray
+    before: FloatArray, rows: FloatArray, columns: IntArray, moved: FloatArray, top: FloatArray, out: FloatArray
 ) -> None:
-    """Some rows of P when all has moved (size, 3) with the robot's error; ``top`` are the pose's rows then."""
+    """Some rows of P when all has moved (size, 3) with the robot's error; ``before`` and ``top`` are the pose's."""
     size = len(moved)
     across = np.empty((POSE, size))
     for k in range(POSE):
@@ -162,7 +173,7 @@ def carry_rows(
     for i in range(len(columns)):
         column = columns[i]
         a, b, c = moved[column, 0], moved[column, 1], moved[column, 2]
-        d, e, f = mind.top[0, column], mind.top[1, column], mind.top[2, column]
+        d, e, f = before[0, column], before[1, column], before[2, column]
         for j in range(size):
             out[i, j] = rows[i, j] + (
                 a * top[0, j] + b * top[1, j] + c * top[2, j] + d * across[0, j] + e * across[1, j] + f * across[2, j]
@@ -200,7 +211,7 @@ def innovation(
 
 @algebra
 def off_from(
-    mind: Minds, start: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, measured: FloatArray,
+    x: FloatArray, start: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, measured: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
     """How far readings are off, as seen from where the update started."""
@@ -209,14 +220,14 @@ def off_from(
         at = columns[begins[i]]
         out[i] = measured[i] - H[i, 0]
         for k in range(POSE):
-            out[i] += H[i, 1 + k] * (mind.x[at + k] - start[at + k])
+            out[i] += H[i, 1 + k] * (x[at + k] - start[at + k])
         for k in range(2):
-            out[i] += H[i, 4 + k] * (mind.x[line + k] - start[line + k])
+            out[i] += H[i, 4 + k] * (x[line + k] - start[line + k])
 
 
 @algebra
 def observe(
-    mind: Minds, places: IntArray, reads: FloatArray, index: int, std: float, iterations: int, huber: float
+    mind: Filter, places: IntArray, reads: FloatArray, index: int, std: float, iterations: int, huber: float
 ) -> None:
     """Update by readings of one line, linearised anew at each iteration, as `clone_ekf.observe` does."""
     chosen, size = clear_of(mind, places, reads, index), size_of(mind)
@@ -224,9 +235,7 @@ def observe(
     if not count:
         return
     columns, begins = columns_of(mind, places, chosen, index)
-    rows, measured = np.empty((len(columns), size)), reads[chosen, 3]
-    for i in range(len(columns)):
-        gather_row(mind, columns[i], size, rows[i])
+    rows, measured = gather_rows(mind.top, mind.rest, columns, size), reads[chosen, 3]
     start, moved, at_first = mind.x[:size].copy(), np.zeros((size, POSE)), np.empty((size, POSE))
     carried(mind, size, at_first)
     H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows.copy()
@@ -238,11 +247,11 @@ def observe(
             carried(mind, size, moved)
             moved -= at_first
             carry_top(mind, moved, size, top)
-            carry_rows(mind, rows, columns, moved, top, shifted)
-        expect_all(mind, places, reads, chosen, index, H)
+            carry_rows(mind.top, rows, columns, moved, top, shifted)
+        expect_line(mind, places, reads, chosen, index, H)
         gained(shifted, begins, H, HP)
         innovation(HP, columns, begins, H, std**2 / weights, S)
-        off_from(mind, start, columns, begins, H, measured, solution)
+        off_from(mind.x, start, columns, begins, H, measured, solution)
         for i in range(count):
             if huber > 0.0:
                 weights[i] = min(1.0, huber * std / max(abs(measured[i] - H[i, 0]), 1e-9))

@@ -25,6 +25,15 @@ class WallExtent:
         self._least = np.zeros(0)
         self._most = np.zeros(0)
 
+    @classmethod
+    def counted(cls, low: int, counts: IntArray, reached: FloatArray) -> Self:
+        """What was counted elsewhere: hits and misses (2, n) from bin ``low`` on, least and most places (2, n), m."""
+        extent = cls()
+        extent._low = low
+        extent._hits, extent._misses = np.array(counts, dtype=np.int64)
+        extent._least, extent._most = np.array(reached)
+        return extent
+
     @property
     def ends(self) -> tuple[float, float]:
         """The outermost hits, m along the line."""

@@ -27,6 +27,7 @@ LARGEST_COVARIANCE = 1e6
 """Bound of the covariance's numbers, m^2, m rad, rad^2."""
 
 _UPPER = np.triu_indices(3)
+_FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
 
 
 class _Listener:
@@ -62,7 +63,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
     env
         A LimSlam environment for one robot whose observation holds `ranges` and `wheels` as they are, not scaled.
     agent_config
-        Settings of the SLAM and what it is told of the noise; those of the preset `paper` if left out.
+        Settings of the SLAM and what it is told of the noise; those of the preset `consistent` if left out.
     size
         Side of the grid in cells.
 
@@ -79,19 +80,11 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         robot = getattr(env.unwrapped, "robot", None)
         if not isinstance(robot, RobotSpec):
             raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
-        ranges = _ranges_space(env, robot)
+        ranges = ranges_space(env.observation_space, robot)
         self._listener = _Listener()
         self._agent = LimSlamAgent(robot, agent_config, self._listener)
         self._start = np.zeros(3)
-        farthest = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
-        self.observation_space = spaces.Dict(
-            {
-                "pose": spaces.Box(-farthest, farthest),
-                "covariance": spaces.Box(-LARGEST_COVARIANCE, LARGEST_COVARIANCE, (6,), np.float32),
-                "grid": spaces.Box(0, 255, (1, size, size), np.uint8),
-                "ranges": ranges,
-            }
-        )
+        self.observation_space = belief_space(ranges, size)
         self._places, self._size = places_around(size, self._agent.config.grid.cell), size
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
@@ -111,12 +104,9 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         belief = self._listener.belief
         if belief is None:
             raise RuntimeError("the agent did not ask its policy")
-        limit = self.observation_space["pose"].high  # type: ignore[index]
-        pose = np.clip(between(self._start, belief.pose).astype(np.float32), -limit, limit)
-        covariance = np.clip(belief.covariance[_UPPER], -LARGEST_COVARIANCE, LARGEST_COVARIANCE)
         return {
-            "pose": pose,
-            "covariance": covariance.astype(np.float32),
+            "pose": told_pose(self._start, belief.pose),
+            "covariance": told_covariance(belief.covariance),
             "grid": self._crop(belief),
             "ranges": np.array(observation["ranges"]),
         }
@@ -131,8 +121,37 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         return crop.reshape(1, self._size, self._size)
 
 
-def _ranges_space(env: gym.Env[Observation, Any], robot: RobotSpec) -> spaces.Box:
-    space = env.observation_space
+def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
+    """The space of what a robot with such readings believes, with a grid of ``size`` cells a side."""
+    return spaces.Dict(
+        {
+            "pose": spaces.Box(-_FARTHEST, _FARTHEST),
+            "covariance": spaces.Box(-LARGEST_COVARIANCE, LARGEST_COVARIANCE, (6,), np.float32),
+            "grid": spaces.Box(0, 255, (1, size, size), np.uint8),
+            "ranges": ranges,
+        }
+    )
+
+
+def told_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:
+    """A pose (..., 3) as seen from the start (..., 3), within the bounds of the space."""
+    return np.clip(between(start, pose).astype(np.float32), -_FARTHEST, _FARTHEST)
+
+
+def told_covariance(covariance: FloatArray) -> NDArray[np.float32]:
+    """The six numbers (..., 6) of a covariance (..., 3, 3), within the bounds of the space."""
+    upper = covariance[..., *_UPPER]
+    return np.clip(upper, -LARGEST_COVARIANCE, LARGEST_COVARIANCE).astype(np.float32)
+
+
+def ranges_space(space: gym.Space[Any], robot: RobotSpec) -> spaces.Box:
+    """The readings' part of an observation of a robot.
+
+    Raises
+    ------
+    ValueError
+        If the observation does not hold ranges and wheels as they are.
+    """
     if not isinstance(space, spaces.Dict) or not {"ranges", "wheels"} <= set(space.spaces):
         raise ValueError(f"the observation must hold ranges and wheels, not {space}")
     ranges = space["ranges"]

@@ -143,10 +143,26 @@ def test_an_agent_cannot_read_the_truth(name):
     assert not rooms(AGENT[name], "limslam_agent") & COMPOSITION_ROOT, "it would get at the env through them"
 
 
-@pytest.mark.parametrize(("library", "owner"), [("pymunk", "limslam_env.physics"), ("numba", "limslam_env.kernels")])
-def test_one_module_alone_imports_it(library, owner):
+@pytest.mark.parametrize(
+    ("library", "owners"),
+    [
+        ("pymunk", {"limslam_env.physics"}),
+        ("numba", {"limslam_env.kernels", "limslam_agent.batch_compile"}),
+    ],
+)
+def test_these_modules_alone_import_it(library, owners):
     importers = {name for name, path in ALL.items() if any(full.split(".")[0] == library for full in imports(path))}
-    assert importers == {owner}
+    assert importers == owners
+
+
+def test_only_the_batch_knows_its_kernels():
+    users = {name for name in AGENT if any(room.startswith("batch_") for room in rooms(AGENT[name], "limslam_agent"))}
+    assert users == {name for name in AGENT if is_of_batch(name)} - {"batch_compile", "batch_state"}
+
+
+def is_of_batch(name: str) -> bool:
+    """Whether a module is compiled, for many robots at once, or uses what is; who has one robot never loads it."""
+    return name.startswith("batch_") or name == "vector_wrappers"
 
 
 def dotted(node: ast.expr) -> str:
@@ -190,7 +206,9 @@ def test_importing_the_env_loads_no_heavy_library():
 
 
 def test_importing_the_agent_loads_no_simulator():
-    parts = [f"limslam_agent.{name}".rstrip(".") for name in AGENT if name not in COMPOSITION_ROOT]
+    parts = [
+        f"limslam_agent.{name}".rstrip(".") for name in AGENT if name not in COMPOSITION_ROOT and not is_of_batch(name)
+    ]
     assert len(parts) > 10
     unwanted = {"pymunk", "numba", "pygame", "limslam_env.world", "limslam_env.simulation", "limslam_env.env"}
     assert loaded_by(parts, unwanted) == set()
