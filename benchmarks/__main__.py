@@ -1,4 +1,4 @@
-"""``python -m benchmarks run``, and ``table``, ``plot`` and ``report`` of what it has left.
+"""``python -m benchmarks run`` and ``train``, and ``table``, ``plot`` and ``report`` of what it has left.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -79,6 +79,25 @@ def _engine(name: EngineName, workers: int | None, timeout: float, address: str 
 
 
 @app.command()
+def train(
+    suite: Annotated[str, typer.Option(help="Name of a suite with a [train] table, or a FILE.toml.")] = "explore",
+    out: Annotated[Path | None, typer.Option(help="Folder of the training.", show_default="runs/train-NAME")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+) -> None:
+    """Train an explorer by PPO, for the suite's budget (extra rl)."""
+    from benchmarks.suite import load_suite
+
+    chosen = load_suite(suite)
+    if chosen.train is None:
+        raise ValueError(f"the suite {chosen.name!r} has no [train] table")
+    try:
+        from benchmarks.train import train as learn
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
+    typer.echo(f"weights     {learn(chosen.train, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
+
+
+@app.command()
 def table(
     folders: Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")],
     latex: Annotated[bool, typer.Option("--latex", help="LaTeX instead of Markdown.")] = False,
@@ -98,6 +117,21 @@ def table(
     with whole_file(out) as beside:
         beside.write_text(text, encoding="utf-8")
     typer.echo(f"table       {out}")
+
+
+@app.command()
+def curves(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")],
+    out: Annotated[Path | None, typer.Option(help="PNG of coverage over time.", show_default="none")] = None,
+) -> None:
+    """Print how soon explorers see the same floor plans, and draw it."""
+    from benchmarks.explore_table import curve_table, draw_curves, read_curves
+
+    found = read_curves(folders)
+    typer.echo(curve_table(found).rstrip("\n"))
+    if out is not None:
+        draw_curves(found, out)
+        typer.echo(f"plot        {out}")
 
 
 @app.command()

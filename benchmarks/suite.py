@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.jobs import LOG, LOG_POLICY, RANDOM, Job, LogSource, digest
+from benchmarks.train_config import TrainConfig, train_config
 from benchmarks.work import check_log, contents, run_config
 
 FOLDER = Path(__file__).parent / "suites"
@@ -30,12 +31,15 @@ class Suite:
         All of them, no two alike.
     digest
         A name for the jobs, and for what the worlds and logs hold that they stand on.
+    train
+        What `python -m benchmarks train` learns; None if nothing.
     """
 
     name: str
     description: str
     jobs: tuple[Job, ...]
     digest: str
+    train: TrainConfig | None = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,7 @@ def parse_suite(text: str, label: str) -> Suite:
             table = tomllib.loads(text)
         except (ValueError, RecursionError) as error:
             raise ValueError(f"not TOML: {error}") from error
-        _check_keys(table, "a suite", {"name", "description"}, {"grid", "log"})
+        _check_keys(table, "a suite", {"name", "description"}, {"grid", "log", "train"})
         name, description = (_one(table, key, _TEXT) for key in ("name", "description"))
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
             raise ValueError(f"name: {name!r} must be made of letters, digits, - and _")
@@ -112,7 +116,8 @@ def parse_suite(text: str, label: str) -> Suite:
         for title, count in Counter(job.title for job in jobs).items():
             if count > 1:
                 raise ValueError(f"{count} jobs are the same to the tables: {title}")
-        return Suite(name, description, tuple(jobs), digest([sorted(job.key for job in jobs), contents(jobs)]))
+        known = digest([sorted(job.key for job in jobs), contents(jobs)])
+        return Suite(name, description, tuple(jobs), known, _train(table, jobs))
 
 
 def _jobs(table: dict[str, Any], key: str, make: Callable[[dict[str, Any]], list[Job]]) -> Iterator[Job]:
@@ -122,6 +127,15 @@ def _jobs(table: dict[str, Any], key: str, make: Callable[[dict[str, Any]], list
     for number, part in enumerate(parts, 1):
         with _named(f"[[{key}]] {number}"):
             yield from make(part)
+
+
+def _train(table: dict[str, Any], jobs: list[Job]) -> TrainConfig | None:
+    if "train" not in table:
+        return None
+    with _named("[train]"):
+        config = train_config(table["train"])
+        config.check_apart(jobs)
+        return config
 
 
 def _grid(table: dict[str, Any]) -> list[Job]:

@@ -57,7 +57,11 @@ def run(
     seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
     max_time: Annotated[float, typer.Option(help="Longest simulated time, s.")] = 1800.0,
     policy: Annotated[
-        str, typer.Option(help="Who drives: frontier, wall_follower, random; or by the truth: tour, oracle.")
+        str,
+        typer.Option(
+            help="Who drives: frontier, frontier_fast, learned, wall_follower, random; "
+            "or by the truth: learned_true_pose, tour, oracle."
+        ),
     ] = "frontier",
     laps: Annotated[int, typer.Option(help="Drive round the world's loop this often instead of exploring.")] = 0,
     robots: Annotated[int, typer.Option(help="How many explore together, 1 to 8.")] = 1,

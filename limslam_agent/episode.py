@@ -15,7 +15,7 @@ from limslam_agent.ablations import ablated
 from limslam_agent.config import AgentConfig, preset
 from limslam_agent.loop_closing import Closure
 from limslam_agent.motion import motion_of
-from limslam_agent.pilot import Pilot, check_policy, needs_loop, policies_for
+from limslam_agent.pilot import Pilot, TruePose, check_policy, needs_loop, policies_for
 from limslam_agent.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.adapter import MAX_ROBOTS
@@ -58,7 +58,9 @@ class RunConfig:
     ablation
         A part of the method that is left out; None leaves out nothing.
     policy
-        Who drives: ``frontier`` explores, ``wall_follower`` and ``random`` are there to compare with. A pilot that
+        Who drives: ``frontier`` explores, ``frontier_fast`` does so at top speed, ``learned`` is a trained network,
+        ``wall_follower`` and ``random`` are there to compare with. ``learned_true_pose`` has its map drawn by the true
+        pose. A pilot that
         knows the true map and pose, to which the estimators listen, drives ``tour``, round the world's loop or where
         it has none past all that can be seen and back, and ``oracle``, past everything as soon as possible.
     limit
@@ -268,7 +270,7 @@ def _drive(
         observations = [told[name] for name in team.names]
         truth = infos[team.names[0]]
         for policy in team.policies:
-            if isinstance(policy, Pilot):
+            if isinstance(policy, Pilot | TruePose):
                 policy.look(env, truth["pose"], truth["coverage"])
         begin = time.perf_counter()
         team.observe(observations)

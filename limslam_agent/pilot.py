@@ -6,22 +6,26 @@ and so that explorers can be measured by one that has nothing to find out.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from limslam_agent.belief import NO_PLAN, Belief
 from limslam_agent.config import AgentConfig, PolicyConfig
 from limslam_agent.controller import bearing_of, wheel_speeds
-from limslam_agent.policies import Laps, Policy, RandomPolicy, WallFollower
+from limslam_agent.learned import WEIGHTS, LearnedPolicy
+from limslam_agent.network import load_network
+from limslam_agent.occupancy import OccupancyGrid
+from limslam_agent.policies import FrontierPolicy, Laps, Policy, RandomPolicy, WallFollower
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.parallel import LimSlamParallelEnv
 from limslam_env.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
 from limslam_env.world import World
 
-POLICIES = ("frontier", "wall_follower", "random", "tour", "oracle")
+POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "learned", "learned_true_pose", "tour", "oracle")
 
-_PILOTED = ("tour", "oracle")
+_PILOTED = ("tour", "oracle", "learned_true_pose")
 _ARRIVED = 0.003  # m: less than a way's distance from the walls
 _MOST_TOURS = 4  # that the oracle plans, should a drive not show what the plan had promised
 
@@ -87,6 +91,38 @@ class Pilot:
             self.plan = self.plan[1:]
 
 
+class TruePose:
+    """The learned explorer on a map that is drawn by the true pose: what better estimating could give it at most.
+
+    The readings have their noise. Weights are those that were learned on the true pose.
+
+    Parameters
+    ----------
+    robot, config
+        Body, and the settings of grid and policy.
+    seed
+        Of the numbers drawn.
+    """
+
+    def __init__(self, robot: RobotSpec, config: AgentConfig, seed: int = 0) -> None:
+        self._robot, self._grid, self._pose = robot, OccupancyGrid(config.grid), np.zeros(3)
+        self._explorer = LearnedPolicy(robot, config.policy, load_network(WEIGHTS / "true_pose.npz"), seed=seed)
+        self.plan: FloatArray = NO_PLAN
+        self.stop_reason: str | None = None
+
+    def look(self, env: LimSlamParallelEnv, pose: FloatArray, coverage: float) -> None:
+        """Take in the true pose (3,), m and rad."""
+        del env, coverage
+        self._pose = np.array(pose)
+
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,); of what is believed, only the readings are asked."""
+        self._grid.update(self._pose, self._robot, belief.ranges, np.ones(len(belief.ranges), dtype=bool))
+        wheels = self._explorer.act(replace(belief, pose=self._pose, grid=self._grid.view))
+        self.stop_reason = self._explorer.stop_reason
+        return wheels
+
+
 def check_policy(policy: str, laps: int, robots: int) -> None:
     """Make sure that there is such a policy, and that it can do what is asked.
 
@@ -118,17 +154,32 @@ def policies_for(
     policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, robots: int, laps: int, seed: int
 ) -> list[Policy] | None:
     """A policy for each robot; None for the frontier explorers that a team makes itself."""
+    if policy == "frontier":
+        return [Laps(robot, config.policy, world.loop, laps)] if laps else None
+    if policy in _PILOTED:
+        return [_pilot_for(policy, robot, config, world, laps=laps, seed=seed)]
+    return [_policy_for(policy, robot, config.policy, number, seed) for number in range(robots)]
+
+
+def _policy_for(policy: str, robot: RobotSpec, config: PolicyConfig, number: int, seed: int) -> Policy:
+    """A policy that acts on what is believed."""
+    if policy == "frontier_fast":
+        return FrontierPolicy(robot, replace(config, speed=robot.max_wheel_speed), number)
     if policy == "wall_follower":
-        return [WallFollower(robot, config.policy) for _ in range(robots)]
-    if policy == "random":
-        return [RandomPolicy(robot, config.policy, np.random.default_rng([seed, number])) for number in range(robots)]
+        return WallFollower(robot, config)
+    kind = LearnedPolicy if policy == "learned" else RandomPolicy
+    return kind(robot, config, seed=np.random.default_rng([seed, number]))
+
+
+def _pilot_for(policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, laps: int, seed: int) -> Policy:
+    """Whoever knows the truth."""
+    if policy == "learned_true_pose":
+        return TruePose(robot, config, seed)
     if policy == "oracle":
-        return [Pilot(robot, top_speeds(robot), _oracle(world, robot), _MOST_TOURS, GOAL)]
-    if policy == "tour":
-        # The speeds of laps, and never those of a preset: all estimators are to listen to the same drive.
-        speeds = Speeds(PolicyConfig().lap_speed, PolicyConfig().turn_rate)
-        return [Pilot(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))]
-    return [Laps(robot, config.policy, world.loop, laps)] if laps else None
+        return Pilot(robot, top_speeds(robot), _oracle(world, robot), _MOST_TOURS, GOAL)
+    # The speeds of laps, and never those of a preset: all estimators are to listen to the same drive.
+    speeds = Speeds(PolicyConfig().lap_speed, PolicyConfig().turn_rate)
+    return Pilot(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
 
 
 def _oracle(world: World, robot: RobotSpec) -> Planner:

@@ -74,7 +74,7 @@ class Laps:
         return action
 
 
-class _Wanderer:
+class Wanderer:
     """Drives by what the beams show, until the map has not grown by anything worth mentioning for a while.
 
     Parameters
@@ -115,7 +115,7 @@ class _Wanderer:
         return self._since > math.ceil(self._patience / self._robot.control_period)
 
 
-class WallFollower(_Wanderer):
+class WallFollower(Wanderer):
     """Keep a wall on one side, as far as these beams allow, until there is nothing new to see.
 
     It goes round rooms, and round whatever stands alone where it first meets a wall. It needs no map but to know when
@@ -184,7 +184,7 @@ class WallFollower(_Wanderer):
         return float(across.min()) - robot.radius if across.size else math.inf
 
 
-class RandomPolicy(_Wanderer):
+class RandomPolicy(Wanderer):
     """Drive straight on, and turn by chance: in front of a wall, and after a while anyway.
 
     Parameters

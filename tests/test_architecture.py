@@ -26,7 +26,7 @@ LAYERS = [
     {"adapter", "painter"},
     {"batch_adapter"},
     {"env", "parallel", "vector_env", "vector_parallel"},
-    {"wrappers", "play"},
+    {"wrappers", "play", "sb3"},
 ]
 # These stand beside the layers: they may read what a world is, and nothing that moves in it.
 BESIDE = {"metrics": {"world", "geometry", "free_space", "interface"}, "association_metrics": {"geometry"}}

@@ -167,7 +167,7 @@ def test_the_digest_knows_jobs_and_the_contents_of_worlds(tmp_path):
 
 def test_the_shipped_suites():
     assert set(shipped_suites()) == {
-        "smoke", "paper", "consistent", "ablations", "limits", "noise", "random", "plans", "real",
+        "smoke", "paper", "consistent", "ablations", "limits", "noise", "random", "plans", "real", "explore",
     }  # fmt: skip
     for name in {*shipped_suites()} - {"plans", "real"}:
         suite = load_suite(name)

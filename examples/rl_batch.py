@@ -1,0 +1,41 @@
+"""Stable-Baselines3's PPO on a batch of environments: ``python examples/rl_batch.py --steps 1000000`` (extra ``rl``).
+
+All robots move in one call of compiled code: hundreds of thousands of steps a second, so that the network is what
+takes time.
+"""
+
+import argparse
+
+import gymnasium as gym
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecFrameStack
+
+import limslam_env  # noqa: F401 (registers the environments)
+from limslam_env.sb3 import Sb3VecEnv
+
+
+def main() -> None:
+    """Train on twenty floor plans."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--steps", type=int, default=1_000_000)
+    arguments.add_argument("--envs", type=int, default=64)
+    options = arguments.parse_args()
+    batch = gym.make_vec(
+        "LimSlam-Random-v0",
+        num_envs=options.envs,
+        autoreset_mode="SameStep",
+        plans=20,
+        sensor_noise=0.02,
+        max_episode_steps=600,
+    )
+    # The last four observations tell a robot how it moves.
+    env = VecFrameStack(Sb3VecEnv(batch), n_stack=4)
+    model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu")
+    model.learn(options.steps)
+    returns = [episode["r"] for episode in model.ep_info_buffer or []]
+    mean = sum(returns) / len(returns) if returns else float("nan")
+    print(f"{model.num_timesteps} steps: reward {mean:.1f} an episode")
+
+
+if __name__ == "__main__":
+    main()
