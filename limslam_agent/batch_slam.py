@@ -86,7 +86,9 @@ class BatchSlam:
         num_threads: int | None = None,
         size: int = 40,
     ) -> None:
-        config, threads = config or preset("consistent"), num_threads or os.cpu_count() or 1
+        config, threads = config or preset("consistent"), num_threads
+        if threads is None:
+            threads = os.cpu_count() or 1
         if config.estimator != "consistent":
             raise ValueError(f"a batch is estimated by the consistent estimator, not {config.estimator!r}")
         if config.self_calibration.enabled:
@@ -98,7 +100,7 @@ class BatchSlam:
         self.capacity = capacity or Capacity()
         self._spec = spec_of(robot, config)
         self._minds = minds_for(robot, config, num_envs, self.capacity)
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool: ThreadPoolExecutor | None = None
         self._threads = threads
         self.reset(np.zeros((num_envs, POSE)))
 
@@ -150,6 +152,16 @@ class BatchSlam:
             lambda some: step_some(self._minds, self._spec, seen, travel, some, poses, covariances, grids),
         )
         return Beliefs(poses, covariances, grids)
+
+    def close(self) -> None:
+        """End the threads. May be called again; a later step starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Threads stay where they are; a copy starts its own when it needs them.
+        return {**vars(self), "_pool": None}
 
     def segments(self, number: int) -> FloatArray:
         """The walls of one robot's map (k, 4), m, as ``WallMap.segments`` draws them."""
@@ -203,9 +215,11 @@ class BatchSlam:
 
     def _share(self, chosen: IntArray, work: Callable[[IntArray], Any]) -> None:
         """Have all robots dealt with, some by each thread."""
-        if self._pool is None or len(chosen) < 2:
+        if self._threads == 1 or len(chosen) < 2:
             work(chosen)
             return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads)
         # Some steps take long: threads that are done early find another slice.
         slices = np.array_split(chosen, min(_SLICES * self._threads, len(chosen)))
         for done in [self._pool.submit(work, some) for some in slices]:

@@ -100,9 +100,9 @@ class CloneConfig:
         Of what is left unexplained, in standard deviations of its chi-square.
     ambiguity
         Readings that a second landmark explains as well but for this chi-square are left out.
-    min_length, min_length_noisy
-        Shorter pieces are not used, m, for exact ranges and for noisy ones.
-    end_slack, beyond_length, beyond_length_noisy, beyond_gate, beyond_angle_std
+    min_length
+        Shorter pieces are not used, m.
+    end_slack, beyond_length, beyond_gate, beyond_angle_std
         Readings mostly more than ``end_slack`` beyond a landmark's known ends must be so long a piece, fit this well,
         and have a direction known this well.
     max_end_gap, max_angle, max_offset
@@ -139,11 +139,9 @@ class CloneConfig:
     far_gate: float = 25.0
     left_sigmas: float = 3.0
     ambiguity: float = 9.0
-    min_length: float = 0.10
-    min_length_noisy: float = 0.15
+    min_length: float = 0.15
     end_slack: float = 0.05
-    beyond_length: float = 0.15
-    beyond_length_noisy: float = 0.20
+    beyond_length: float = 0.20
     beyond_gate: float = 9.0
     beyond_angle_std: float = math.radians(4.0)
     max_end_gap: float = 0.35
@@ -162,17 +160,9 @@ class CloneConfig:
     shown_length: float = 0.20
     beams: int = 8
     gap_ahead: float = 0.9
-    hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.10))
+    hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.15))
     straight: StraightConfig = field(default_factory=StraightConfig)
 
     def for_ranges(self, std: float) -> Self:
-        """These settings with the lengths that ranges of a standard deviation (m) ask for."""
-        if std < _NOISY:
-            return self
-        return replace(
-            self,
-            new_length=self.new_length_noisy,
-            min_length=self.min_length_noisy,
-            beyond_length=self.beyond_length_noisy,
-            hough=replace(self.hough, min_length=max(self.hough.min_length, self.min_length_noisy)),
-        )
+        """These settings with the length that ranges of a standard deviation (m) ask for."""
+        return self if std < _NOISY else replace(self, new_length=self.new_length_noisy)

@@ -81,26 +81,26 @@ def resized(motion: Motion, axle: float, factors: Factors) -> Motion:
     """A motion as it is if wheels and axle are larger than was thought.
 
     With wheels l = d - t b / 2 and r = d + t b / 2 and the axle b (m), the distance d and the turn t become
-    (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d / b) / (1 + fb). Half of what is
-    turned more turns the way.
+    (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d / b) / (1 + fb).
 
     A turn that may be nothing but noise does not count in ``by_factors``. The filter takes that for exact, and would
     put down the noise of a straight drive to an axle that is too narrow (errors in variables).
     """
     x, y, turn = motion.increment.tolist()
     size, uneven, wider = 1.0 + 0.5 * (factors.left + factors.right), factors.right - factors.left, 1.0 + factors.axle
-    lever, drift = 0.25 * axle * turn, math.copysign(math.hypot(x, y), x) / axle
-    turned = (size * turn + uneven * drift) / wider
-    more = 0.5 * (turned - turn)
-    cos, sin = math.cos(more), math.sin(more)
-    rotation = np.array([[cos, -sin], [sin, cos]])
-    way = rotation @ np.array([size * x + uneven * lever, size * y])
+    ahead = x * math.cos(0.5 * turn) + y * math.sin(0.5 * turn)
+    driven = math.copysign(math.hypot(x, y), ahead) / np.sinc(0.5 * turn / math.pi)
+    lever, drift = 0.25 * axle * turn, driven / axle
+    distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
+    # A log's poses need not lie on the arc of any wheels.
+    aside = motion.increment - arc(driven, turn)
     is_sure = turn**2 > _SURE_TURN**2 * motion.covariance[2, 2]
     sure, sure_turned = (turn, turned) if is_sure else (0.0, uneven * drift / wider)
-    by_turn = np.array([0.5 * sure - drift, 0.5 * sure + drift, -sure_turned]) / wider
-    by_way = rotation @ np.array([[0.5 * x - lever, 0.5 * x + lever, 0.0], [0.5 * y, 0.5 * y, 0.0]])
-    by_way += np.outer([-way[1], way[0]], 0.5 * by_turn)
-    return Motion(np.append(way, turned), motion.covariance, np.vstack((by_way, by_turn)))
+    by_factors = arc_jacobian(distance, turned) @ np.array([
+        [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
+        [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
+    ])  # fmt: skip
+    return Motion(arc(distance, turned) + aside, motion.covariance, by_factors)
 
 
 def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, odometry: OdometryConfig) -> Motion:

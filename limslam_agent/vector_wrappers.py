@@ -66,7 +66,15 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start new episodes and new maps, of a ``reset_mask`` among the options only where it is true."""
+        """Start new episodes and new maps, of a ``reset_mask`` among the options only where it is true.
+
+        Raises
+        ------
+        ValueError
+            If the options are no dictionary, or the environment refuses them.
+        """
+        if not (options is None or isinstance(options, dict)):
+            raise ValueError(f"reset options are a dictionary, not {' '.join(repr(options).split()):.60}")
         mask = None if options is None else options.get("reset_mask")
         # gymnasium's environments take the mask out of the options.
         mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.array(mask)
@@ -89,6 +97,13 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
             self._begin(info, ended)
         self._ended = ended
         return self._believed(seen, everywhere), reward, terminated, truncated, info
+
+    def close(self, **kwargs: Any) -> None:
+        """Close the environments, and end the threads of the SLAM. May be called again."""
+        # What was refused when it was made has no SLAM to end.
+        if "slam" in vars(self):
+            self.slam.close()
+        super().close(**kwargs)
 
     def _begin(self, info: dict[str, Any], begun: BoolArray) -> None:
         """Forget what was believed where an episode begins; the start pose is all that is taken from ``info``."""

@@ -90,11 +90,12 @@ class BatchSimulation:
         self._places, self._noise = places, BatchNoise(noise, robot)
         self._beams = beam_table(robot)
         self._farthest = robot.max_wheel_speed * robot.control_period
-        self._homes, self._keys = np.zeros(count, dtype=np.uint64), np.zeros(count, dtype=np.uint64)
+        self._homes: Words = np.zeros(count, dtype=np.uint64)
+        self._keys: Words = np.zeros(count, dtype=np.uint64)
         self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self._rooms, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._poses, self._untold = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
-        self._left = _padded(count, 0)
+        self._left = _padded(np.zeros((count, 0), dtype=np.uint64), 0)
         self._hits = np.zeros((count, robots, num_beams), dtype=np.int64)
         self._ranges = np.zeros((count, robots, num_beams), dtype=np.float32)
         self._told = np.zeros((count, robots, 2), dtype=np.float32)
@@ -104,32 +105,49 @@ class BatchSimulation:
         self._threads = num_threads or _cores()
         self._pool: ThreadPoolExecutor | None = None
 
-    def seed(self, seeds: np.random.SeedSequence) -> None:
-        """Begin all sequences of random numbers anew."""
-        self._homes[:] = seeds.generate_state(self.num_envs, np.uint64)
-        self._episodes[:] = 0
-
-    def reset(self, mask: BoolArray, start: FloatArray | None = None) -> tuple[BatchReadings, BatchTruth]:
-        """Begin new episodes where ``mask`` (n,) says so; ``start`` (n, s, 3) are the first robots' poses."""
-        self.begin(mask, start)
+    def reset(
+        self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
+    ) -> tuple[BatchReadings, BatchTruth]:
+        """Begin new episodes, as :meth:`begin` does, and observe them."""
+        self.begin(mask, start, seeds)
         tasks = np.where(mask, BEGIN, SKIP)
         return self._advance(tasks, np.zeros((self.num_envs, self.num_robots, 2)))
 
-    def begin(self, mask: BoolArray, start: FloatArray | None = None) -> None:
-        """Draw world, start and noise of new episodes where ``mask`` (n,) says so; a later step observes them."""
+    def begin(
+        self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
+    ) -> None:
+        """Draw world, start and noise of new episodes; a later step observes them.
+
+        Parameters
+        ----------
+        mask
+            (n,), where they begin.
+        start
+            (n, s, 3), the first robots' poses.
+        seeds
+            From which all sequences of random numbers begin anew, those of other environments, too.
+
+        Raises
+        ------
+        WorldError
+            If a start cannot be used, or there is no room. Then all is as it was.
+        """
         envs = np.flatnonzero(mask)
-        self._episodes[envs] += 1
+        homes: Words = self._homes
+        episodes = self._episodes.copy()
+        if seeds is not None:
+            homes, episodes = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64), 0 * episodes
+        episodes[envs] += 1
         keys, settings, places = (
-            derive_keys(self._homes[envs], self._episodes[envs], purpose) for purpose in (0, _SETTINGS, _PLACES)
+            derive_keys(homes[envs], episodes[envs], purpose) for purpose in (0, _SETTINGS, _PLACES)
         )
-        self._keys[envs] = keys
         self._poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
+        self._homes, self._episodes, self._keys[envs] = homes, episodes, keys
         self._table[envs] = self._noise.drawn(envs, settings)
         self._covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
         if width > self._left.shape[1]:
-            left, self._left = self._left, _padded(self.num_envs, width)
-            self._left[:, : left.shape[1]] = left
+            self._left = _padded(self._left, width)
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
         """Drive for one control period.
@@ -158,6 +176,11 @@ class BatchSimulation:
     def __getstate__(self) -> dict[str, Any]:
         # Threads stay where they are.
         return {**vars(self), "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        # A copy of these words has lost what is beyond them.
+        self._left = _padded(self._left, self._left.shape[1])
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
         places = self._places
@@ -203,9 +226,13 @@ class BatchSimulation:
         return BatchReadings(self._ranges.copy(), self._told.copy()), truth
 
 
-def _padded(rows: int, columns: int) -> Words:
-    """Zeros (rows, columns) that a kernel may read a little beyond, for words that it masks."""
-    return np.zeros(rows * columns + 3 * columns + 3, dtype=np.uint64)[: rows * columns].reshape(rows, columns)
+def _padded(words: Words, columns: int) -> Words:
+    """Words (rows, k) with zeros up to so many columns; a kernel may read a little beyond, for words that it masks."""
+    rows, used = words.shape
+    buffer = np.zeros(rows * columns + 3 * columns + 3, dtype=np.uint64)
+    padded = buffer[: rows * columns].reshape(rows, columns)
+    padded[:, :used] = words
+    return padded
 
 
 def _cores() -> int:

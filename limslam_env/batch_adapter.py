@@ -1,7 +1,5 @@
 """What the batched adapters share: arguments, actions, seeds, info in Gymnasium's vector form."""
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium as gym
@@ -9,21 +7,23 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_env.adapter import PlaceSource, is_random
 from limslam_env.batch import BatchReadings, BatchSimulation, BatchTruth
+from limslam_env.batch_arguments import (
+    BatchSource,
+    NoiseSource,
+    Plans,
+    SensorNoise,
+    noise_of_each,
+    one_line,
+    seeds_of,
+    whole,
+    worlds_of,
+)
 from limslam_env.batch_places import Places
-from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
-from limslam_env.floor_plans import FloorPlanConfig
+from limslam_env.config import RewardConfig, TaskConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.task import is_done, reward
-from limslam_env.world import World, load_world
-
-BatchSource: TypeAlias = PlaceSource | Sequence[PlaceSource]
-"""What a single environment takes, or a sequence of worlds, one for each environment."""
-
-Plans: TypeAlias = int | Sequence[int] | None
-"""How many floor plans to make beforehand, or their seeds; None for one of its own at each reset."""
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
 """The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
@@ -60,6 +60,8 @@ class Batched:
 
     Attributes
     ----------
+    num_envs
+        How many there are.
     robot, task
         What each robot is, and what is asked of it.
     noise
@@ -74,8 +76,8 @@ class Batched:
         num_envs: int,
         num_robots: int,
         robot: RobotSpec | None,
-        sensor_noise: Setting | Sequence[Setting] | FloatArray | None,
-        noise: NoiseConfig | Sequence[NoiseConfig] | None,
+        sensor_noise: SensorNoise,
+        noise: NoiseSource,
         coverage_goal: float | None,
         rewards: RewardConfig | None,
         max_steps: int | None,
@@ -84,17 +86,14 @@ class Batched:
         autoreset_mode: AutoresetMode | str,
     ) -> None:
         """Take an environment's arguments; see its class for what they mean, and what is refused."""
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs must be 1 or more, not {num_envs}")
-        if max_steps is not None and max_steps < 1:
-            raise ValueError(f"the steps of an episode must be 1 or more, or None, not {max_steps}")
-        if num_threads is not None and num_threads < 1:
-            raise ValueError(f"num_threads must be 1 or more, or None, not {num_threads}")
+        num_envs = whole("num_envs", num_envs)
+        max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
+        num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
         self.robot = robot or RobotSpec()
         self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
-        self.noise = _noise_of_each(noise, sensor_noise, num_envs)
-        self._max_steps, self._num_robots, self._count = max_steps, num_robots, num_envs
-        places = Places(_worlds(world, num_envs), self.robot, num_robots, num_envs, _seeds(plans, world))
+        self.noise = noise_of_each(noise, sensor_noise, num_envs)
+        self._max_steps, self._num_robots, self.num_envs = max_steps, num_robots, num_envs
+        places = Places(worlds_of(world, num_envs), self.robot, num_robots, num_envs, seeds_of(plans, world))
         self._simulation = BatchSimulation(places, self.robot, self.noise, num_threads)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._lengths, self._is_over = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
@@ -109,9 +108,10 @@ class Batched:
     ) -> tuple[BatchReadings, BatchTruth, BoolArray]:
         """Begin new episodes; which environments (n,) they are of comes last. See the adapters' ``reset``."""
         mask, start = self._asked(options)
+        seeds = None
         if seed is not None or not self._is_running:
-            self._simulation.seed(np.random.SeedSequence(int(generator.integers(2**63))))
-        readings, truth = self._simulation.reset(mask, start)
+            seeds = np.random.SeedSequence(int(generator.integers(2**63)))
+        readings, truth = self._simulation.reset(mask, start, seeds)
         self._is_running = True
         self._is_over[mask], self._lengths[mask] = False, 0
         return readings, truth, mask
@@ -142,18 +142,20 @@ class Batched:
 
     def _asked(self, options: dict[str, Any] | None) -> tuple[BoolArray, FloatArray | None]:
         """Which environments a reset is for (n,), and where robots are to start (n, s, 3)."""
+        if not (options is None or isinstance(options, dict)):
+            raise ValueError(f"reset options are a dictionary, not {one_line(options)}")
         options = options or {}
-        unknown = sorted(set(options) - OPTIONS)
+        unknown = [name for name in options if name not in OPTIONS]
         if unknown:
             raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'reset_mask'")
         return self._mask(options.get("reset_mask")), self._start(options.get("start"))
 
     def _mask(self, option: Any) -> BoolArray:
         if option is None:
-            return np.ones(self._count, dtype=bool)
+            return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(option)
-        if mask.shape != (self._count,) or mask.dtype != bool or not mask.any():
-            raise ValueError(f"the reset_mask must be {self._count} booleans, one of them true at least")
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise ValueError(f"the reset_mask must be {self.num_envs} booleans, one of them true at least")
         if not (self._is_running or mask.all()):
             raise gym.error.ResetNeeded("the first reset is of all environments")
         return mask
@@ -168,18 +170,18 @@ class Batched:
         if start.ndim < 3 and start.shape[-1:] == (3,):
             # One pose for all, or as many as there are robots or, with one robot, environments.
             start = start.reshape(-1, 1, 3) if self._num_robots == 1 else start.reshape(1, -1, 3)
-        is_fitting = start.ndim == 3 and start.shape[2] == 3 and start.shape[0] in {1, self._count}
+        is_fitting = start.ndim == 3 and start.shape[2] == 3 and start.shape[0] in {1, self.num_envs}
         if not is_fitting or not 1 <= start.shape[1] <= self._num_robots:
             raise ValueError(
                 "the start is a pose (x, y, theta) for all environments, or an array of poses "
-                f"({self._count}, {self._num_robots}, 3), not {option!r:.60}"
+                f"({self.num_envs}, {self._num_robots}, 3), not {one_line(option)}"
             )
-        return np.broadcast_to(start, (self._count, *start.shape[1:]))
+        return np.broadcast_to(start, (self.num_envs, *start.shape[1:]))
 
     def _ends(self, truth: BatchTruth) -> tuple[BoolArray, BoolArray]:
         """Which environments (n,) have reached the goal, and which have run out of steps."""
-        terminated = np.zeros(self._count, dtype=bool) | is_done(self.task, truth.coverage)
-        late = np.zeros(self._count, dtype=bool) if self._max_steps is None else self._lengths >= self._max_steps
+        terminated = np.zeros(self.num_envs, dtype=bool) | is_done(self.task, truth.coverage)
+        late = np.zeros(self.num_envs, dtype=bool) if self._max_steps is None else self._lengths >= self._max_steps
         return terminated, late
 
 
@@ -240,50 +242,3 @@ def info_of(truth: BatchTruth, robot: int, mask: BoolArray) -> dict[str, Any]:
         info = {key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0) for key, value in info.items()}
         info["collision"] = info["collision"].astype(bool)
     return info | {f"_{key}": mask.copy() for key in info}
-
-
-def _worlds(source: BatchSource, num_envs: int) -> World | list[World] | FloorPlanConfig:
-    if isinstance(source, FloorPlanConfig):
-        return source
-    if isinstance(source, Sequence) and not isinstance(source, str):
-        if len(source) != num_envs:
-            raise ValueError(f"{len(source)} worlds for {num_envs} environments; give one for each, or one for all")
-        if any(isinstance(place, FloorPlanConfig) or is_random(place) for place in source):
-            raise ValueError("floor plans are drawn for all environments or for none")
-        loaded: dict[Any, World] = {}
-        for place in source:
-            if place not in loaded:
-                loaded[place] = load_world(place)  # type: ignore[arg-type]
-        return [loaded[place] for place in source]
-    return FloorPlanConfig() if is_random(source) else load_world(source)
-
-
-def _seeds(plans: Plans, source: BatchSource) -> Sequence[int] | None:
-    if plans is None:
-        return None
-    if not (isinstance(source, FloorPlanConfig) or (isinstance(source, str) and source == "random")):
-        raise ValueError("plans are for worlds that are drawn")
-    seeds: Sequence[int] = range(plans) if isinstance(plans, int) else plans
-    if not len(seeds) or min(seeds) < 0:
-        raise ValueError(f"plans must be 1 or more, or seeds of 0 and more, not {plans}")
-    return seeds
-
-
-def _noise_of_each(
-    noise: NoiseConfig | Sequence[NoiseConfig] | None,
-    sensor_noise: Setting | Sequence[Setting] | FloatArray | None,
-    num_envs: int,
-) -> list[NoiseConfig]:
-    """The noise of each environment, or of all."""
-    each = [noise or NoiseConfig()] if noise is None or isinstance(noise, NoiseConfig) else list(noise)
-    if len(each) not in {1, num_envs}:
-        raise ValueError(f"{len(each)} noise settings for {num_envs} environments")
-    if sensor_noise is None:
-        return each
-    if isinstance(sensor_noise, float | int | tuple):
-        return [replace(one, sensor_noise=sensor_noise) for one in each]
-    settings = [tuple(value) if isinstance(value, Sequence | np.ndarray) else float(value) for value in sensor_noise]
-    if len(settings) != num_envs:
-        raise ValueError(f"{len(settings)} values of sensor_noise for {num_envs} environments")
-    each = each * num_envs if len(each) == 1 else each
-    return [replace(one, sensor_noise=value) for one, value in zip(each, settings, strict=True)]

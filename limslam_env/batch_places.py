@@ -1,6 +1,7 @@
 """Which world each environment of a batch is in, and where its robots start there."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -85,27 +86,45 @@ class Places:
         Raises
         ------
         WorldError
-            If a start cannot be used, or there is no room.
+            If a start cannot be used, or there is no room. Then all is as it was.
         """
-        poses = np.zeros((len(envs), self.num_robots, 3))
         if self._config is not None:
-            for row, env in enumerate(envs):
-                world = floor_plan(self._config, np.random.default_rng(int(keys[row])), self._robot.radius)
-                site = prepare(world, self._robot, self.num_robots, None if start is None else start[row])
-                self._settle(int(env), world, site, poses[row : row + 1], keys[row : row + 1])
-            return poses
+            return self._begin_drawn(self._config, envs, keys, start)
+        poses = np.zeros((len(envs), self.num_robots, 3))
+        slots = self._home[envs]
         if self._is_drawn:
-            self.world_of[envs] = (keys >> np.uint64(11)) % np.uint64(len(self._known))
-        else:
-            self.world_of[envs] = self._home[envs]
-        slots = self.world_of[envs]
+            slots = ((keys >> np.uint64(11)) % np.uint64(len(self._known))).astype(np.int64)
+        moves: list[tuple[IntArray, tuple[World, bytes], Site]] = []
         for slot in np.unique(slots):
             rows = np.flatnonzero(slots == slot)
             world, site = self._known[slot]
             if start is None:
                 poses[rows] = self._started(world, site, keys[rows])
             else:
-                self._start_at(envs, rows, world, start, keys, poses)
+                moves += self._start_at(rows, world, start, keys, poses)
+        # Nothing may be refused from here on: what is above changes nothing.
+        for rows, variant, site in moves:
+            if variant not in self._variants:
+                self._variants[variant] = len(self.sites)
+                self.sites.put(len(self.sites), site)
+            slots[rows] = self._variants[variant]
+        self.world_of[envs] = slots
+        return poses
+
+    def _begin_drawn(
+        self, config: FloorPlanConfig, envs: IntArray, keys: Words, start: FloatArray | None
+    ) -> FloatArray:
+        """Give each environment a floor plan of its own."""
+        poses = np.zeros((len(envs), self.num_robots, 3))
+        sites: list[Site] = []
+        for row, key in enumerate(keys):
+            world = floor_plan(config, np.random.default_rng(int(key)), self._robot.radius)
+            site = prepare(world, self._robot, self.num_robots, None if start is None else start[row])
+            poses[row : row + 1] = self._started(world, site, keys[row : row + 1])
+            # Starting places are most of a site, and not needed any more: only the first one's are kept.
+            sites.append(replace(site, places=sites[0].places if sites else site.places))
+        for env, site in zip(envs, sites, strict=True):
+            self._settle(int(env), site)
         return poses
 
     def _started(self, world: World, site: Site, keys: Words) -> FloatArray:
@@ -117,25 +136,25 @@ class Places:
             raise no_room(world, self.num_robots)
         return poses
 
-    def _settle(self, env: int, world: World, site: Site, poses: FloatArray, keys: Words) -> None:
+    def _settle(self, env: int, site: Site) -> None:
         # Slots in the order of the environments.
         while len(self.sites) <= env:
             self.sites.put(len(self.sites), site)
         self.sites.put(env, site)
         self.world_of[env] = env
-        poses[:] = self._started(world, site, keys)
 
     def _start_at(
-        self, envs: IntArray, rows: IntArray, world: World, start: FloatArray, keys: Words, poses: FloatArray
-    ) -> None:
-        """Start environments that share a world at poses of their own; what can be seen from there may differ."""
+        self, rows: IntArray, world: World, start: FloatArray, keys: Words, poses: FloatArray
+    ) -> list[tuple[IntArray, tuple[World, bytes], Site]]:
+        """Start environments that share a world at poses of their own; what can be seen from there may differ.
+
+        Which rows are to have which variant of the world, and what it is by, comes back.
+        """
         kinds, kind_of = np.unique(start[rows], axis=0, return_inverse=True)
+        moves = []
         for kind, wanted in enumerate(kinds):
             mine = rows[kind_of.ravel() == kind]
             site = prepare(world, self._robot, self.num_robots, wanted)
-            key = world, site.grid.coverable.tobytes()
-            if key not in self._variants:
-                self._variants[key] = len(self.sites)
-                self.sites.put(len(self.sites), site)
-            self.world_of[envs[mine]] = self._variants[key]
             poses[mine] = self._started(world, site, keys[mine])
+            moves.append((mine, (world, site.grid.coverable.tobytes()), site))
+        return moves

@@ -1,6 +1,6 @@
 """The single-robot environment of Gymnasium: a thin adapter over the simulation."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -20,9 +20,6 @@ from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.task import is_done, reward
-
-if TYPE_CHECKING:
-    pass
 
 
 class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):

@@ -1,10 +1,10 @@
 """The batched environment of Gymnasium: a thin adapter over the batched simulation."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -13,14 +13,13 @@ from limslam_env.adapter import action_space, observation_space
 from limslam_env.batch_adapter import (
     Batched,
     BatchObservation,
-    BatchSource,
-    Plans,
     checked_actions,
     info_of,
     infos_of,
     observation_of,
 )
-from limslam_env.config import NoiseConfig, RewardConfig, Setting
+from limslam_env.batch_arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.config import RewardConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -80,8 +79,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         num_envs: int = 1,
         *,
         robot: RobotSpec | None = None,
-        sensor_noise: Setting | Sequence[Setting] | FloatArray | None = None,
-        noise: NoiseConfig | Sequence[NoiseConfig] | None = None,
+        sensor_noise: SensorNoise = None,
+        noise: NoiseSource = None,
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         max_episode_steps: int | None = 18_000,
@@ -97,10 +96,9 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             num_threads, autoreset_mode,
         )  # fmt: skip
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.num_envs = num_envs
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -120,10 +118,12 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         ValueError
             If an option is unknown or has another shape.
         WorldError
-            If a start cannot be used.
+            If a start cannot be used. Then episodes go on as if nothing had been asked.
         """
-        super().reset(seed=seed)
-        readings, truth, mask = self._begin(self.np_random, seed, options)
+        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+        readings, truth, mask = self._begin(generator, seed, options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = generator, seed
         return observation_of(readings, 0), info_of(truth, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:

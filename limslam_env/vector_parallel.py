@@ -1,6 +1,5 @@
 """The batched environment for several robots in each building: dicts of arrays, a thin adapter over the simulation."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -15,14 +14,13 @@ from limslam_env.adapter import MAX_ROBOTS, action_space, observation_space
 from limslam_env.batch_adapter import (
     Batched,
     BatchObservation,
-    BatchSource,
-    Plans,
     checked_actions,
     info_of,
     infos_of,
     observation_of,
 )
-from limslam_env.config import NoiseConfig, RewardConfig, Setting
+from limslam_env.batch_arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.config import RewardConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -57,8 +55,8 @@ class LimSlamParallelVectorEnv(Batched):
         *,
         num_robots: int = 2,
         robot: RobotSpec | None = None,
-        sensor_noise: Setting | Sequence[Setting] | FloatArray | None = None,
-        noise: NoiseConfig | Sequence[NoiseConfig] | None = None,
+        sensor_noise: SensorNoise = None,
+        noise: NoiseSource = None,
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         shared_reward: bool = False,
@@ -73,15 +71,17 @@ class LimSlamParallelVectorEnv(Batched):
             world, num_envs, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, max_cycles, plans,
             num_threads, autoreset_mode,
         )  # fmt: skip
-        self.num_envs, self._shares_reward = num_envs, shared_reward
+        self._shares_reward = shared_reward
         self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
         self.agents = list(self.possible_agents)
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
         self.observation_spaces = {
-            name: batch_space(self.single_observation_space, num_envs) for name in self.possible_agents
+            name: batch_space(self.single_observation_space, self.num_envs) for name in self.possible_agents
         }
-        self.action_spaces = {name: batch_space(self.single_action_space, num_envs) for name in self.possible_agents}
+        self.action_spaces = {
+            name: batch_space(self.single_action_space, self.num_envs) for name in self.possible_agents
+        }
         self._generator: np.random.Generator | None = None
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -110,11 +110,13 @@ class LimSlamParallelVectorEnv(Batched):
         ValueError
             If an option is unknown or has another shape.
         WorldError
-            If a start cannot be used, or there is no room for all.
+            If a start cannot be used, or there is no room for all. Then episodes go on as if nothing had been asked.
         """
-        if seed is not None or self._generator is None:
-            self._generator, _ = seeding.np_random(seed)
-        readings, truth, mask = self._begin(self._generator, seed, options)
+        generator = self._generator
+        if seed is not None or generator is None:
+            generator, _ = seeding.np_random(seed)
+        readings, truth, mask = self._begin(generator, seed, options)
+        self._generator = generator
         robots = list(enumerate(self.possible_agents))
         observations = {name: observation_of(readings, number) for number, name in robots}
         return observations, {name: info_of(truth, number, mask) for number, name in robots}

@@ -24,6 +24,7 @@ LAYERS = [
     {"batch_places"},
     {"simulation", "batch"},
     {"adapter", "painter"},
+    {"batch_arguments"},
     {"batch_adapter"},
     {"env", "parallel", "vector_env", "vector_parallel"},
     {"wrappers", "play", "sb3"},

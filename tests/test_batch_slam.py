@@ -1,5 +1,7 @@
 """BatchSlam and SlamVectorObservation: equal to the single filter, whatever the threads, and what happens when full."""
 
+import copy
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -251,6 +253,7 @@ def test_memory_is_what_the_arrays_take() -> None:
         (lambda: BatchSlam(ROBOT, num_envs=0), "num_envs must be 1 or more, not 0"),
         (lambda: BatchSlam(ROBOT, size=-1), "size must be 0 or more, not -1"),
         (lambda: BatchSlam(ROBOT, num_threads=-1), "num_threads must be 1 or more, not -1"),
+        (lambda: BatchSlam(ROBOT, num_threads=0), "num_threads must be 1 or more, not 0"),
         (lambda: Capacity(landmarks=0), "landmarks must be 1 or more, not 0"),
         (lambda: batch_of(2).reset(np.zeros((3, 3))), r"start poses \(2, 3\), not \(3, 3\)"),
         (lambda: batch_of(2).reset(np.full((2, 3), np.nan)), "start pose of robot 0 must be finite"),
@@ -273,6 +276,24 @@ def test_a_refused_step_takes_nothing_in() -> None:
     for each in (batch, other):
         beliefs = each.step(np.ones((2, 6)), np.full((2, 2), 0.01))
     np.testing.assert_array_equal(beliefs.pose, batch.step(np.ones((2, 6)), np.zeros((2, 2))).pose)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])  # noqa: S301 (our own)
+def test_a_copy_goes_on_alike_with_threads_of_its_own(copied: Callable[[BatchSlam], BatchSlam]) -> None:
+    batch, driven = BatchSlam(ROBOT, num_envs=4, num_threads=2, size=8), np.full((4, 2), 0.01)
+    batch.step(np.ones((4, 6)), driven)
+    assert batch._pool is not None
+    other = copied(batch)
+    assert other._pool is None
+    batch.close()
+    for _ in range(3):
+        one, two = (each.step(np.ones((4, 6)), driven) for each in (batch, other))
+        np.testing.assert_array_equal(one.pose, two.pose)
+        np.testing.assert_array_equal(one.grid, two.grid)
+    assert other._pool is not None
+    assert other._pool is not batch._pool
+    for each in (batch, other, batch):
+        each.close()
 
 
 def vector(mode: AutoresetMode, steps: int = 15, number: int = 3) -> SyncVectorEnv:
@@ -330,6 +351,22 @@ def test_a_reset_by_hand_of_some() -> None:
     np.testing.assert_array_equal(after["pose"][0], np.zeros(3))
     for key in ("pose", "covariance", "grid"):
         np.testing.assert_array_equal(after[key][1:], before[key][1:])
+
+
+def test_closing_ends_the_threads() -> None:
+    env = SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), config_of(0.02), size=8, num_threads=2)
+    env.reset(seed=0)
+    threads = list(env.slam._pool._threads)  # type: ignore[union-attr]
+    assert threads
+    env.close()
+    assert not any(thread.is_alive() for thread in threads)
+    env.close()
+
+
+def test_options_that_are_no_dictionary_are_refused() -> None:
+    env = SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), config_of(0.02), size=8, num_threads=1)
+    with pytest.raises(ValueError, match=r"reset options are a dictionary, not \[1\]"):
+        env.reset(options=[1])  # type: ignore[arg-type]
 
 
 def test_what_cannot_be_wrapped_is_refused() -> None:

@@ -173,7 +173,7 @@ QUIET = NominalNoise(0.0, 1e-9)
 def test_larger_wheels_on_a_wider_axle_are_a_robot_that_is_built_so(wheels: tuple[float, float]) -> None:
     travel = np.array(wheels)
     motion = resized(motion_from_wheels(travel, ROBOT, NOISE), ROBOT.axle, SIZES)
-    np.testing.assert_allclose(motion.increment, exact_arc(np.array([1.02, 0.99]) * travel, 1.03 * 0.16), atol=3e-4)
+    np.testing.assert_allclose(motion.increment, exact_arc(np.array([1.02, 0.99]) * travel, 1.03 * 0.16), atol=1e-12)
 
 
 @pytest.mark.parametrize("wheels", [(0.05, 0.03), (-0.05, -0.03), (-0.05, 0.05)])
@@ -186,6 +186,12 @@ def test_the_derivative_by_the_factors_is_that_of_central_differences(wheels: tu
         for unit in np.eye(3)
     ]  # fmt: skip
     np.testing.assert_allclose(resized(motion, 0.16, SIZES).by_factors, np.column_stack(columns), atol=1e-9)
+
+
+def test_what_lies_beside_the_arc_stays() -> None:
+    slipped = motion_from_odometry(np.array([0.05, 0.01, 0.1]), OdometryConfig())
+    still = resized(slipped, ROBOT.axle, Factors(0.0, 0.0, 0.0))
+    np.testing.assert_allclose(still.increment, slipped.increment, atol=1e-15)
 
 
 def test_a_turn_that_may_be_noise_says_nothing_of_the_axle() -> None:

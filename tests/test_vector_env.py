@@ -1,5 +1,6 @@
 """The batched environment: the same as the single one, autoreset, masks, refusals, the same bits for any threads."""
 
+import copy
 import inspect
 import pickle
 import warnings
@@ -369,7 +370,7 @@ def test_wrappers_of_gymnasium_work():
 
 
 REFUSALS = {
-    "num_envs must be 1 or more": {"num_envs": 0},
+    "num_envs must be a whole number": {"num_envs": 0},
     "2 worlds for 3": {"world": ["env1", "env2"]},
     "no world is called": {"world": "nowhere"},
     "2 noise settings for 3": {"noise": [QUIET, QUIET]},
@@ -393,6 +394,54 @@ def test_bad_arguments_are_refused_with_the_reason(reason):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ({"num_envs": True}, "num_envs must be a whole number, 1 or more, not True"),
+        ({"num_envs": 3.0}, "num_envs must be a whole number, 1 or more, not 3.0"),
+        ({"num_envs": np.array([3, 3])}, "num_envs must be a whole number"),
+        ({"max_episode_steps": 2.5}, "the steps of an episode must be a whole number, 1 or more, or None, not 2.5"),
+        ({"num_threads": 1.5}, "num_threads must be a whole number, 1 or more, or None, not 1.5"),
+        ({"num_threads": True}, "num_threads must be a whole number"),
+        ({"world": SMALL, "plans": 2.5}, "plans must be 1 or more, or seeds .*, not 2.5"),
+        ({"world": SMALL, "plans": [1.5]}, r"plans must be 1 or more, or seeds .*, not \[1.5\]"),
+        ({"world": SMALL, "plans": "ab"}, "plans must be 1 or more, or seeds .*, not 'ab'"),
+        ({"world": SMALL, "plans": [3, -1]}, "plans must be 1 or more, or seeds"),
+        ({"world": SMALL, "plans": True}, "plans must be 1 or more, or seeds .*, not True"),
+        ({"noise": 3}, "noise must be a NoiseConfig, or one for each environment, not 3"),
+        ({"noise": [QUIET, None, QUIET]}, "noise must be a NoiseConfig, or one for each"),
+        ({"num_envs": 2, "sensor_noise": (0.0, 0.02, 0.04)}, "3 values of sensor_noise for 2 environments; give"),
+        ({"sensor_noise": "0.02"}, "sensor_noise must be a number or a range"),
+        ({"sensor_noise": [0.0, (0.1, 0.2, 0.3), 0.0]}, "sensor_noise must be a number or a range"),
+        ({"sensor_noise": [0.0, (0.1, (0.2, 0.3)), None]}, "sensor_noise must be a number or a range"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused_in_one_line(arguments, reason):
+    with pytest.raises(ValueError, match=reason) as error:
+        LimSlamVectorEnv(**{"world": "env1", "num_envs": 3} | arguments)
+    assert "\n" not in str(error.value)
+
+
+def test_numbers_may_be_numpy_s():
+    batch = LimSlamVectorEnv(
+        SMALL, np.int64(3), sensor_noise=np.float32(0.02), plans=np.int32(2), max_episode_steps=np.int64(5),
+        num_threads=np.int64(1),
+    )  # fmt: skip
+    assert type(batch.num_envs) is int
+    assert batch.num_envs == 3
+    assert [noise.sensor_noise for noise in batch.noise] == [pytest.approx(0.02)]
+    assert batch.reset(seed=0)[0]["ranges"].shape[0] == 3
+    for given, expected in (
+        ((0.0, 0.04), [(0.0, 0.04)]),
+        (np.array(0.04), [0.04]),
+        ((0.0, 0.02, 0.04), [0.0, 0.02, 0.04]),
+        ([(0.0, 0.02), 0.04, np.float64(0.0)], [(0.0, 0.02), 0.04, 0.0]),
+    ):
+        made = LimSlamVectorEnv("env1", 3, sensor_noise=given, noise=QUIET)
+        assert [noise.sensor_noise for noise in made.noise] == expected
+    assert len(LimSlamVectorEnv(SMALL, 1, plans=np.array([3, 4]))._simulation._places.sites) == 2
+
+
 def test_bad_actions_and_options_are_refused_and_change_nothing():
     batch = LimSlamVectorEnv("env1", 3, noise=QUIET)
     with pytest.raises(gym.error.ResetNeeded):
@@ -407,6 +456,7 @@ def test_bad_actions_and_options_are_refused_and_change_nothing():
         batch.step(np.array([[0.0, 0.0], [np.nan, 0.0], [0.0, 0.0]]))
     for options, reason in (
         ({"place": 1}, "unknown reset option 'place'"),
+        ([1], r"reset options are a dictionary, not \[1\]"),
         ({"reset_mask": np.zeros(3, dtype=bool)}, "reset_mask must be"),
         ({"reset_mask": np.ones(3)}, "reset_mask must be"),
         ({"start": (0.0, 1.0)}, "the start is"),
@@ -424,10 +474,65 @@ def test_a_copy_goes_on_alike():
     batch = LimSlamVectorEnv("env1", 1100, sensor_noise=0.02, num_threads=2)
     batch.reset(seed=0)
     batch.step(np.full((1100, 2), 0.4))
-    copy = pickle.loads(pickle.dumps(batch))  # noqa: S301 (our own)
-    one, other = (env.step(np.full((1100, 2), 0.4)) for env in (batch, copy))
-    np.testing.assert_array_equal(one[0]["ranges"], other[0]["ranges"])
-    np.testing.assert_array_equal(one[-1]["pose"], other[-1]["pose"])
+    copies = pickle.loads(pickle.dumps(batch)), copy.deepcopy(batch)  # noqa: S301 (our own)
+    one, *others = (env.step(np.full((1100, 2), 0.4)) for env in (batch, *copies))
+    for other in others:
+        np.testing.assert_array_equal(one[0]["ranges"], other[0]["ranges"])
+        np.testing.assert_array_equal(one[-1]["pose"], other[-1]["pose"])
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 (our own)
+def test_a_copy_has_words_beyond_those_that_are_used(copied):
+    batch = LimSlamVectorEnv("env1", 2)
+    batch.reset(seed=0)
+    for env in (batch, copied(batch), copied(copied(batch))):
+        left = env._simulation._left
+        assert left.base.size >= left.size + 3 * left.shape[1] + 3
+        np.testing.assert_array_equal(left, batch._simulation._left)
+
+
+def assert_bits(one, other):
+    """Whether all that a reset or step gives is the same, to the last bit."""
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert list(one) == list(other)
+        one, other = tuple(one.values()), tuple(other.values())
+    if isinstance(one, tuple):
+        for mine, their in zip(one, other, strict=True):
+            assert_bits(mine, their)
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+REFUSED_RESETS = {
+    "plans made beforehand": {"world": SMALL, "plans": 6},
+    "plans of their own": {"world": SMALL},
+    "one world": {"world": "env1", "noise": EVERYTHING},
+    "worlds of their own": {"world": ["env1", "env2", "env3", "env2"], "sensor_noise": 0.02},
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED_RESETS)
+@pytest.mark.parametrize("seed", [None, 5])
+def test_a_refused_reset_changes_nothing(kind, seed):
+    batch, twin = (LimSlamVectorEnv(num_envs=4, max_episode_steps=15, **REFUSED_RESETS[kind]) for _ in range(2))
+    first, actions = batch.reset(seed=0), holding(60, 4)
+    assert_bits(first, twin.reset(seed=0))
+    # All starts but the last can be used.
+    starts = first[1]["pose"].copy()
+    starts[3] = 1e3, 0.0, 0.0
+    masked = {"reset_mask": np.array([True, False, False, True])}
+    for number, row in enumerate(actions):
+        if number in {5, 40}:
+            for options in ({"start": (1e3, 0.0, 0.0)}, {"start": starts}, {"start": starts} | masked):
+                with pytest.raises(WorldError):
+                    batch.reset(seed=seed, options=options)
+        assert_bits(batch.step(row), twin.step(row))
+    for options in (None, masked, {"start": first[1]["pose"]} if kind == "one world" else None):
+        assert_bits(batch.reset(options=options), twin.reset(options=options))
+        assert_bits(batch.step(actions[0]), twin.step(actions[0]))
+    assert batch.np_random_seed == twin.np_random_seed
+    assert batch.np_random.random() == twin.np_random.random()
 
 
 def test_the_documentation_names_every_argument():
