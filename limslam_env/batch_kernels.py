@@ -26,7 +26,7 @@ from limslam_env.kernels import (
     turned,
 )
 from limslam_env.random_kernels import GOLDEN, Words, mixed, normal, unit
-from limslam_env.tile_kernels import is_any_left, take_disc, take_ray
+from limslam_env.tile_kernels import take_disc, take_ray
 
 # numba's cache of this file notices changes of this file alone. So this names what the other ones were like; a test
 # says what to write here when one of them has changed.
@@ -86,34 +86,6 @@ def cast_fan(
             is_met &= distance < rays[0, lane]
             rays[0, lane] = distance if is_met else rays[0, lane]
             rays[1, lane] = which if is_met else rays[1, lane]
-
-
-@merged
-def is_fan_open(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    area_x: float,
-    area_y: float,
-    cell: float,
-    x: float,
-    y: float,
-    radius: float,
-    num_beams: int,
-    aims: FloatArray,
-    rays: FloatArray,
-) -> bool:
-    """Whether anything is left to see in the rectangle about a robot's body and all its rays."""
-    low_x, low_y, high_x, high_y = x - radius, y - radius, x + radius, y + radius
-    for number in range(num_beams):
-        end_x = aims[0, number] + rays[0, number] * aims[2, number]
-        end_y = aims[1, number] + rays[0, number] * aims[3, number]
-        low_x, low_y, high_x, high_y = min(low_x, end_x), min(low_y, end_y), max(high_x, end_x), max(high_y, end_y)
-    return is_any_left(
-        left, env, tile_columns, tile_rows,
-        (low_x - area_x) / cell, (low_y - area_y) / cell, (high_x - area_x) / cell, (high_y - area_y) / cell,
-    )  # fmt: skip
 
 
 @compiled
@@ -240,33 +212,15 @@ def advance(  # noqa: C901, PLR0912, PLR0915 (one loop: what is handed to a func
             own = state + np.uint64(robot << 20) * GOLDEN
             body_x, body_y, heading = poses[env, robot, 0], poses[env, robot, 1], poses[env, robot, 2]
             cos, sin = math.cos(heading), math.sin(heading)
+            new = take_disc(
+                left, env, tile_columns, tile_rows,
+                (body_x - area_x) / cell, (body_y - area_y) / cell, (radius - BODY_MARGIN) / cell,
+            )  # fmt: skip
             aim(beams, body_x, body_y, cos, sin, aims)
-            is_open = True
             if near_cell >= 0:
                 column = min(max(math.floor((body_x - low_x) / side), 0), columns - 1)
                 row = min(max(math.floor((body_y - low_y) / side), 0), rows - 1)
                 cast_fan(near_cell + row * columns + column, beams, aims, edges, near_starts, near_edges, rays)
-                is_open = is_fan_open(
-                    left,
-                    env,
-                    tile_columns,
-                    tile_rows,
-                    area_x,
-                    area_y,
-                    cell,
-                    body_x,
-                    body_y,
-                    radius,
-                    num_beams,
-                    aims,
-                    rays,
-                )
-            new = 0
-            if is_open:
-                new = take_disc(
-                    left, env, tile_columns, tile_rows,
-                    (body_x - area_x) / cell, (body_y - area_y) / cell, (radius - BODY_MARGIN) / cell,
-                )  # fmt: skip
             for number in range(num_beams):
                 if beams[number, 6] != 1.0 and step % int(beams[number, 6]) != 0:
                     continue
@@ -282,11 +236,10 @@ def advance(  # noqa: C901, PLR0912, PLR0915 (one loop: what is handed to a func
                     disc = cast_at_discs(x, y, dx, dy, distance, robot, poses[env], radius)
                     if disc < distance:
                         distance, hit = disc, ROBOT
-                if is_open:
-                    new += take_ray(
-                        left, env, tile_columns, tile_rows,
-                        (x - area_x) / cell, (y - area_y) / cell, dx, dy, distance / cell - RAY_MARGIN,
-                    )  # fmt: skip
+                new += take_ray(
+                    left, env, tile_columns, tile_rows,
+                    (x - area_x) / cell, (y - area_y) / cell, dx, dy, distance / cell - RAY_MARGIN,
+                )  # fmt: skip
                 if noise[env, 5] > 0.0:
                     angle, reach = heading + beams[number, 2], longest + offset
                     rim_x, rim_y = x + offset * dx, y + offset * dy
