@@ -16,7 +16,7 @@ from limslam_agent.beam_model import GRAZING, Expected, Readings, expected_range
 from limslam_agent.ekf import POSE, LineEKF
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
-from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
+from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
 
 _PRIOR = np.array([10.0**2, 3.0**2])
 _EXACT = np.array([1e-4, 1e-5]) ** 2
@@ -101,9 +101,8 @@ class CloneEKF(LineEKF):
             return
         moved = slice(POSE * robot, POSE * robot + POSE)
         by_pose, by_increment = compose_jacobians(self.x[moved], increment)
-        self.F, self.Q = np.hstack((by_pose, by_increment @ by_factors)), by_increment @ covariance @ by_increment.T
-        self.x[moved] = compose(self.x[moved], increment)
-        self._move(moved, self.F, np.r_[moved, self._factors_part(robot)])
+        F, columns = np.hstack((by_pose, by_increment @ by_factors)), np.r_[moved, self._factors_part(robot)]
+        self._move(moved, increment, F, by_increment @ covariance @ by_increment.T, columns)
 
     def clone(self, robot: int = 0) -> int:
         """Keep a copy of a robot's pose, and give back the copy's number."""

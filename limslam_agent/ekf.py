@@ -81,10 +81,8 @@ class LineEKF(ExtendedKalmanFilter):
     def predict(self, increment: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Move a robot by an increment (3,) in its frame, with its covariance (3, 3)."""
         moved = slice(POSE * robot, POSE * robot + POSE)
-        self.F, by_increment = compose_jacobians(self.x[moved], increment)
-        self.Q = by_increment @ covariance @ by_increment.T
-        self.x[moved] = compose(self.x[moved], increment)
-        self._move(moved, self.F, np.arange(moved.start, moved.stop))
+        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+        self._move(moved, increment, by_pose, by_increment @ covariance @ by_increment.T, moved)
 
     def update(
         self,
@@ -200,10 +198,14 @@ class LineEKF(ExtendedKalmanFilter):
         self.dim_x = old + 2
         return self.num_lines - 1
 
-    def _move(self, moved: slice, F: FloatArray, columns: IntArray) -> None:
-        """P after a pose has become F (3, k) times those k numbers of the state, plus noise of covariance Q."""
+    def _move(
+        self, moved: slice, increment: FloatArray, F: FloatArray, Q: FloatArray, columns: slice | IntArray
+    ) -> None:
+        """Move a pose by an increment (3,); it depends by F (3, k) on k numbers of the state, with noise Q (3, 3)."""
+        self.F, self.Q = F, Q
+        self.x[moved] = compose(self.x[moved], increment)
         rows = F @ self.P[columns]
-        rows[:, moved] = rows[:, columns] @ F.T + self.Q
+        rows[:, moved] = rows[:, columns] @ F.T + Q
         self.P[moved] = rows
         self.P[:, moved] = rows.T
 

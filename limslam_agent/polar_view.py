@@ -10,11 +10,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from limslam_agent.frontier import frontier_cells
 from limslam_agent.occupancy import GridView
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
 
 CHANNELS = 3
@@ -27,7 +28,6 @@ FREE_TOLL, TIGHT_TOLL = 1, 3
 LEAST_UNKNOWN = 6
 
 _FAR = 10.0
-_AROUND = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,7 @@ class ViewConfig:
     def samples(self) -> FloatArray:
         """Places in the robot's frame (rings * directions * 6, 2), m, six for each polar cell."""
         width = 2.0 * math.pi / self.directions
-        ring = self.nearest * self.growth ** np.arange(self.rings)
-        radius = ring[:, None, None] * self.growth ** np.array([-0.25, 0.25, -0.25, 0.25, -0.25, 0.25])
+        radius = self.radii[:, None, None] * self.growth ** np.array([-0.25, 0.25, -0.25, 0.25, -0.25, 0.25])
         angle = width * (np.arange(self.directions)[None, :, None] + np.array([-1, -1, 0, 0, 1, 1]) / 3.0)
         radius, angle = np.broadcast_arrays(radius, angle)
         return np.column_stack(((radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()))
@@ -114,8 +113,10 @@ def frontier_distance(grid: GridView) -> FloatArray:
     Four neighbours a cell, three times the way beside walls. Only frontiers with something behind them count.
     """
     rows, columns = grid.values.shape
-    free, beside_wall = grid.free, _beside(np.pad(grid.occupied, 1))
-    sources = np.flatnonzero(free & ~beside_wall & _frontier(grid.unknown))
+    free, beside_wall = grid.free, ndimage.binary_dilation(grid.occupied, np.ones((3, 3), dtype=int))
+    # What lies past the grid's edge is unknown too.
+    around = ndimage.convolve(grid.unknown.astype(int), np.ones((5, 5), dtype=int), mode="constant", cval=1)
+    sources = np.flatnonzero(frontier_cells(grid, min_size=1) & ~beside_wall & (around >= LEAST_UNKNOWN))
     if not len(sources):
         return np.full((rows, columns), np.inf)
     toll = np.where(beside_wall, TIGHT_TOLL, FREE_TOLL)
@@ -132,25 +133,6 @@ def frontier_distance(grid: GridView) -> FloatArray:
     )
     steps = csgraph.dijkstra(graph, directed=False, indices=sources, min_only=True)
     return np.asarray(steps.reshape(rows, columns) * (0.5 * grid.cell))
-
-
-def _frontier(unknown: BoolArray) -> BoolArray:
-    """Cells with an unknown one beside them, and many round them. What lies past the grid's edge is unknown too."""
-    rows, columns = unknown.shape
-    padded = np.pad(unknown, 2, constant_values=True)
-    beside = padded[1:-3, 2:-2] | padded[3:-1, 2:-2] | padded[2:-2, 1:-3] | padded[2:-2, 3:-1]
-    total = sum(padded[down : down + rows].astype(np.int64) for down in range(5))
-    around = sum(np.asarray(total)[:, right : right + columns] for right in range(5))
-    return np.asarray(beside & (around >= LEAST_UNKNOWN))
-
-
-def _beside(padded: BoolArray) -> BoolArray:
-    """Which cells are, or touch, one that is set in the array padded by one."""
-    rows, columns = padded.shape[0] - 2, padded.shape[1] - 2
-    found = np.zeros((rows, columns), dtype=bool)
-    for down, right in _AROUND:
-        found |= padded[1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
-    return found
 
 
 def _distance_here(grid: GridView, away: FloatArray, pose: FloatArray) -> float:
