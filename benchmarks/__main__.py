@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from benchmarks.engines import Engine
+    from benchmarks.suite.engines import Engine
 
 STOPPED = 130
 """Exit code after Ctrl-C, which typer answers with the same."""
@@ -47,8 +47,8 @@ def run(
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
 ) -> int:
     """Do what is missing of a suite. The same command goes on after a kill."""
-    from benchmarks.runner import run_suite
-    from benchmarks.suite import load_suite
+    from benchmarks.suite.runner import run_suite
+    from benchmarks.suite.suite import load_suite
 
     if not timeout > 0.0:
         raise ValueError(f"--timeout: a time above 0 s is needed, not {timeout:g}")
@@ -70,10 +70,10 @@ def run(
 
 def _engine(name: EngineName, workers: int | None, timeout: float, address: str | None) -> "Engine":
     if name is EngineName.RAY:
-        from benchmarks.ray_engine import RayEngine
+        from benchmarks.suite.ray_engine import RayEngine
 
         return RayEngine(workers, timeout, address)
-    from benchmarks.engines import ProcessEngine
+    from benchmarks.suite.engines import ProcessEngine
 
     return ProcessEngine(workers or os.cpu_count() or 1, timeout)
 
@@ -85,13 +85,13 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
 ) -> None:
     """Train an explorer by PPO, for the suite's budget (extra rl)."""
-    from benchmarks.suite import load_suite
+    from benchmarks.suite.suite import load_suite
 
     chosen = load_suite(suite)
     if chosen.train is None:
         raise ValueError(f"the suite {chosen.name!r} has no [train] table")
     try:
-        from benchmarks.train import train as learn
+        from benchmarks.training.train import train as learn
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     typer.echo(f"weights     {learn(chosen.train, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
@@ -104,9 +104,9 @@ def table(
     out: Annotated[Path | None, typer.Option(help="File to write to.", show_default="standard output")] = None,
 ) -> None:
     """Print medians with intervals, as the paper's grid."""
-    from benchmarks.store import read_rows
-    from benchmarks.tables import table as tabulate
-    from limslam_agent.whole_file import whole_file
+    from benchmarks.analysis.tables import table as tabulate
+    from benchmarks.suite.store import read_rows
+    from limslam_agent.output.atomic_write import whole_file
 
     rows = [row for folder in folders for row in read_rows(folder)]
     # The course of runs is looked up where they lie; of several folders there is no such place.
@@ -125,7 +125,7 @@ def curves(
     out: Annotated[Path | None, typer.Option(help="PNG of coverage over time.", show_default="none")] = None,
 ) -> None:
     """Print how soon explorers see the same floor plans, and draw it."""
-    from benchmarks.explore_table import curve_table, draw_curves, read_curves
+    from benchmarks.training.explore_table import curve_table, draw_curves, read_curves
 
     found = read_curves(folders)
     typer.echo(curve_table(found).rstrip("\n"))
@@ -141,7 +141,7 @@ def plot(
     svg: Annotated[bool, typer.Option("--svg", help="Vector graphics too.")] = False,
 ) -> None:
     """Draw the paper's figures again, and sweeps and coverage besides."""
-    from benchmarks.plots import plot as draw
+    from benchmarks.analysis.plots import plot as draw
 
     for path in draw(folder, out or folder / "plots", svg=svg):
         typer.echo(f"plot        {path}")
@@ -153,7 +153,7 @@ def report(
     out: Annotated[Path | None, typer.Option(help="The page.", show_default="FOLDER/report.html")] = None,
 ) -> None:
     """Put tables and plots on one page that stands alone."""
-    from benchmarks.report import report as compose
+    from benchmarks.analysis.report import report as compose
 
     typer.echo(f"report      {compose(folder, out or folder / 'report.html')}")
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent import LimSlamAgent, preset
-from limslam_agent.export import map_content, write_grid, write_json
+from limslam_agent.output.export import map_content, write_grid, write_json
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
 # Measure your own: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.

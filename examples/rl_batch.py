@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
 import limslam_env  # noqa: F401 (registers the environments)
-from limslam_env.sb3 import Sb3VecEnv
+from limslam_env.envs.sb3 import Sb3VecEnv
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 import limslam_env  # noqa: F401 (registers the environments)
-from limslam_env.wrappers import FlattenObservation, NormalizedObservation
+from limslam_env.envs.wrappers import FlattenObservation, NormalizedObservation
 
 NUM_ENVS, ROLLOUT, EPOCHS, MINIBATCHES = 4, 32, 4, 4
 GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.99, 0.95, 0.2, 0.001, 0.5

@@ -9,7 +9,7 @@ import gymnasium as gym
 from sb3_contrib import RecurrentPPO
 
 import limslam_env  # noqa: F401 (registers the environments)
-from limslam_env.wrappers import FlattenObservation, NormalizedObservation
+from limslam_env.envs.wrappers import FlattenObservation, NormalizedObservation
 
 
 def main() -> None:

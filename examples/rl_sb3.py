@@ -11,7 +11,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import limslam_env  # noqa: F401 (registers the environments)
-from limslam_env.wrappers import DiscreteAction, FlattenObservation, FrameStackObservation, NormalizedObservation
+from limslam_env.envs.wrappers import DiscreteAction, FlattenObservation, FrameStackObservation, NormalizedObservation
 
 
 def make_env() -> Monitor:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
-    from limslam_agent.config import AgentConfig, preset
-    from limslam_agent.evaluation import evaluate, medians
-    from limslam_agent.slam import LineSlam
+    from limslam_agent.config.presets import AgentConfig, preset
+    from limslam_agent.runs.evaluate import evaluate, medians
+    from limslam_agent.slam.slam import LineSlam
     from limslam_agent.team import LimSlamTeam
 
 __all__ = ["AgentConfig", "LimSlamAgent", "LimSlamTeam", "LineSlam", "evaluate", "medians", "preset"]
@@ -19,11 +19,11 @@ __all__ = ["AgentConfig", "LimSlamAgent", "LimSlamTeam", "LineSlam", "evaluate",
 _HOMES = {
     "LimSlamAgent": "agent",
     "LimSlamTeam": "team",
-    "AgentConfig": "config",
-    "preset": "config",
-    "LineSlam": "slam",
-    "evaluate": "evaluation",
-    "medians": "evaluation",
+    "AgentConfig": "config.presets",
+    "preset": "config.presets",
+    "LineSlam": "slam.slam",
+    "evaluate": "runs.evaluate",
+    "medians": "runs.evaluate",
 }
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from limslam_agent.config import AgentConfig
-from limslam_agent.policies import Policy
-from limslam_agent.slam import LineSlam
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.policies.policies import Policy
+from limslam_agent.slam.slam import LineSlam
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec

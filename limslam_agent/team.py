@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.belief import Belief, Policy
-from limslam_agent.config import AgentConfig, preset
-from limslam_agent.line_map import Landmark
-from limslam_agent.occupancy import GridView, OccupancyGrid
-from limslam_agent.policies import FrontierPolicy
-from limslam_agent.slam import LineSlam
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.policies.belief import Belief, Policy
+from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 

@@ -14,9 +14,9 @@ from limslam_env.config import NOISE_PRESETS_M, NoiseConfig, RewardConfig
 from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSpec
 
 if TYPE_CHECKING:
-    from limslam_env.parallel import LimSlamParallelEnv, aec_env, parallel_env
-    from limslam_env.vector_env import LimSlamVectorEnv
-    from limslam_env.vector_parallel import LimSlamParallelVectorEnv, parallel_vector_env
+    from limslam_env.envs.parallel_env import LimSlamParallelEnv, aec_env, parallel_env
+    from limslam_env.envs.vector_env import LimSlamVectorEnv
+    from limslam_env.envs.vector_parallel_env import LimSlamParallelVectorEnv, parallel_vector_env
 
 __version__ = "0.1.0"
 
@@ -40,12 +40,12 @@ MAX_EPISODE_STEPS = 18_000
 
 # Where names are that are loaded when somebody asks for them.
 _ROOMS = {
-    "LimSlamParallelEnv": "parallel",
-    "LimSlamParallelVectorEnv": "vector_parallel",
-    "LimSlamVectorEnv": "vector_env",
-    "aec_env": "parallel",
-    "parallel_env": "parallel",
-    "parallel_vector_env": "vector_parallel",
+    "LimSlamParallelEnv": "envs.parallel_env",
+    "LimSlamParallelVectorEnv": "envs.vector_parallel_env",
+    "LimSlamVectorEnv": "envs.vector_env",
+    "aec_env": "envs.parallel_env",
+    "parallel_env": "envs.parallel_env",
+    "parallel_vector_env": "envs.vector_parallel_env",
 }
 
 _PLACES = {
@@ -68,8 +68,8 @@ def _register() -> None:
     for place, arguments in _PLACES.items():
         gym.register(
             f"LimSlam-{place}-v0",
-            entry_point="limslam_env.env:LimSlamEnv",
-            vector_entry_point="limslam_env.vector_env:LimSlamVectorEnv",
+            entry_point="limslam_env.envs.env:LimSlamEnv",
+            vector_entry_point="limslam_env.envs.vector_env:LimSlamVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
             kwargs=arguments,
         )
@@ -77,7 +77,7 @@ def _register() -> None:
             pettingzoo.register(
                 kind,
                 f"limslam/{place}-v0",
-                f"limslam_env.parallel:{kind}_env",
+                f"limslam_env.envs.parallel_env:{kind}_env",
                 max_cycles=MAX_EPISODE_STEPS,
                 kwargs=arguments,
             )

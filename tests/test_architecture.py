@@ -1,4 +1,4 @@
-"""Who may import whom, read from the source with ast; and what an import loads, seen in a new interpreter."""
+"""Which package may import which, read from the source; and what an import loads, seen in a new interpreter."""
 
 import ast
 import subprocess
@@ -8,64 +8,85 @@ from pathlib import Path
 
 import pytest
 
-import limslam_env
+GEOMETRY, INTERFACE = "limslam_env.geometry", "limslam_env.interface"
+WHAT_AN_AGENT_MAY_KNOW = {GEOMETRY, INTERFACE}
 
-LAYERS = [
-    {"geometry"},
-    {"interface", "config", "robots", "overlay", "window", "free_space", "world", "roadmap"},
-    {"map_server", "readers", "writers", "room_layout", "furnishing", "floor_plans"},
-    {"kernels", "task"},
-    {"random_kernels", "contact_kernels"},
-    {"tile_kernels", "physics"},
-    {"sensors", "odometry", "draws", "batch_kernels"},
-    {"coverage", "starts"},
-    {"tour_search", "tours"},
-    {"batch_worlds", "batch_noise"},
-    {"batch_places"},
-    {"simulation", "batch"},
-    {"adapter", "painter"},
-    {"batch_arguments"},
-    {"batch_adapter"},
-    {"env", "parallel", "vector_env", "vector_parallel"},
-    {"wrappers", "play", "sb3"},
-]
-# These stand beside the layers: they may read what a world is, and nothing that moves in it.
-BESIDE = {"metrics": {"world", "geometry", "free_space", "interface"}, "association_metrics": {"geometry"}}
-BESIDE["limit_model"] = {"geometry", "interface"}
-BESIDE["limit_solver"] = {"geometry", "limit_model"}
-BESIDE["limits"] = {"geometry", "interface", "limit_model", "limit_solver"}
-BESIDE["rendering"] = BESIDE["metrics"] | {"overlay"}
-# What is imported inside functions only, where it is asked for: readers need OpenCV, pictures too, a window pygame.
-ON_DEMAND = {"world": {"readers", "map_server"}, "painter": {"rendering", "window"}}
-# Data and the package's own front door; no room of the house.
-NO_LAYER = {"", "worlds"}
 
-COMPOSITION_ROOT = {"episode", "evaluation", "pilot", "results", "cli", "world_commands", "show_command", "recording"}
+def env(*names: str) -> set[str]:
+    return {f"limslam_env.{name}" for name in names}
+
+
+def agent(*names: str) -> set[str]:
+    return {f"limslam_agent.{name}" for name in names}
+
+
+# For each package, and each module beside the packages: which others it may import. A package may always import itself.
+ENV = {
+    "limslam_env": env("config", "interface"),
+    "limslam_env.__main__": set(),
+    "limslam_env.geometry": set(),
+    "limslam_env.interface": {GEOMETRY},
+    "limslam_env.config": set(),
+    "limslam_env.robots": {INTERFACE},
+    "limslam_env.worlds": {GEOMETRY},
+    "limslam_env.worlds.formats": {GEOMETRY, *env("worlds")},
+    "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
+    "limslam_env.kernels": {GEOMETRY},
+    "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
+    "limslam_env.batch": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("config", "worlds", "worlds.formats", "worlds.generation", "kernels", "simulation"),
+    },
+    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
+    "limslam_env.envs": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("config", "robots", "worlds", "worlds.formats", "worlds.generation", "simulation", "batch", "rendering"),
+    },
+    "limslam_env.metrics": {GEOMETRY, *env("worlds")},
+    "limslam_env.bounds": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
+}  # fmt: skip
+ESTIMATORS = agent("slam.published", "slam.consistent")
+AGENT = {
+    "limslam_agent.config": WHAT_AN_AGENT_MAY_KNOW,
+    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
+    "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
+    "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
+    "limslam_agent.slam.batch": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.consistent")},
+    "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
+    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
+    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
+    "limslam_agent.policies.learned": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "policies")},
+    "limslam_agent.team": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "policies")},
+    "limslam_agent.agent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "policies", "team")},
+    "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "config", "policies", "slam.batch")},
+    "limslam_agent.logs": WHAT_AN_AGENT_MAY_KNOW,
+    "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid")},
+    "limslam_agent.replay": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "logs", "output"),
+    },
+    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
+}  # fmt: skip
+# These put the simulator and the agent together. No other package of the agent may import them.
+COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
+RULES = ENV | AGENT
+COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch"}
+NUMBA_IS_IMPORTED_BY = {"limslam_env.kernels.rays", "limslam_agent.slam.batch.compilation"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
-LONGEST_FILE = 330
-# numba's cache notices a change in the file of a kernel only, not in one that it calls: kernels stay together.
-LONGEST_KERNELS = 520
-
-# Wherever the packages are installed: the checkout, or a wheel.
-ENV_FOLDER = Path(limslam_env.__file__).parent
-AGENT_FOLDER = Path(next(iter(find_spec("limslam_agent").submodule_search_locations)))
+MOST_MODULES, LONGEST_FILE = 15, 520
 
 
-def modules(folder: Path) -> dict[str, Path]:
-    """Dotted names within a package, without the package's own; "" is its __init__."""
+def modules_of(top: str) -> dict[str, Path]:
+    """The files of an installed package by their dotted names: those of a checkout, or of a wheel."""
+    folder = Path(next(iter(find_spec(top).submodule_search_locations)))
     found = {}
     for path in sorted(folder.rglob("*.py")):
-        parts = path.relative_to(folder).with_suffix("").parts
+        parts = path.relative_to(folder.parent).with_suffix("").parts
         found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
 
 
-ENV, AGENT = modules(ENV_FOLDER), modules(AGENT_FOLDER)
-ALL = {
-    f"{folder.name}.{name}".rstrip("."): path
-    for folder in (ENV_FOLDER, AGENT_FOLDER)
-    for name, path in modules(folder).items()
-}
+MODULES = modules_of("limslam_env") | modules_of("limslam_agent")
+PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
 
 
 def tree_of(path: Path) -> ast.Module:
@@ -84,86 +105,57 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-def rooms(path: Path, package: str) -> set[str]:
-    """The modules of a package that a file imports, by their first name; "" for the package itself."""
-    known = {name.split(".")[0] for name in (ENV if package == "limslam_env" else AGENT)}
-    parts = [name.split(".") for name in imports(path)]
-    return {inner[0] if inner and inner[0] in known else "" for first, *inner in parts if first == package}
+def place_of(name: str) -> str:
+    """The package that a module or a name in it belongs to; of modules beside the packages, the module itself."""
+    while name not in MODULES:
+        name = name.rpartition(".")[0]
+    if name in PACKAGES or name.count(".") == 1:
+        return name
+    return name.rpartition(".")[0]
 
 
-def layer_of(name: str) -> int:
-    room = name.split(".", maxsplit=1)[0]
-    (layer,) = [number for number, names in enumerate(LAYERS) if room in names]
-    return layer
+def places_imported(names: list[str]) -> set[str]:
+    """The places in the project that modules import."""
+    found = set().union(*(imports(MODULES[name]) for name in names))
+    return {place_of(name) for name in found if name.split(".")[0] in {"limslam_env", "limslam_agent"}}
 
 
-def test_every_module_of_the_env_has_a_place():
-    placed = set().union(*LAYERS, BESIDE, NO_LAYER)
-    assert {name.split(".")[0] for name in ENV} <= placed
+PLACES = {place: [name for name in MODULES if place_of(name) == place] for place in map(place_of, MODULES)}
 
 
-@pytest.mark.parametrize("name", [name for name in ENV if name.split(".")[0] not in {*BESIDE, *NO_LAYER}])
-def test_no_module_of_the_env_imports_a_later_layer(name):
-    imported = rooms(ENV[name], "limslam_env") - {name.split(".")[0]} - ON_DEMAND.get(name, set())
-    assert "" not in imported, "the package's front door is for users"
-    assert all(layer_of(other) <= layer_of(name) for other in imported), imported
+def test_every_package_has_a_rule():
+    assert set(PLACES) == {name for name in set(RULES) | COMPOSITION if name in PLACES}
 
 
-def test_geometry_is_a_leaf():
-    for name, path in ENV.items():
-        if name.split(".")[0] == "geometry":
-            outside = {full.split(".")[0] for full in imports(path)} - {"limslam_env", "numpy", "math", "typing"}
-            assert not outside
-            assert rooms(path, "limslam_env") <= {"geometry"}
+@pytest.mark.parametrize("place", [place for place in PLACES if place not in COMPOSITION])
+def test_a_package_imports_only_what_its_rule_names(place):
+    # What __init__ loads on demand, for users, is no import of the package.
+    names = [name for name in PLACES[place] if name not in {"limslam_env", "limslam_agent"}]
+    assert places_imported(names) - {place} - RULES[place] == set()
 
 
-@pytest.mark.parametrize("name", sorted(BESIDE))
-def test_metrics_and_rendering_stand_on_the_world_alone(name):
-    assert rooms(ENV[name], "limslam_env") <= BESIDE[name]
+def test_no_package_is_in_an_import_circle():
+    graph = {
+        place: places_imported(names) - {place} for place, names in PLACES.items() if place not in PLACES.get("", [])
+    }
+    graph["limslam_env"] = graph["limslam_agent"] = set()  # they load what users ask for, on demand
+    while graph:
+        leaves = {place for place, others in graph.items() if not others & set(graph)}
+        assert leaves, f"these import each other: {sorted(graph)}"
+        graph = {place: others for place, others in graph.items() if place not in leaves}
 
 
-@pytest.mark.parametrize("name", sorted(ON_DEMAND))
-def test_what_is_loaded_on_demand_is_not_imported_at_the_top(name):
-    # Below "if TYPE_CHECKING" nothing is loaded.
-    top = [node for node in tree_of(ENV[name]).body if isinstance(node, ast.Import | ast.ImportFrom)]
-    modules_at_top = {node.module for node in top if isinstance(node, ast.ImportFrom)}
-    assert not modules_at_top & {f"limslam_env.{room}" for room in ON_DEMAND[name]}
-
-
-@pytest.mark.parametrize("name", ENV)
-def test_the_env_never_imports_the_agent(name):
-    assert not any(full.split(".")[0] == "limslam_agent" for full in imports(ENV[name]))
-
-
-@pytest.mark.parametrize("name", AGENT)
-def test_an_agent_cannot_read_the_truth(name):
-    # The front door names all there is, and loads nothing: see below.
-    if name in COMPOSITION_ROOT | {""}:
-        return
-    assert rooms(AGENT[name], "limslam_env") <= {"geometry", "interface"}
-    assert not rooms(AGENT[name], "limslam_agent") & COMPOSITION_ROOT, "it would get at the env through them"
+@pytest.mark.parametrize("place", sorted(PACKAGES))
+def test_no_package_has_too_many_modules(place):
+    assert sum(name.rpartition(".")[0] == place and name not in PACKAGES for name in MODULES) <= MOST_MODULES
 
 
 @pytest.mark.parametrize(
-    ("library", "owners"),
-    [
-        ("pymunk", {"limslam_env.physics"}),
-        ("numba", {"limslam_env.kernels", "limslam_agent.batch_compile"}),
-    ],
+    ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", NUMBA_IS_IMPORTED_BY)]
 )
 def test_these_modules_alone_import_it(library, owners):
-    importers = {name for name, path in ALL.items() if any(full.split(".")[0] == library for full in imports(path))}
-    assert importers == owners
-
-
-def test_only_the_batch_knows_its_kernels():
-    users = {name for name in AGENT if any(room.startswith("batch_") for room in rooms(AGENT[name], "limslam_agent"))}
-    assert users == {name for name in AGENT if is_of_batch(name)} - {"batch_compile", "batch_state"}
-
-
-def is_of_batch(name: str) -> bool:
-    """Whether a module is compiled, for many robots at once, or uses what is; who has one robot never loads it."""
-    return name.startswith("batch_") or name == "vector_wrappers"
+    found = {name for name, path in MODULES.items() if any(full.split(".")[0] == library for full in imports(path))}
+    assert found == owners
 
 
 def dotted(node: ast.expr) -> str:
@@ -172,27 +164,23 @@ def dotted(node: ast.expr) -> str:
     return node.id if isinstance(node, ast.Name) else ""
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_no_module_draws_from_global_random_state(name):
-    imported = imports(ALL[name])
-    assert not any(full == "random" or full.startswith("random.") for full in imported)
-    assert {full.split(".")[2] for full in imported if full.startswith("numpy.random.")} <= SEEDED
-    used = {dotted(node) for node in ast.walk(tree_of(ALL[name])) if isinstance(node, ast.Attribute)}
-    drawn = {full.split(".")[2] for full in used if full.startswith(("np.random.", "numpy.random."))}
-    assert drawn <= SEEDED
+@pytest.mark.parametrize("place", PLACES)
+def test_random_numbers_come_from_seeded_generators(place):
+    for name in PLACES[place]:
+        tree, imported = tree_of(MODULES[name]), imports(MODULES[name])
+        assert not any(full == "random" or full.startswith("random.") for full in imported), name
+        assert {full.split(".")[2] for full in imported if full.startswith("numpy.random.")} <= SEEDED, name
+        used = {dotted(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        assert {full.split(".")[2] for full in used if full.startswith(("np.random.", "numpy.random."))} <= SEEDED, name
+        calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        unseeded = [node.lineno for node in calls if dotted(node.func).endswith("default_rng") and not node.args]
+        assert not unseeded, name
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_every_generator_is_seeded(name):
-    calls = [node for node in ast.walk(tree_of(ALL[name])) if isinstance(node, ast.Call)]
-    unseeded = [node.lineno for node in calls if dotted(node.func).endswith("default_rng") and not node.args]
-    assert not unseeded
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_no_file_is_too_long(name):
-    longest = LONGEST_KERNELS if name == "limslam_env.kernels" else LONGEST_FILE
-    assert len(ALL[name].read_text(encoding="utf-8").splitlines()) <= longest
+@pytest.mark.parametrize("place", PLACES)
+def test_no_file_is_too_long(place):
+    lengths = {name: len(MODULES[name].read_text(encoding="utf-8").splitlines()) for name in PLACES[place]}
+    assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
 
 
 def loaded_by(names: list[str], suspects: set[str]) -> set[str]:
@@ -207,13 +195,12 @@ def test_importing_the_env_loads_no_heavy_library():
 
 
 def test_importing_the_agent_loads_no_simulator():
-    parts = [
-        f"limslam_agent.{name}".rstrip(".") for name in AGENT if name not in COMPOSITION_ROOT and not is_of_batch(name)
-    ]
+    compiled = PLACES["limslam_agent.slam.batch"] + ["limslam_agent.wrappers.vector"]
+    parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
-    unwanted = {"pymunk", "numba", "pygame", "limslam_env.world", "limslam_env.simulation", "limslam_env.env"}
+    unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")
     assert loaded_by(parts, unwanted) == set()
 
 
 def test_the_suspects_would_be_noticed():
-    assert loaded_by(["limslam_env.env"], {"pymunk", "numba"}) == {"pymunk", "numba"}
+    assert loaded_by(["limslam_env.envs.env"], {"pymunk", "numba"}) == {"pymunk", "numba"}

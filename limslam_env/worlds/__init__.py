@@ -1,1 +1,1 @@
-"""The shipped worlds, as TOML files."""
+"""Worlds: walls, obstacles, doors and starts; the files that describe them; and random floor plans."""

@@ -1,0 +1,121 @@
+"""What all figures share: colours that colour-blind people tell apart, axes, legends, and how a figure is saved.
+
+Figures are made without pyplot, so that nothing global is changed and nothing has to be closed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TypeVar
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from benchmarks.analysis.groups import PUBLISHED
+
+# Okabe & Ito, Color Universal Design, 2008, without their yellow, which is lost on white; darkest first.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
+TRUTH, WALLS, FAINT, INK = "0.76", "#A3201A", "0.62", "0.15"
+BAND = 0.16
+"""Opacity of bands."""
+
+MOST_LINES = len(COLOURS)
+_DPI = 160
+
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A figure and its words.
+
+    Attributes
+    ----------
+    name
+        Of its file, without the ending.
+    title
+        What it shows, in a line.
+    alt
+        What is to be seen in it, for those who do not see it.
+    figure
+        The figure.
+    """
+
+    name: str
+    title: str
+    alt: str
+    figure: Figure
+
+
+def sheet_of(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:
+    """A figure of so many axes in a grid; ``size`` is that of each, inches."""
+    figure = Figure(figsize=(columns * size[0], rows * size[1] + 0.5), layout="constrained", facecolor="white")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    return figure, [list(line) for line in axes]
+
+
+def uneven_sheet(heights: Sequence[float], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
+    """As :func:`sheet_of`, each row of a height of its own, inches."""
+    size = (columns * width, sum(heights) + 0.25 * len(heights) + 0.5)
+    figure = Figure(figsize=size, layout="constrained", facecolor="white")
+    axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=list(heights))
+    return figure, [list(line) for line in axes]
+
+
+def plain_axes(axes: Axes) -> None:
+    """A quiet grid, and no frame where it says nothing."""
+    axes.grid(color="0.9", linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color("0.6")
+    axes.tick_params(labelsize=8, color="0.6")
+
+
+def legend_below(figure: Figure, handles: Sequence[Line2D], columns: int = 5) -> None:
+    """What is what, under the figure."""
+    figure.legend(
+        handles=list(handles), loc="outside lower center", ncols=max(1, min(columns, len(handles))), frameon=False,
+        fontsize=9,
+    )  # fmt: skip
+
+
+def headline(figure: Figure, title: str) -> None:
+    """A title over the figure; never read as mathematics."""
+    figure.suptitle(title, fontsize=11, parse_math=False)
+
+
+def chosen(values: Sequence[_Value], most: int) -> list[_Value]:
+    """All values, or as many as fit, evenly from the first to the last."""
+    if len(values) <= most:
+        return list(values)
+    return [values[round(float(place))] for place in np.linspace(0, len(values) - 1, most)]
+
+
+def file_word(name: str) -> str:
+    """A name as part of a file's name."""
+    return "-".join(filter(None, "".join(letter if letter.isalnum() else " " for letter in name).split()))
+
+
+def method_suffix(method: str) -> str:
+    """What a method adds to a file's name: nothing, if it is the published one."""
+    return "" if method == PUBLISHED else f"_{file_word(method)}"
+
+
+def save(drawing: Drawing, path: Path) -> None:
+    """Write a figure as PNG or SVG, as the ending of the path says. The same figure gives the same file."""
+    if path.suffix == ".png":
+        with path.open("wb") as file:
+            write_png(drawing, file)
+        return
+    with mpl.rc_context({"svg.hashsalt": "limslam", "svg.fonttype": "path"}):
+        drawing.figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
+
+
+def write_png(drawing: Drawing, file: IO[bytes]) -> None:
+    """Write a figure as PNG to an open file."""
+    drawing.figure.savefig(file, format="png", dpi=_DPI, facecolor="white", metadata={"Software": None})

@@ -1,0 +1,169 @@
+"""Rows of results in groups of one setting: what was asked for is one group, the seeds are its runs."""
+
+import math
+import re
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from benchmarks.suite.jobs import LAPS_POLICY, LOG_POLICY, RANDOM
+from benchmarks.suite.store import Row
+from limslam_env.geometry import FloatArray
+
+PUBLISHED = "paper"
+"""The preset that is the published method."""
+
+FRONTIER, TOUR, ORACLE = "frontier", "tour", "oracle"
+"""Policies that tables ask for by name, besides those that :mod:`benchmarks.suite.jobs` names."""
+
+Value: TypeAlias = Callable[[Row], float | None]
+"""What a column shows of a row; None where it has none."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the runs of a group have in common.
+
+    Attributes
+    ----------
+    world
+        Its name; all random floor plans are one world, ``random plans``.
+    noise, robots, preset, policy, ablation, laps
+        As in a job.
+    """
+
+    world: str
+    noise: float
+    robots: int
+    preset: str
+    policy: str
+    ablation: str | None
+    laps: int
+
+    @property
+    def method(self) -> str:
+        """The estimator in words."""
+        return self.preset if self.ablation is None else f"{self.preset}, {self.ablation}"
+
+    @property
+    def is_published(self) -> bool:
+        """Whether nothing was changed in the published method."""
+        return self.preset == PUBLISHED and self.ablation is None
+
+    @property
+    def order(self) -> tuple[object, ...]:
+        """Tables are sorted by this: worlds first, the published method before others."""
+        name = tuple((not part.isdigit(), int(part) if part.isdigit() else part) for part in _parts(self.world))
+        method = (not self.is_published, self.preset != PUBLISHED, self.preset, self.ablation or "")
+        return (self.world.startswith("random"), name, self.laps, self.robots, self.policy, method, self.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The runs of one setting.
+
+    Attributes
+    ----------
+    setting
+        What they have in common.
+    rows
+        All of them, failed ones too.
+    """
+
+    setting: Setting
+    rows: Sequence[Row]
+
+    @property
+    def failed(self) -> int:
+        """How many failed."""
+        return sum(row.error is not None for row in self.rows)
+
+    def values(self, of: Value) -> FloatArray:
+        """What the runs have of a value, (k,); runs without it are left out, and the caller says how many."""
+        found = (of(row) for row in self.rows)
+        return np.array([value for value in found if value is not None], dtype=float)
+
+    def by_job(self, of: Value) -> dict[Hashable, float | None]:
+        """The value of each run by world, noise and seed, for comparisons in pairs; None where it has none."""
+        return {(row.world, row.noise, row.laps, row.seed): of(row) for row in self.rows}
+
+
+def metric(name: str) -> Value:
+    """A metric by its name in ``docs/metrics.md``."""
+
+    def value(row: Row) -> float | None:
+        found = row.metrics.get(name)
+        if isinstance(found, str | bool) or found is None or not math.isfinite(found):
+            return None
+        return float(found)
+
+    return value
+
+
+def cost(name: str) -> Value:
+    """What a run cost, by its name in ``docs/metrics.md``."""
+
+    def value(row: Row) -> float | None:
+        found = row.cost.get(name)
+        return None if found is None or not math.isfinite(found) else float(found)
+
+    return value
+
+
+def ratio(above: str, below: str) -> Value:
+    """One metric over another of the same run; None where one is missing or the lower one is 0."""
+    upper, lower = metric(above), metric(below)
+
+    def value(row: Row) -> float | None:
+        one, other = upper(row), lower(row)
+        return None if one is None or other is None or other == 0.0 else one / other
+
+    return value
+
+
+def setting_of(row: Row) -> Setting:
+    """The setting of a row."""
+    world = "random plans" if row.world.startswith(RANDOM) else row.world
+    return Setting(world, row.noise, row.robots, row.preset, row.policy, row.ablation, row.laps)
+
+
+def groups(rows: Iterable[Row]) -> list[Group]:
+    """Rows by setting, in the order of tables."""
+    found: dict[Setting, list[Row]] = {}
+    for row in rows:
+        found.setdefault(setting_of(row), []).append(row)
+    return [Group(setting, found[setting]) for setting in sorted(found, key=lambda each: each.order)]
+
+
+def merged(parts: Iterable[Group], key: Callable[[Setting], Setting]) -> list[Group]:
+    """Groups put together where ``key`` makes their settings alike, in order of appearance."""
+    found: dict[Setting, list[Row]] = {}
+    for part in parts:
+        found.setdefault(key(part.setting), []).extend(part.rows)
+    return [Group(setting, rows) for setting, rows in found.items()]
+
+
+def centimetres(noise: float) -> str:
+    """A noise in words."""
+    return f"{100.0 * noise:g} cm"
+
+
+def is_exploration(setting: Setting) -> bool:
+    """Whether robots explored, by whatever policy."""
+    return setting.policy not in {LAPS_POLICY, TOUR, LOG_POLICY}
+
+
+def is_drive(setting: Setting) -> bool:
+    """Whether a known path was driven, so that there was nothing to explore."""
+    return setting.policy in {LAPS_POLICY, TOUR}
+
+
+def is_log(setting: Setting) -> bool:
+    """Whether it was a recorded log."""
+    return setting.policy == LOG_POLICY
+
+
+def _parts(name: str) -> list[str]:
+    return [part for part in re.split(r"(\d+)", name) if part]

@@ -1,0 +1,64 @@
+"""The paper's figures again, and what else the rows of a folder can show."""
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+
+from benchmarks.analysis.curve_figures import coverage_drawings, error_drawings, sweep_drawings
+from benchmarks.analysis.figure_style import Drawing, save
+from benchmarks.analysis.groups import groups
+from benchmarks.analysis.map_figures import map_drawings
+from benchmarks.analysis.method_figures import method_drawings
+from benchmarks.suite.store import Row, read_rows
+
+
+def drawings(rows: Sequence[Row], folder: Path) -> Iterator[Drawing]:
+    """All figures that rows and their series give, one at a time.
+
+    Raises
+    ------
+    ValueError
+        If there are no rows, or a series is missing or damaged.
+    """
+    if not rows:
+        raise ValueError(f"{folder}: no results: there is not one row to draw")
+    parts = groups(rows)
+    yield from chain(
+        map_drawings(parts, folder),
+        error_drawings(parts, folder),
+        sweep_drawings(parts),
+        coverage_drawings(parts, folder),
+        method_drawings(parts),
+    )
+
+
+def plot(folder: Path, out: Path, *, svg: bool = False) -> list[Path]:
+    """Draw the figures of a folder of results.
+
+    Parameters
+    ----------
+    folder
+        Of results.
+    out
+        Folder for the figures; made if it is not there.
+    svg
+        Write SVG files beside the PNG files.
+
+    Returns
+    -------
+    list of Path
+        What was written; empty if the rows have nothing to draw, because all of them failed.
+
+    Raises
+    ------
+    ValueError
+        If there are no rows, or a series is missing or damaged.
+    """
+    rows, written = read_rows(folder), list[Path]()
+    for drawing in drawings(rows, folder):
+        out.mkdir(parents=True, exist_ok=True)
+        for ending in ("png", "svg") if svg else ("png",):
+            path = out / f"{drawing.name}.{ending}"
+            save(drawing, path)
+            written.append(path)
+    return written

@@ -1,0 +1,123 @@
+"""The course of a job, read back from its folder of results."""
+
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.suite.store import Row
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+
+_NEEDED = ("time", "estimated", "odometry", "segments")
+_OPTIONAL = ("true", "sigma", "coverage", "edges", "doors")
+_WIDTHS = {"estimated": 3, "odometry": 3, "true": 3, "sigma": 3, "segments": 4, "edges": 4, "doors": 4}
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What plots need of a job. Poses are m and rad, in the world frame.
+
+    Attributes
+    ----------
+    time
+        (k,), s.
+    estimated, odometry
+        Poses (k, n, 3) of n robots: the belief, and odometry alone.
+    segments
+        Walls of the map (m, 4), m.
+    true, sigma
+        (k, n, 3): the truth, and standard deviations of the belief; None for a log.
+    coverage
+        (k,), 0 to 1; None for a log.
+    edges, doors
+        True walls (w, 4) and doors (d, 4), m; None for a log.
+    """
+
+    time: FloatArray
+    estimated: FloatArray
+    odometry: FloatArray
+    segments: FloatArray
+    true: FloatArray | None = None
+    sigma: FloatArray | None = None
+    coverage: FloatArray | None = None
+    edges: FloatArray | None = None
+    doors: FloatArray | None = None
+
+    def errors(self, poses: FloatArray) -> FloatArray:
+        """Errors (k, n, 3) in x, y and heading of poses (k, n, 3), m and rad.
+
+        Raises
+        ------
+        ValueError
+            If the truth is not known.
+        """
+        if self.true is None:
+            raise ValueError("a recorded log has no truth to compare with")
+        errors = poses - self.true
+        errors[..., 2] = wrap_angle(errors[..., 2])
+        return np.asarray(errors)
+
+
+def read_series(folder: Path, row: Row) -> Series | None:
+    """The series of a row; None if it has none.
+
+    Raises
+    ------
+    ValueError
+        If its file is missing or damaged; the message names it.
+    """
+    if row.series is None:
+        return None
+    path = folder / row.series
+    try:
+        # numpy would leave a file open that turns out to be none of its own.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+            arrays = {name: np.asarray(content[name], dtype=float) for name in content.files if name in _KNOWN}
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{path}: is damaged: {error}") from error
+    if missing := [name for name in _NEEDED if name not in arrays]:
+        raise ValueError(f"{path}: lacks {', '.join(missing)}")
+    for name, width in _WIDTHS.items():
+        if name in arrays and arrays[name].shape[-1:] != (width,):
+            raise ValueError(f"{path}: {name} must have {width} columns, not shape {arrays[name].shape}")
+    return Series(**arrays)
+
+
+def lap_errors(series: Series, poses: FloatArray, laps: int) -> FloatArray:
+    """Root mean squares (laps, 3) of the errors of poses (k, n, 3) in x, y and heading, in each lap, m and rad.
+
+    A lap is an equal part of the path that was truly driven.
+
+    Raises
+    ------
+    ValueError
+        If the truth is not known, or the path is too short for so many laps.
+    """
+    errors, driven = series.errors(poses), distance(series)
+    lap = np.minimum((laps * driven / max(driven[-1], 1e-9)).astype(int), laps - 1)
+    if len(np.unique(lap)) < laps:
+        raise ValueError(f"the path is too short for {laps} laps")
+    squares = np.square(errors)
+    return np.asarray(np.sqrt([squares[lap == number].mean(axis=(0, 1)) for number in range(laps)]))
+
+
+def distance(series: Series) -> FloatArray:
+    """The distance (k,) that the first robot had truly driven, m.
+
+    Raises
+    ------
+    ValueError
+        If the truth is not known.
+    """
+    if series.true is None:
+        raise ValueError("a recorded log has no truth to compare with")
+    steps = np.linalg.norm(np.diff(series.true[:, 0, :2], axis=0), axis=1)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+_KNOWN = frozenset(_NEEDED + _OPTIONAL)

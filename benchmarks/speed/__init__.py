@@ -1,0 +1,1 @@
+"""Speed of the environment, the filter and the batches, beside others in the same run."""

@@ -1,0 +1,1 @@
+"""Suites of runs: which jobs they are, how they are executed, and where their results are kept."""

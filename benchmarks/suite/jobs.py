@@ -1,0 +1,125 @@
+"""One job of a suite, and what can come of it."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, TypeAlias
+
+from limslam_env.geometry import FloatArray
+
+LOG_POLICY, LAPS_POLICY = "replay", "laps"
+RANDOM, PLAN, LOG = "random:", "plan:", "log:"
+
+Metric: TypeAlias = float | int | str | None
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """A recorded log, and how it is replayed.
+
+    Attributes
+    ----------
+    name
+        What it is called in tables.
+    file, relations
+        Files under the data folder: the log, and known relative poses to score against (None: none).
+    beams
+        Directions of the beams used, deg.
+    max_range
+        Longest range used, m.
+    odometry_bias
+        True minus reported heading per metre, deg, and true over reported distance.
+    """
+
+    name: str
+    file: str
+    beams: tuple[float, ...]
+    max_range: float = 3.0
+    odometry_bias: tuple[float, float] = (0.0, 1.0)
+    relations: str | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a suite. Its seed is part of it, so that no engine and no order can change what comes out.
+
+    Attributes
+    ----------
+    world
+        Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
+        in the data folder); of a log ``log:NAME``.
+    noise
+        Standard deviation of the ranges, m; of a log the assumed one.
+    robots, preset, policy, ablation, laps, seed, max_time, limit
+        As in ``limslam_agent.runs.episode.RunConfig``.
+    log
+        The recorded log that is replayed instead; None for a simulated run.
+    """
+
+    world: str
+    noise: float
+    robots: int = 1
+    preset: str = "paper"
+    policy: str = "frontier"
+    ablation: str | None = None
+    laps: int = 0
+    seed: int = 0
+    max_time: float = 1800.0
+    limit: bool = False
+    log: LogSource | None = None
+
+    @property
+    def key(self) -> str:
+        """Digest of all that the job is: 16 hexadecimal digits."""
+        return digest(asdict(self))
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a line of results says of the job."""
+        names = ("world", "noise", "robots", "preset", "policy", "ablation", "laps", "seed")
+        policy = LAPS_POLICY if self.laps and self.policy == "frontier" else self.policy
+        return {**{name: getattr(self, name) for name in names}, "policy": policy, "key": self.key}
+
+    @property
+    def title(self) -> str:
+        """The job in a line, for people."""
+        parts = [self.world, f"{100 * self.noise:g} cm", self.preset, str(self.identity["policy"]), f"seed {self.seed}"]
+        if self.ablation:
+            parts.insert(3, self.ablation)
+        if self.robots > 1:
+            parts.insert(1, f"{self.robots} robots")
+        if self.laps:
+            parts.append(f"{self.laps} laps")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a job.
+
+    Attributes
+    ----------
+    metrics, cost
+        As in a run's ``result.json``; ``cost`` also has ``job_s`` and ``job_cpu_s``, the whole job with its scores.
+    series
+        Arrays for the plots, by name: see ``docs/benchmark.md``.
+    config
+        Digest of the agent's settings, the robot and the world or log.
+    """
+
+    metrics: dict[str, Metric]
+    cost: dict[str, float]
+    series: dict[str, FloatArray]
+    config: str
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why nothing came of a job: an exception, a killed worker, or too long a time."""
+
+    reason: str
+
+
+def digest(content: Any) -> str:
+    """A name for what JSON can say: 16 hexadecimal digits."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

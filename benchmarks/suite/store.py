@@ -1,0 +1,260 @@
+"""The results of a suite in a folder: a line of JSON a job, appended when the job has ended.
+
+A run can be killed at any moment. A line is there when it is whole, and a job's series are there before its line is.
+"""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
+from benchmarks.suite.provenance import version_changes
+from limslam_agent.output.atomic_write import whole_file
+
+RESULTS, STAMP, LOCK, SERIES = "results.jsonl", "suite.json", ".lock", "series"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of ``results.jsonl``: what ran, and what came of it.
+
+    Attributes
+    ----------
+    world, noise, robots, preset, policy, ablation, laps, seed
+        The job. ``policy`` is ``laps`` where laps were driven and ``replay`` for a recorded log, whose world is
+        ``log:NAME``.
+    metrics
+        By their names in ``docs/metrics.md``; empty where the job failed.
+    cost
+        Time and memory, which no comparison for identity looks at; empty where the job failed.
+    versions, commit, config
+        What made it: versions of packages, the checkout's commit, and a digest of the agent's settings and the world.
+    series
+        File of arrays for the plots, relative to the folder; None where the job failed.
+    key
+        Digest of the job.
+    error
+        Why the job failed; None where it did not.
+    """
+
+    world: str
+    noise: float
+    robots: int
+    preset: str
+    policy: str
+    ablation: str | None
+    laps: int
+    seed: int
+    metrics: dict[str, Metric]
+    cost: dict[str, float] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    commit: str = "unknown"
+    config: str = ""
+    series: str | None = None
+    key: str = ""
+    error: str | None = None
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What all the results of one folder have in common.
+
+    Attributes
+    ----------
+    suite, digest, jobs
+        The suite's name, its digest, and how many jobs it has.
+    versions, commit
+        Of what makes the results.
+    """
+
+    suite: str
+    digest: str
+    jobs: int
+    versions: dict[str, str]
+    commit: str
+
+
+class Store:
+    """A folder of results that this process alone writes to: see :func:`open_store`.
+
+    Attributes
+    ----------
+    folder
+        Where it is.
+    stamp
+        What its results are made by.
+    rows
+        What is there already, by the jobs' keys.
+    """
+
+    def __init__(self, folder: Path, stamp: Stamp) -> None:
+        self.folder, self.stamp = folder, stamp
+        self.rows: dict[str, Row] = {row.key: row for row in read_rows(folder)}
+
+    def append(self, job: Job, result: Outcome | Failure) -> Row:
+        """Keep what came of a job, for good: when this returns, no kill can take it back.
+
+        Raises
+        ------
+        ValueError
+            If the job has a row already.
+        OSError
+            If nothing can be written.
+        """
+        if job.key in self.rows:
+            raise ValueError(f"{self.folder}: has a row for this job already: {job.title}")
+        made_by = {"versions": self.stamp.versions, "commit": self.stamp.commit}
+        if isinstance(result, Failure):
+            came_of_it: dict[str, Any] = {"metrics": {}, "error": result.reason}
+        else:
+            series = self._write_series(job.key, result.series)
+            came_of_it = {"metrics": result.metrics, "cost": result.cost, "config": result.config, "series": series}
+        row = Row(**{**job.identity, **made_by, **came_of_it})
+        _append_line(self.folder / RESULTS, _line(row))
+        self.rows[job.key] = row
+        return row
+
+    def _write_series(self, key: str, series: dict[str, Any]) -> str:
+        name = f"{SERIES}/{key}.npz"
+        with whole_file(self.folder / name) as beside, beside.open("wb") as file:
+            np.savez_compressed(file, **series)
+            file.flush()
+            os.fsync(file.fileno())
+        return name
+
+
+@contextmanager
+def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Iterator[Store]:
+    """The folder of a suite's results, made if it is not there, mended if a kill has torn it, and locked.
+
+    Parameters
+    ----------
+    folder
+        Where the results are, or shall be.
+    stamp
+        What makes them.
+    retry_failed
+        Forget the rows of failed jobs, so that they are missing again.
+
+    Raises
+    ------
+    ValueError
+        If another process writes there, the folder holds something else, or results of another suite, version or
+        commit.
+    """
+    _check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("a") as lock:
+        # The lock goes with the process, however that ends; the file stays.
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{folder}: another run is writing there") from None
+        _check_stamp(folder, stamp)
+        _mend(folder)
+        if retry_failed:
+            kept = [row for row in read_rows(folder) if row.error is None]
+            _replace(folder / RESULTS, b"".join(_line(row) for row in kept))
+        yield Store(folder, stamp)
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is not a folder")
+    if folder.is_dir() and not (folder / STAMP).is_file() and any(path.name[0] != "." for path in folder.iterdir()):
+        raise ValueError(f"{folder}: is not empty and holds no benchmark's results")
+
+
+def _check_stamp(folder: Path, stamp: Stamp) -> None:
+    path, now = folder / STAMP, asdict(stamp)
+    if not path.is_file():
+        _replace(path, json.dumps(now, indent=2).encode() + b"\n")
+        return
+    try:
+        before = Stamp(**json.loads(path.read_bytes()))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: not the stamp of a benchmark: {error}") from error
+    if (before.suite, before.digest) != (stamp.suite, stamp.digest):
+        raise ValueError(
+            f"{folder}: holds results of another suite, or of this one before it was changed"
+            f" ({before.suite}, {before.jobs} jobs, digest {before.digest}; now {stamp.suite}, {stamp.jobs} jobs,"
+            f" digest {stamp.digest}): choose another folder"
+        )
+    changed = [version_changes(before.versions, stamp.versions)] if before.versions != stamp.versions else []
+    if before.commit != stamp.commit:
+        changed.append(f"commit {before.commit}, now {stamp.commit}")
+    if changed:
+        raise ValueError(f"{folder}: holds results of other versions ({'; '.join(changed)}): choose another folder")
+
+
+def _mend(folder: Path) -> None:
+    """Drop a line that a kill has torn, and what it left of files half written."""
+    path = folder / RESULTS
+    content = path.read_bytes() if path.is_file() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole != content or not path.is_file():
+        _replace(path, whole)
+    for pattern in (".results-*.jsonl", ".suite-*.json", ".*-*.npz", f"{SERIES}/.*-*.npz"):
+        for left in folder.glob(pattern):
+            left.unlink()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    with whole_file(path) as beside, beside.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _append_line(path: Path, line: bytes) -> None:
+    with path.open("ab", buffering=0) as file:
+        written = file.write(line)
+        if written != len(line):  # the disk is full: the torn line is mended at the next start
+            raise OSError(None, "the disk takes no more", str(path))
+        os.fsync(file.fileno())
+
+
+def _line(row: Row) -> bytes:
+    return json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
+
+
+_FIELDS = frozenset(each.name for each in fields(Row))
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a folder of results, or of a ``results.jsonl``.
+
+    A last line that is not ended is still being written, or was torn by a kill: it is left out.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, or a line of it is no row; the message names file and line.
+    """
+    path = path / RESULTS if path.is_dir() else path
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: no results there: {error.strerror or error}") from error
+    lines = content.split(b"\n")[:-1]
+    return [_row(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+
+
+def _row(line: bytes, label: str) -> Row:
+    try:
+        table = json.loads(line)
+    except ValueError as error:
+        raise ValueError(f"{label}: not JSON: {error}") from error
+    if not isinstance(table, dict) or not table.keys() <= _FIELDS:
+        raise ValueError(f"{label}: not a row of results")
+    try:
+        return Row(**table)
+    except TypeError as error:
+        raise ValueError(f"{label}: not a row of results: {error}") from error

@@ -1,0 +1,244 @@
+"""Suite files: TOML in, jobs out. What is not understood is refused, never passed over."""
+
+import itertools
+import math
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from benchmarks.suite.jobs import LOG, LOG_POLICY, RANDOM, Job, LogSource, digest
+from benchmarks.suite.train_config import TrainConfig, train_config
+from benchmarks.suite.work import check_log, contents, run_config
+
+FOLDER = Path(__file__).parent / "suites"
+NO_ABLATION = "none"
+
+
+@dataclass(frozen=True)
+class Suite:
+    """What is to be run.
+
+    Attributes
+    ----------
+    name, description
+        As the file says.
+    jobs
+        All of them, no two alike.
+    digest
+        A name for the jobs, and for what the worlds and logs hold that they stand on.
+    train
+        What `python -m benchmarks train` learns; None if nothing.
+    """
+
+    name: str
+    description: str
+    jobs: tuple[Job, ...]
+    digest: str
+    train: TrainConfig | None = None
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What the values of a list may be."""
+
+    name: str
+    is_one: Callable[[Any], bool]
+
+
+_TEXT = _Kind("texts", lambda value: isinstance(value, str) and bool(value))
+_WHOLE = _Kind("whole numbers", lambda value: type(value) is int)
+_NUMBER = _Kind("numbers", lambda value: type(value) in {int, float} and math.isfinite(value))
+
+_AXES: dict[str, tuple[str, _Kind, list[Any] | None]] = {
+    "worlds": ("world", _TEXT, None),
+    "noises": ("noise", _NUMBER, None),
+    "robots": ("robots", _WHOLE, [1]),
+    "presets": ("preset", _TEXT, ["paper"]),
+    "policies": ("policy", _TEXT, ["frontier"]),
+    "ablations": ("ablation", _TEXT, [NO_ABLATION]),
+    "laps": ("laps", _WHOLE, [0]),
+}
+"""For each list of a grid the job's field, what it holds, and its default (None: it must be there)."""
+
+_LOG_AXES = ("noises", "presets", "ablations")
+
+
+def shipped_suites() -> list[str]:
+    """Names of the suites that come with the benchmarks."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def load_suite(source: str) -> Suite:
+    """A suite by the name of a shipped one, or by the path of a TOML file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such suite, or it cannot be used; the message names file and key.
+    """
+    path = FOLDER / f"{source}.toml" if source in shipped_suites() else Path(source)
+    if path.suffix != ".toml":
+        raise ValueError(
+            f"no suite is called {source!r}; there are {', '.join(shipped_suites())}, or give a .toml file"
+        )
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    return parse_suite(text, path.name if path.parent == FOLDER else str(path))
+
+
+def parse_suite(text: str, label: str) -> Suite:
+    """A suite from the text of a TOML file; ``label`` names it in errors.
+
+    Raises
+    ------
+    ValueError
+        If the text is no suite, or one of its jobs cannot be run.
+    """
+    with _named(label):
+        try:
+            table = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"not TOML: {error}") from error
+        _check_keys(table, "a suite", {"name", "description"}, {"grid", "log", "train"})
+        name, description = (_one(table, key, _TEXT) for key in ("name", "description"))
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+            raise ValueError(f"name: {name!r} must be made of letters, digits, - and _")
+        jobs = [*_jobs(table, "grid", _grid), *_jobs(table, "log", _log)]
+        if not jobs:
+            raise ValueError("holds no jobs: [[grid]] or [[log]] makes them")
+        for title, count in Counter(job.title for job in jobs).items():
+            if count > 1:
+                raise ValueError(f"{count} jobs are the same to the tables: {title}")
+        known = digest([sorted(job.key for job in jobs), contents(jobs)])
+        return Suite(name, description, tuple(jobs), known, _train(table, jobs))
+
+
+def _jobs(table: dict[str, Any], key: str, make: Callable[[dict[str, Any]], list[Job]]) -> Iterator[Job]:
+    parts = table.get(key, [])
+    if not (isinstance(parts, list) and all(isinstance(part, dict) for part in parts)):
+        raise ValueError(f"{key}: must be tables, each under [[{key}]]")
+    for number, part in enumerate(parts, 1):
+        with _named(f"[[{key}]] {number}"):
+            yield from make(part)
+
+
+def _train(table: dict[str, Any], jobs: list[Job]) -> TrainConfig | None:
+    if "train" not in table:
+        return None
+    with _named("[train]"):
+        config = train_config(table["train"])
+        config.check_apart(jobs)
+        return config
+
+
+def _grid(table: dict[str, Any]) -> list[Job]:
+    needed = {key for key, (_, _, default) in _AXES.items() if default is None} | {"seeds"}
+    _check_keys(table, "a grid", needed, {*_AXES, "max_time", "limit"} - needed)
+    axes = _axes(table, _AXES)
+    axes["seed"] = _seeds(table["seeds"])
+    shared: dict[str, Any] = {}
+    if "max_time" in table:
+        shared["max_time"] = float(_one(table, "max_time", _NUMBER))
+        with _named("max_time"):
+            run_config(Job("square", 0.0, max_time=shared["max_time"]))
+    if "limit" in table:
+        shared["limit"] = _one(table, "limit", _Kind("true or false", lambda value: isinstance(value, bool)))
+    jobs = [Job(**dict(zip(axes, values, strict=True)), **shared) for values in itertools.product(*axes.values())]
+    # Seed and noise make no difference to whether the rest goes together, and worlds take long to check.
+    for job in dict.fromkeys(replace(job, seed=0, noise=0.0) for job in jobs):
+        with _named(job.world):
+            run_config(job)
+    return jobs
+
+
+def _log(table: dict[str, Any]) -> list[Job]:
+    _check_keys(table, "a log", {"name", "file", "beams"}, {"relations", "max_range", "odometry_bias", *_LOG_AXES})
+    axes = _axes({"noises": [0.02], **table}, {key: _AXES[key] for key in _LOG_AXES})
+    known: dict[str, Any] = {key: _one(table, key, _TEXT) for key in ("name", "file", "relations") if key in table}
+    known["beams"] = tuple(float(angle) for angle in _values(table, "beams", _NUMBER))
+    if "max_range" in table:
+        known["max_range"] = float(_one(table, "max_range", _NUMBER))
+    if "odometry_bias" in table:
+        known["odometry_bias"] = tuple(float(value) for value in _values(table, "odometry_bias", _NUMBER))
+    source = LogSource(**known)
+    check_log(source)
+    return [
+        Job(LOG + source.name, policy=LOG_POLICY, log=source, **dict(zip(axes, values, strict=True)))
+        for values in itertools.product(*axes.values())
+    ]
+
+
+def _axes(table: dict[str, Any], known: dict[str, tuple[str, _Kind, list[Any] | None]]) -> dict[str, list[Any]]:
+    """Values of each of the job's fields, each of them tried on its own, so that a refusal can name its key."""
+    axes = {}
+    for key, (name, kind, default) in known.items():
+        values = default if default is not None and key not in table else _values(table, key, kind)
+        with _named(key):
+            axes[name] = [made for value in values for made in _meant(key, value)]
+            for value in axes[name]:
+                run_config(replace(Job("square", 0.0), **{name: value}))
+    return axes
+
+
+def _meant(key: str, value: Any) -> list[Any]:
+    """What a value in a file stands for: ``random:0..99`` for 100 worlds, ``none`` for no ablation."""
+    if key == "noises":
+        return [float(value)]
+    if key == "ablations" and value == NO_ABLATION:
+        return [None]
+    if key == "worlds" and (several := re.fullmatch(rf"{RANDOM}(\d{{1,6}})\.\.(\d{{1,6}})", value)):
+        first, last = int(several[1]), int(several[2])
+        if last < first:
+            raise ValueError(f"{value!r} names no floor plans: the last comes before the first")
+        return [f"{RANDOM}{seed}" for seed in range(first, last + 1)]
+    return [value]
+
+
+def _seeds(value: Any) -> list[int]:
+    if isinstance(value, dict):
+        with _named("seeds"):
+            _check_keys(value, "a range of seeds", {"first", "count"}, set())
+            first, count = (_one(value, key, _WHOLE) for key in ("first", "count"))
+            if first < 0 or count < 1:
+                raise ValueError("first must be 0 or more, and count 1 or more")
+            return list(range(first, first + count))
+    seeds = _values({"seeds": value}, "seeds", _WHOLE)
+    if min(seeds) < 0:
+        raise ValueError(f"seeds: a seed is 0 or more, not {min(seeds)}")
+    return seeds
+
+
+def _values(table: dict[str, Any], key: str, kind: _Kind) -> list[Any]:
+    values = table[key]
+    if not isinstance(values, list) or not values or not all(kind.is_one(value) for value in values):
+        raise ValueError(f"{key}: must be a list of {kind.name} with at least one in it, not {values!r}")
+    return values
+
+
+def _one(table: dict[str, Any], key: str, kind: _Kind) -> Any:
+    if not kind.is_one(table[key]):
+        raise ValueError(f"{key}: must be {kind.name.removesuffix('s')}, not {table[key]!r}")
+    return table[key]
+
+
+def _check_keys(table: dict[str, Any], what: str, needed: set[str], optional: set[str]) -> None:
+    if unknown := sorted(table.keys() - needed - optional):
+        raise ValueError(f"unknown key {unknown[0]!r}; {what} has {', '.join(sorted(needed | optional))}")
+    if missing := sorted(needed - table.keys()):
+        raise ValueError(f"the key {missing[0]!r} is missing")
+
+
+@contextmanager
+def _named(label: str) -> Iterator[None]:
+    """Put what it is about in front of a refusal."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{label}: {error}") from error

@@ -1,0 +1,208 @@
+"""How a job runs: its world, its log, its scores, and what it leaves for the plots."""
+
+import functools
+import hashlib
+import math
+import os
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.suite.jobs import PLAN, RANDOM, Job, LogSource, Metric, Outcome, digest
+from limslam_agent.config.ablations import ablated
+from limslam_agent.config.presets import OdometryConfig, preset
+from limslam_agent.replay.options import odometry_config
+from limslam_agent.runs.episode import Episode, RunConfig, run_episode
+from limslam_agent.runs.results import cost, score, trajectory_scores
+from limslam_env.geometry import FloatArray
+from limslam_env.worlds.formats.loading import WorldSource, load_world
+
+SERIES_PERIOD = 1.0
+"""Simulated time between two rows of a job's series, s."""
+
+
+def data_folder() -> Path:
+    """The folder of recorded data: ``LIMSLAM_DATA``, or ``shared/data`` beside the checkout.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    folder = Path(os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+    if not folder.is_dir():
+        raise ValueError(
+            f"recorded data not found in {folder}: set LIMSLAM_DATA to the folder that holds fr079 and kth"
+        )
+    return folder
+
+
+def data_file(name: str) -> Path:
+    """A file in the data folder.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, or no such folder.
+    """
+    path = data_folder() / name
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file in the folder of recorded data")
+    return path
+
+
+# Plans are drawn, and their free space is found, once for all of their seeds.
+@functools.lru_cache(maxsize=8)
+def world_source(world: str) -> WorldSource:
+    """What ``load_world`` takes for a job's world.
+
+    Raises
+    ------
+    ValueError
+        If the text names no floor plan.
+    """
+    if world.startswith(RANDOM):
+        from limslam_env.interface import RobotSpec
+        from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+
+        seed = world.removeprefix(RANDOM)
+        if not (seed.isascii() and seed.isdigit()):
+            raise ValueError(f"{world!r} names no floor plan: a seed is needed, as in random:17")
+        return floor_plan(FloorPlanConfig(), np.random.default_rng(int(seed)), RobotSpec().radius)
+    if world.startswith(PLAN):
+        return data_file(f"kth/{world.removeprefix(PLAN)}.json")
+    return world
+
+
+def contents(jobs: Iterable[Job]) -> dict[str, str]:
+    """Digests of the worlds and the logs that jobs stand on, by their names.
+
+    Raises
+    ------
+    ValueError
+        If one of them is missing, or cannot be used.
+    """
+    jobs = list(jobs)
+    worlds = {job.world: load_world(world_source(job.world)).digest for job in jobs if job.log is None}
+    sources = {job.log for job in jobs if job.log is not None}
+    files = {name for source in sources for name in (source.file, source.relations) if name is not None}
+    return worlds | {name: file_digest(data_file(name)) for name in files}
+
+
+def check_log(source: LogSource) -> None:
+    """Refuse a log that is not there, or options that cannot be.
+
+    Raises
+    ------
+    ValueError
+        If so.
+    """
+    for name in (source.file, source.relations):
+        if name is not None:
+            data_file(name)
+    if source.max_range <= 0.0:
+        raise ValueError(f"max_range: must be above 0 m, not {source.max_range:g}")
+    if len(source.odometry_bias) != 2:
+        raise ValueError(f"odometry_bias: must be two numbers, not {len(source.odometry_bias)}")
+    _odometry(source)
+
+
+def run_config(job: Job) -> RunConfig:
+    """What is run for a job that is no log.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be run.
+    """
+    return RunConfig(
+        world_source(job.world), job.noise, job.preset, job.seed, job.max_time, job.laps,
+        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit,
+    )  # fmt: skip
+
+
+def run_job(job: Job) -> Outcome:
+    """Run a job and score it. All that is random comes from the job's seed.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be run.
+    """
+    begin, begin_cpu = time.perf_counter(), time.process_time()
+    outcome = _simulated(run_config(job)) if job.log is None else _replayed(job, job.log)
+    spent = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
+    return replace(outcome, cost={**outcome.cost, **spent})
+
+
+def _simulated(config: RunConfig) -> Outcome:
+    episode = run_episode(config)
+    made_from = {"agent": asdict(config.agent), "robot": asdict(config.robot), "world": episode.world.digest}
+    return Outcome(_plain(score(episode)), cost(episode), _series(episode), digest(made_from))
+
+
+def _series(episode: Episode) -> dict[str, FloatArray]:
+    rows = _each_second(episode.time)
+    sigma = np.sqrt(np.maximum(np.diagonal(episode.covariances[rows], axis1=-2, axis2=-1), 0.0))
+    return {
+        "time": episode.time[rows], "coverage": episode.coverage[rows], "true": episode.true[rows],
+        "estimated": episode.estimated[rows], "odometry": episode.odometry[rows], "sigma": sigma,
+        "segments": episode.snapshot.segments, "edges": episode.world.edges, "doors": episode.world.doors,
+    }  # fmt: skip
+
+
+def _replayed(job: Job, source: LogSource) -> Outcome:
+    from limslam_agent.logs.log_reader import read_log
+    from limslam_agent.logs.relations import read_relations
+    from limslam_agent.output.cost import run_cost
+    from limslam_agent.replay.replay import relation_scores, replay_log
+    from limslam_env.interface import NominalNoise
+
+    path = data_file(source.file)
+    settings = preset(job.preset, NominalNoise(job.noise))
+    settings = settings if job.ablation is None else ablated(settings, job.ablation)
+    config = replace(settings, odometry=_odometry(source))
+    log = read_log(path, source.beams, source.max_range)
+    result = replay_log(log, config)
+    scores: dict[str, Any] = {"landmarks": len(result.landmarks), "refused_readings": result.refused_readings}
+    if log.true_pose is not None:
+        scores |= trajectory_scores(log.true_pose, result.estimated, result.odometry, result.covariances)
+    if source.relations is not None:
+        scores |= relation_scores(result, read_relations(data_file(source.relations)))
+    rows = _each_second(log.time)
+    series = {
+        "time": log.time[rows], "estimated": result.estimated[rows, None], "odometry": result.odometry[rows, None],
+        "segments": result.segments,
+    }  # fmt: skip
+    made_from = {"agent": asdict(config), "robot": asdict(log.robot), "log": file_digest(path)}
+    spent = run_cost(float(np.ptp(log.time)), result.wall_clock, slam=result.slam_ms)
+    return Outcome(_plain(scores), spent, series, digest(made_from))
+
+
+def _odometry(source: LogSource) -> OdometryConfig:
+    turn, scale = source.odometry_bias
+    return odometry_config(None, f"{turn!r},{scale!r}")
+
+
+def file_digest(path: Path) -> str:
+    """A name for a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _each_second(times: FloatArray) -> Any:
+    """Indices of the first row in each period, and of the last row of all. Logs may step back in time."""
+    latest = np.maximum.accumulate(times - times[0])
+    _, first = np.unique(np.floor(latest / SERIES_PERIOD + 1e-9), return_index=True)
+    return np.union1d(first, [len(times) - 1])
+
+
+def _plain(scores: Mapping[str, Any]) -> dict[str, Metric]:
+    """Metrics as JSON can say them: plain numbers, and None for what is not finite."""
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in scores.items()}
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in plain.items()
+    }

@@ -1,0 +1,1 @@
+"""Training of the learned explorer, and its comparison with others."""

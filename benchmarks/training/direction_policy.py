@@ -1,0 +1,114 @@
+"""The trainable twin of `DirectionNetwork`, as Stable-Baselines3's PPO takes it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+from torch.nn import functional
+
+from limslam_agent.policies.learned.network import COMPASS, LAYERS, DirectionNetwork
+from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig
+
+WIDTH = 48
+_SMALL = 0.01
+
+
+class DirectionExtractor(nn.Module):
+    """Convolutions round the circle: a score for each direction, and a summary for the value.
+
+    Parameters
+    ----------
+    view
+        Shape of the view.
+    readings
+        Numbers that follow the view in an observation.
+    width
+        Channels.
+    """
+
+    def __init__(self, view: ViewConfig, readings: int, width: int = WIDTH) -> None:
+        super().__init__()
+        self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
+        inputs = CHANNELS * view.rings
+        self._size = inputs * view.directions
+        self.first = nn.Conv1d(inputs + COMPASS, width, 5)
+        self.state = nn.Linear(readings, width)
+        self.second, self.third = nn.Conv1d(width, width, 3), nn.Conv1d(width, width, 3)
+        self.score = nn.Conv1d(width, 1, 1)
+        self.value = nn.Sequential(nn.Linear(2 * width + readings, 64), nn.ReLU())
+        angles = 2.0 * np.pi * np.arange(view.directions) / view.directions
+        compass = torch.as_tensor(np.stack((np.cos(angles), np.sin(angles))), dtype=torch.float32)
+        self.register_buffer("compass", compass)
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores (n, directions) and what the value is made from (n, 64)."""
+        features, state = self._trunk(observation)
+        return self.score(features)[:, 0], self._summary(features, state)
+
+    def forward_actor(self, observation: Tensor) -> Tensor:
+        """Scores (n, directions)."""
+        return torch.as_tensor(self.score(self._trunk(observation)[0])[:, 0])
+
+    def forward_critic(self, observation: Tensor) -> Tensor:
+        """What the value is made from (n, 64)."""
+        return self._summary(*self._trunk(observation))
+
+    def _trunk(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        count = len(observation)
+        state = observation[:, self._size :]
+        view = observation[:, : self._size].reshape(count, -1, self.view.directions)
+        compass = torch.as_tensor(self.compass).expand(count, -1, -1)
+        values = _around(self.first, torch.cat((view, compass), dim=1)) + self.state(state)[:, :, None]
+        values = functional.relu(_around(self.second, functional.relu(values)))
+        return functional.relu(_around(self.third, values)), state
+
+    def _summary(self, features: Tensor, state: Tensor) -> Tensor:
+        return torch.as_tensor(self.value(torch.cat((features.mean(dim=2), features.amax(dim=2), state), dim=1)))
+
+    def to_numpy(self) -> DirectionNetwork:
+        """The policy as it runs on a robot."""
+        weights = {
+            f"{layer}.{part}": getattr(getattr(self, layer), part).detach().cpu().numpy().copy()
+            for layer in LAYERS
+            for part in ("weight", "bias")
+        }
+        return DirectionNetwork(weights, self.view)
+
+
+def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
+    half = layer.kernel_size[0] // 2
+    if half == 0:
+        return torch.as_tensor(layer(values))
+    return torch.as_tensor(layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2)))
+
+
+class DirectionPolicy(ActorCriticPolicy):
+    """Actor and critic on one trunk; the scores are the logits.
+
+    Parameters
+    ----------
+    *args, **kwargs
+        As Stable-Baselines3 gives them.
+    view
+        Shape of the view.
+    """
+
+    def __init__(self, *args: Any, view: ViewConfig, **kwargs: Any) -> None:
+        self._view = view
+        super().__init__(*args, ortho_init=False, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        view = self._view
+        readings = self.features_dim - CHANNELS * view.rings * view.directions
+        self.mlp_extractor = DirectionExtractor(view, readings)
+
+    def _build(self, lr_schedule: Callable[[float], float]) -> None:
+        super()._build(lr_schedule)
+        # There is nothing to be learned between scores and logits. A small last layer starts from an even choice.
+        self.action_net = nn.Identity()
+        with torch.no_grad():
+            self.mlp_extractor.score.weight.mul_(_SMALL)
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)

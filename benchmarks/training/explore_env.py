@@ -1,0 +1,201 @@
+"""The batched environment as a learned explorer sees it: polar views of its own grid, headings as actions."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from benchmarks.training.explore_kernels import MEMORY, look_round, steer, take_in
+from limslam_agent.config.presets import GridConfig, preset
+from limslam_agent.policies.learned.learned import DriveConfig
+from limslam_agent.policies.learned.polar_view import ViewConfig
+from limslam_agent.slam.batch.batch_slam import BatchSlam
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import NominalNoise, RobotSpec
+
+PoseSource = Literal["true", "odometry", "belief"]
+
+SIDE = 256
+"""Cells of a grid, which reaches half as far from the start."""
+
+
+@dataclass(frozen=True)
+class ExploreConfig:
+    """How a learned explorer looks and drives.
+
+    Attributes
+    ----------
+    view, drive, grid
+        As for `LearnedPolicy` and the agent's grid.
+    pose
+        By which pose the grid is drawn: the ``true`` one, which no robot knows; by ``odometry``, what the wheels say
+        since the start; by ``belief``, what the consistent estimator believes after the same readings.
+    range_std
+        What the estimator is told of the ranges' noise, m.
+    reward_scale
+        Of the environment's rewards.
+    """
+
+    view: ViewConfig = field(default_factory=ViewConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
+    grid: GridConfig = field(default_factory=GridConfig)
+    pose: PoseSource = "true"
+    range_std: float = 0.02
+    reward_scale: float = 0.2
+
+
+class ExploreVectorEnv(gym.vector.VectorWrapper):
+    """Many robots that each draw a grid of what their noisy beams see, and are told where to head.
+
+    An action is the number of a direction, counter-clockwise from ahead; the robot turns there and drives as fast as it
+    can for ``drive.hold`` steps, and its bumper keeps it off what it has seen. The reward is the sum of the steps'.
+
+    Parameters
+    ----------
+    env
+        Environments that end an episode and begin the next one in the same step, for the default robot's kind:
+        observations with ``ranges`` (n, n_beams) and ``wheels`` (n, 2), info with ``pose`` (n, 3).
+    config
+        How it looks and drives.
+
+    Raises
+    ------
+    ValueError
+        If the environments begin their episodes otherwise, or do not tell what their robot is.
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], config: ExploreConfig | None = None) -> None:
+        super().__init__(env)
+        robot = getattr(env.unwrapped, "robot", None)
+        if not isinstance(robot, RobotSpec):
+            raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
+        if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
+            raise ValueError("episodes must begin in the step in which others end: autoreset_mode='SameStep'")
+        self.config, self.robot = config or ExploreConfig(), robot
+        view, grid, drive, count = self.config.view, self.config.grid, self.config.drive, env.num_envs
+        self.single_action_space = spaces.Discrete(view.directions)
+        self.single_observation_space = spaces.Box(-1.0, 1.0, (view.size(len(robot.beams)),), np.float32)
+        self.action_space = batch_space(self.single_action_space, count)
+        self.observation_space = batch_space(self.single_observation_space, count)
+        self._beams = np.column_stack((robot.beam_origins, robot.beam_directions, robot.too_near, robot.too_far))
+        self._rules = np.array([grid.cell, grid.seen_through, grid.hit, grid.limit], dtype=float)
+        self._drive = np.array([drive.gain, drive.turn_rate, robot.max_wheel_speed, robot.axle, robot.radius])
+        self._make_room(count, len(robot.beams))
+        self._slam: BatchSlam | None = None
+        if self.config.pose == "belief":
+            told = preset("consistent", NominalNoise(self.config.range_std))
+            self._slam = BatchSlam(robot, told, count, num_threads=1, size=0)
+
+    def _make_room(self, count: int, beams: int) -> None:
+        self._values = np.zeros((count, SIDE, SIDE), dtype=np.int8)
+        self._corners, self._boxes = np.zeros((count, 2), dtype=np.int64), np.zeros((count, 4), dtype=np.int64)
+        self._stamps, self._stamp = np.zeros((SIDE, SIDE), dtype=np.int32), 1
+        self._points, self._ages = np.zeros((count, MEMORY, beams, 2)), np.full((count, MEMORY, beams), -1)
+        self._slots, self._poses = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
+        self._steps, self._tolls = np.zeros((SIDE, SIDE), dtype=np.int32), np.zeros((SIDE, SIDE), dtype=np.int32)
+        self._queue = np.zeros(SIDE * SIDE + 1, dtype=np.int32)
+        self._ranges = np.zeros((count, beams), dtype=np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin again with empty grids."""
+        told, info = self.env.reset(seed=seed, options=options)
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        self._begin(everywhere, told, info)
+        return self._look(everywhere), info
+
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[NDArray[np.float32], FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Head where ``actions`` (n,) say for some steps; where an episode ends before, its robot waits in the next."""
+        headings = self._poses[:, 2] + np.asarray(actions) * (2.0 * np.pi / self.config.view.directions)
+        rewards, wheels = np.zeros(self.num_envs), np.zeros((self.num_envs, 2), dtype=np.float32)
+        terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
+        final = np.full(self.num_envs, None, dtype=object)
+        for _ in range(self.config.drive.hold):
+            over = terminated | truncated
+            steer(headings, self._poses, self._points, self._ages, self._slots, self._drive, wheels)
+            wheels[over] = 0.0
+            told, reward, ended, cut, info = self.env.step(wheels)
+            rewards += np.where(over, 0.0, reward)
+            now = ended | cut
+            if now.any():
+                self._finish(now, info, final)
+                terminated |= ended
+                truncated |= cut
+                self._begin(now, told, info)
+            self._take_in(~now, told, info)
+        over = terminated | truncated
+        info = {**info, "final_obs": final, "_final_obs": over} if over.any() else info
+        return (
+            self._look(np.ones(self.num_envs, dtype=bool)),
+            self.config.reward_scale * rewards,
+            terminated,
+            truncated,
+            info,
+        )
+
+    def _begin(self, which: BoolArray, told: dict[str, Any], info: dict[str, Any]) -> None:
+        """Empty the grids of robots that start anew, and take in the first readings."""
+        self._values[which], self._ages[which], self._slots[which] = 0, -1, 0
+        # The start pose is what a robot is told of the truth.
+        self._poses[which] = info["pose"][which]
+        self._corners[which] = np.floor(self._poses[which, :2] / self.config.grid.cell).astype(np.int64) - SIDE // 2
+        self._boxes[which] = (SIDE, 0, SIDE, 0)
+        if self._slam is not None:
+            self._slam.reset(self._poses, which)
+            self._move(which, told, self._poses)
+        self._add(which, told["ranges"])
+
+    def _take_in(self, which: BoolArray, told: dict[str, Any], info: dict[str, Any]) -> None:
+        self._move(which, told, info["pose"])
+        self._add(which, told["ranges"])
+
+    def _add(self, which: BoolArray, ranges: NDArray[np.float32]) -> None:
+        self._stamp += self.num_envs
+        self._ranges[which] = ranges[which]
+        take_in(
+            which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._stamps, self._stamp,
+            self._points, self._ages, self._slots, self._beams, self.robot.radius, self._rules,
+        )  # fmt: skip
+
+    def _move(self, which: BoolArray, told: dict[str, Any], true: FloatArray) -> None:
+        if self.config.pose == "true":
+            self._poses[which] = true[which]
+        elif self._slam is not None:
+            self._poses[which] = self._slam.step(told["ranges"], told["wheels"], which).pose[which]
+        else:
+            left, right = np.asarray(told["wheels"][which], dtype=float).T
+            half = 0.5 * (right - left) / self.robot.axle
+            # sinc of numpy is that of pi x.
+            chord, middle = 0.5 * (left + right) * np.sinc(half / np.pi), self._poses[which, 2] + half
+            ahead = np.column_stack((chord * np.cos(middle), chord * np.sin(middle)))
+            self._poses[which, :2] += ahead
+            self._poses[which, 2] = wrap_angle(middle + half)
+
+    def _finish(self, which: BoolArray, info: dict[str, Any], final: NDArray[Any]) -> None:
+        """Take in the last readings of episodes that end, for a last look."""
+        last = {"ranges": np.zeros_like(self._ranges), "wheels": np.zeros((self.num_envs, 2), dtype=np.float32)}
+        for robot in np.flatnonzero(which):
+            for key, values in last.items():
+                values[robot] = info["final_obs"][robot][key]
+        self._take_in(which, last, info["final_info"])
+        views = self._look(which)
+        for robot in np.flatnonzero(which):
+            final[robot] = views[robot].copy()
+
+    def _look(self, which: BoolArray) -> NDArray[np.float32]:
+        view = self.config.view
+        views = np.zeros((self.num_envs, view.size(len(self.robot.beams))), dtype=np.float32)
+        look_round(
+            which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._steps, self._tolls,
+            self._queue, view.samples, view.radii, self.config.grid.cell, self.robot.max_ranges, views,
+        )  # fmt: skip
+        return views

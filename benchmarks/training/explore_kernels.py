@@ -1,0 +1,368 @@
+"""The inner loops of training, compiled by numba: many robots' grids, bumpers and polar views at once.
+
+Each does what a part of ``limslam_agent`` does for one robot, and tests hold it to that: ``mark_grid`` is
+`OccupancyGrid.update`, ``note_touch`` and ``soften`` are `Bumper`'s, ``look`` is `polar_view.observe`.
+Grids are squares with the robot's start in the middle, so that they need not grow.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.policies.learned.polar_view import FREE_TOLL, LEAST_UNKNOWN, TIGHT_TOLL
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_env.kernels.rays import compiled
+
+MEMORY, TOUCH = 40, 3
+_TOUCHING, _LOOK_AHEAD, _MARGIN, _GHOST = 0.4, 0.3, 0.025, 0.02
+_SHARES = (1.0, 0.5, 0.25, 0.0)
+_FAR_AWAY = 1 << 30
+_FAR = 10.0
+_ANGLES = np.arange(8) * (np.pi / 4)
+_BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))
+
+
+@compiled
+def mark_grid(
+    values: NDArray[np.int8],
+    corner: IntArray,
+    box: IntArray,
+    stamps: NDArray[np.int32],
+    stamp: int,
+    pose: FloatArray,
+    ranges: ReadingArray,
+    beams: FloatArray,
+    radius: float,
+    rules: FloatArray,
+) -> None:
+    """Take one robot's readings (n_beams,), m, into its grid.
+
+    Parameters
+    ----------
+    values
+        (side, side), changed: positive free, negative occupied, 0 unknown.
+    corner
+        Cell (column, row) of the lower left one, counted from the world's origin.
+    box
+        First row, past the last row, first and past the last column of what is known; changed.
+    stamps, stamp
+        Scratch (side, side), and a number that is not in it yet.
+    pose
+        (3,), m and rad, by which the readings are placed.
+    beams
+        (n_beams, 6): origin x, y (m), direction x, y, and the readings (m) up to and from which nothing is measured.
+    radius
+        Of the body, m.
+    rules
+        Cell side (m), what a beam adds that crosses a cell, what it takes off where it ends, and the limit.
+    """
+    side, cell = len(values), rules[0]
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    limit = int(rules[3])
+    for beam in range(len(beams)):
+        reading = float(ranges[beam])
+        if not beams[beam, 4] < reading < beams[beam, 5]:
+            continue
+        x, y = beams[beam, 0] + reading * beams[beam, 2], beams[beam, 1] + reading * beams[beam, 3]
+        column = math.floor((pose[0] + cos * x - sin * y) / cell) - corner[0]
+        row = math.floor((pose[1] + sin * x + cos * y) / cell) - corner[1]
+        if 0 <= row < side and 0 <= column < side and stamps[row, column] != stamp:
+            stamps[row, column] = stamp
+            _add(values, box, row, column, -int(rules[2]), limit)
+    for beam in range(len(beams)):
+        reading = float(ranges[beam])
+        if not reading > beams[beam, 4]:
+            continue
+        for step in range(math.floor(reading / (0.5 * cell))):
+            along = step * (0.5 * cell)
+            x, y = beams[beam, 0] + along * beams[beam, 2], beams[beam, 1] + along * beams[beam, 3]
+            column = math.floor((pose[0] + cos * x - sin * y) / cell) - corner[0]
+            row = math.floor((pose[1] + sin * x + cos * y) / cell) - corner[1]
+            if 0 <= row < side and 0 <= column < side and stamps[row, column] != stamp:
+                stamps[row, column] = stamp
+                _add(values, box, row, column, int(rules[1]), limit)
+    for point in range(len(_BODY)):
+        column = math.floor((pose[0] + radius * _BODY[point, 0]) / cell) - corner[0]
+        row = math.floor((pose[1] + radius * _BODY[point, 1]) / cell) - corner[1]
+        if 0 <= row < side and 0 <= column < side and stamps[row, column] != stamp:
+            stamps[row, column] = stamp
+            _add(values, box, row, column, int(rules[1]), limit)
+
+
+@compiled
+def _add(values: NDArray[np.int8], box: IntArray, row: int, column: int, amount: int, limit: int) -> None:
+    value = min(max(values[row, column] + amount, -limit), limit)
+    # 0 is kept for cells about which nothing is known.
+    values[row, column] = value if value != 0 else (1 if amount > 0 else -1)
+    box[0], box[1] = min(box[0], row), max(box[1], row + 1)
+    box[2], box[3] = min(box[2], column), max(box[3], column + 1)
+
+
+@compiled
+def note_touch(
+    points: FloatArray, ages: IntArray, slot: int, pose: FloatArray, ranges: ReadingArray, beams: FloatArray
+) -> None:
+    """Remember where the beams ended.
+
+    Parameters
+    ----------
+    points, ages
+        (MEMORY, n_beams, 2), m, and (MEMORY, n_beams): the step after which each is forgotten; row ``slot`` modulo
+        MEMORY is overwritten.
+    slot
+        Number of this step.
+    pose, ranges, beams
+        As for :func:`mark_grid`.
+    """
+    place = slot % MEMORY
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for beam in range(len(beams)):
+        reading = float(ranges[beam])
+        ages[place, beam] = -1
+        if reading <= beams[beam, 4]:
+            reading = _TOUCHING * beams[beam, 4]
+            ages[place, beam] = slot + TOUCH
+        elif reading < beams[beam, 5]:
+            ages[place, beam] = slot + MEMORY
+        x, y = beams[beam, 0] + reading * beams[beam, 2], beams[beam, 1] + reading * beams[beam, 3]
+        points[place, beam, 0] = pose[0] + cos * x - sin * y
+        points[place, beam, 1] = pose[1] + sin * x + cos * y
+
+
+@compiled
+def soften(
+    points: FloatArray,
+    ages: IntArray,
+    slot: int,
+    pose: FloatArray,
+    speed: float,
+    turn: float,
+    radius: float,
+) -> float:
+    """The speed (m/s) that there is room for when ``speed`` and ``turn`` (rad/s) are wanted."""
+    heading = pose[2] + 0.5 * turn * _LOOK_AHEAD
+    way_x, way_y = speed * _LOOK_AHEAD * math.cos(heading), speed * _LOOK_AHEAD * math.sin(heading)
+    for share in _SHARES:
+        is_clear = True
+        for place in range(len(points)):
+            for beam in range(points.shape[1]):
+                if ages[place, beam] <= slot:
+                    continue
+                x, y = points[place, beam, 0] - pose[0], points[place, beam, 1] - pose[1]
+                before = math.hypot(x, y)
+                if before <= radius - _GHOST:
+                    continue
+                if math.hypot(x - share * way_x, y - share * way_y) < min(before, radius + _MARGIN):
+                    is_clear = False
+                    break
+            if not is_clear:
+                break
+        if is_clear:
+            return share * speed
+    return 0.0
+
+
+@compiled
+def frontier_steps(
+    values: NDArray[np.int8],
+    box: IntArray,
+    steps: NDArray[np.int32],
+    tolls: NDArray[np.int32],
+    queue: NDArray[np.int32],
+) -> int:
+    """Fill ``steps`` (side, side) within the box with the cost of the way to the nearest frontier; how many there are.
+
+    In half cells, as `polar_view.frontier_distance` counts; a very large number where no way leads. ``tolls``
+    (side, side) and ``queue`` (more than side * side,) are scratch.
+    """
+    side = len(values)
+    head, tail, size = 0, 0, len(queue)
+    for row in range(box[0], box[1]):
+        for column in range(box[2], box[3]):
+            steps[row, column], tolls[row, column] = _FAR_AWAY, 0
+            if values[row, column] <= 0:
+                continue
+            is_tight = False
+            for down in range(-1, 2):
+                for right in range(-1, 2):
+                    r, c = row + down, column + right
+                    if 0 <= r < side and 0 <= c < side and values[r, c] < 0:
+                        is_tight = True
+            tolls[row, column] = TIGHT_TOLL if is_tight else FREE_TOLL
+            if is_tight or not _is_frontier(values, row, column):
+                continue
+            steps[row, column] = 0
+            queue[tail] = row * side + column
+            tail += 1
+    sources = tail
+    # Labels are corrected until nothing changes: with three prices that is as fast as a heap.
+    while head != tail:
+        cell = queue[head]
+        head = (head + 1) % size
+        row, column = cell // side, cell % side
+        here, toll = steps[row, column], tolls[row, column]
+        for way in range(4):
+            r, c = row + (way == 0) - (way == 1), column + (way == 2) - (way == 3)
+            if not (box[0] <= r < box[1] and box[2] <= c < box[3]) or tolls[r, c] == 0:
+                continue
+            price = here + toll + tolls[r, c]
+            if price < steps[r, c]:
+                steps[r, c] = price
+                queue[tail] = r * side + c
+                tail = (tail + 1) % size
+    return sources
+
+
+@compiled
+def _is_frontier(values: NDArray[np.int8], row: int, column: int) -> bool:
+    side = len(values)
+    is_beside = False
+    for way in range(4):
+        r, c = row + (way == 0) - (way == 1), column + (way == 2) - (way == 3)
+        if not (0 <= r < side and 0 <= c < side) or values[r, c] == 0:
+            is_beside = True
+    if not is_beside:
+        return False
+    unknown = 0
+    for r in range(row - 2, row + 3):
+        for c in range(column - 2, column + 3):
+            if not (0 <= r < side and 0 <= c < side) or values[r, c] == 0:
+                unknown += 1
+    return unknown >= LEAST_UNKNOWN
+
+
+@compiled
+def look(
+    values: NDArray[np.int8],
+    corner: IntArray,
+    box: IntArray,
+    steps: NDArray[np.int32],
+    pose: FloatArray,
+    samples: FloatArray,
+    radii: FloatArray,
+    cell: float,
+    view: NDArray[np.float32],
+) -> None:
+    """Fill ``view`` with the polar view (3 * rings * directions,) and, behind it, the way to a frontier (2,).
+
+    ``samples`` (rings * directions * 6, 2), m, lie in the robot's frame; ``radii`` (rings,), m, belong to the rings;
+    ``steps`` is what :func:`frontier_steps` has filled.
+    """
+    rings = len(radii)
+    directions = len(samples) // (6 * rings)
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    half = 0.5 * cell
+    row, column = math.floor(pose[1] / cell) - corner[1], math.floor(pose[0] / cell) - corner[0]
+    here = _FAR_AWAY
+    if box[0] <= row < box[1] and box[2] <= column < box[3]:
+        here = steps[row, column]
+    if here == _FAR_AWAY:
+        for r in range(max(row - 1, box[0]), min(row + 2, box[1])):
+            for c in range(max(column - 1, box[2]), min(column + 2, box[3])):
+                here = min(here, steps[r, c])
+    size = rings * directions
+    for polar in range(size):
+        unknown, occupied, best = 0, 0, _FAR_AWAY
+        for number in range(6 * polar, 6 * polar + 6):
+            x, y = samples[number, 0], samples[number, 1]
+            c = math.floor((pose[0] + cos * x - sin * y) / cell) - corner[0]
+            r = math.floor((pose[1] + sin * x + cos * y) / cell) - corner[1]
+            if not (box[0] <= r < box[1] and box[2] <= c < box[3]) or values[r, c] == 0:
+                unknown += 1
+                continue
+            occupied += values[r, c] < 0
+            best = min(best, steps[r, c])
+        gain = -1.0
+        if here < _FAR_AWAY and best < _FAR_AWAY:
+            gain = min(max((here - best) * half / radii[polar // directions], -1.0), 1.0)
+        view[polar], view[size + polar], view[2 * size + polar] = unknown / 6.0, occupied / 6.0, gain
+    has_way = here < _FAR_AWAY
+    view[-2] = min(here * half / _FAR, 1.0) if has_way else 1.0
+    view[-1] = 1.0 if has_way else 0.0
+
+
+@compiled
+def take_in(
+    which: BoolArray,
+    poses: FloatArray,
+    ranges: ReadingArray,
+    values: NDArray[np.int8],
+    corners: IntArray,
+    boxes: IntArray,
+    stamps: NDArray[np.int32],
+    stamp: int,
+    points: FloatArray,
+    ages: IntArray,
+    slots: IntArray,
+    beams: FloatArray,
+    radius: float,
+    rules: FloatArray,
+) -> None:
+    """Grids and bumpers of the robots ``which`` (n,) take in a step's readings (n, n_beams) at poses (n, 3).
+
+    ``stamps`` (side, side) is one scratch for all: robot i uses ``stamp + i``.
+    """
+    for robot in range(len(poses)):
+        if which[robot]:
+            slots[robot] += 1
+            mark_grid(
+                values[robot], corners[robot], boxes[robot], stamps, stamp + robot, poses[robot], ranges[robot],
+                beams, radius, rules,
+            )  # fmt: skip
+            note_touch(points[robot], ages[robot], slots[robot], poses[robot], ranges[robot], beams)
+
+
+@compiled
+def steer(
+    headings: FloatArray,
+    poses: FloatArray,
+    points: FloatArray,
+    ages: IntArray,
+    slots: IntArray,
+    drive: FloatArray,
+    wheels: NDArray[np.float32],
+) -> None:
+    """Fill ``wheels`` (n, 2), shares of the maximum, of robots at poses (n, 3) that are to go where ``headings`` say.
+
+    ``headings`` (n,), rad. ``drive``: gain of the turn (1/s), fastest turn (rad/s), top wheel speed (m/s), axle (m),
+    radius (m).
+    """
+    top, axle = drive[2], drive[3]
+    for robot in range(len(poses)):
+        error = headings[robot] - poses[robot, 2]
+        error -= 2.0 * math.pi * math.floor(error / (2.0 * math.pi) + 0.5)
+        turn = min(max(drive[0] * error, -drive[1]), drive[1])
+        across = min(max(0.5 * turn * axle, -top), top)
+        speed = min(top * max(math.cos(error), 0.0), top - abs(across))
+        speed = soften(points[robot], ages[robot], slots[robot], poses[robot], speed, 2.0 * across / axle, drive[4])
+        wheels[robot, 0], wheels[robot, 1] = (speed - across) / top, (speed + across) / top
+
+
+@compiled
+def look_round(
+    which: BoolArray,
+    poses: FloatArray,
+    ranges: ReadingArray,
+    values: NDArray[np.int8],
+    corners: IntArray,
+    boxes: IntArray,
+    steps: NDArray[np.int32],
+    tolls: NDArray[np.int32],
+    queue: NDArray[np.int32],
+    samples: FloatArray,
+    radii: FloatArray,
+    cell: float,
+    max_ranges: FloatArray,
+    views: NDArray[np.float32],
+) -> None:
+    """Fill ``views`` (n, size) of the robots ``which`` (n,), as `polar_view.observe` puts them together."""
+    first = 3 * (len(samples) // 6)
+    for robot in range(len(poses)):
+        if which[robot]:
+            frontier_steps(values[robot], boxes[robot], steps, tolls, queue)
+            look(
+                values[robot], corners[robot], boxes[robot], steps, poses[robot], samples, radii, cell, views[robot]
+            )  # fmt: skip
+            for beam in range(len(max_ranges)):
+                views[robot, first + beam] = min(max(ranges[robot, beam] / max_ranges[beam], 0.0), 1.0)

@@ -1,0 +1,62 @@
+"""How soon a learned explorer sees floor plans that it has not learned on, many of them at once."""
+
+from collections.abc import Sequence
+
+import gymnasium as gym
+import numpy as np
+
+import limslam_env  # noqa: F401 (registers the environments)
+from benchmarks.training.explore_env import ExploreConfig, ExploreVectorEnv
+from limslam_agent.policies.learned.network import DirectionNetwork
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+
+
+class Trial:
+    """The same plans again and again.
+
+    Parameters
+    ----------
+    seeds
+        Of the floor plans.
+    noise
+        Standard deviation of the ranges, m.
+    config
+        How the robots look and drive.
+    longest
+        Time that each has, s.
+    """
+
+    def __init__(self, seeds: Sequence[int], noise: float, config: ExploreConfig, longest: float = 240.0) -> None:
+        radius = RobotSpec().radius
+        worlds = [floor_plan(FloorPlanConfig(), np.random.default_rng(seed), radius) for seed in seeds]
+        batch = gym.make_vec(
+            "LimSlam-World-v0", len(worlds), world=worlds, autoreset_mode="SameStep", sensor_noise=noise,
+            coverage_goal=None, max_episode_steps=None, num_threads=1,
+        )  # fmt: skip
+        self._env = ExploreVectorEnv(batch, config)
+        self.period = config.drive.hold * self._env.robot.control_period
+        self._decisions = round(longest / self.period)
+
+    def coverage(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> FloatArray:
+        """The share that was seen (plans, decisions + 1), after each decision.
+
+        ``temperature``: directions are drawn by their scores over this; 0 takes the best one.
+        """
+        generator = np.random.default_rng(seed)
+        told, info = self._env.reset(seed=seed)
+        rows = [info["coverage"].copy()]
+        for _ in range(self._decisions):
+            scores = np.stack([network.scores(row) for row in told]).astype(float)
+            # The largest of scores with Gumbel noise is drawn by its softmax.
+            chosen = (scores + temperature * generator.gumbel(size=scores.shape)).argmax(axis=1)
+            told, _, _, _, info = self._env.step(chosen)
+            rows.append(info["coverage"].copy())
+        return np.array(rows).T
+
+
+def times_to(coverage: FloatArray, goal: float, period: float) -> FloatArray:
+    """When each plan (n,) was covered to a share, s; rows (n, k) are ``period`` (s) apart. Infinite for never."""
+    reached = coverage >= goal
+    return np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)

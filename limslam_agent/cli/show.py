@@ -1,0 +1,109 @@
+"""``limslam show``: open a finished run."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from limslam_agent.output.finished_run import FinishedRun
+    from limslam_env.geometry import FloatArray
+
+SUFFIXES = (".png", ".pdf", ".svg")
+
+
+def show(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none"),
+    ] = None,
+    *,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Open a finished run: what came of it, its map, and its errors over time."""
+    from limslam_agent.output.finished_run import PICTURE, read_run
+    from limslam_agent.output.summary import replay_summary, run_summary
+
+    if out is not None:
+        _check_target(out, force=force)
+    run = read_run(folder)
+    metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
+    lines = replay_summary(metrics) if run.is_replay else run_summary(metrics, cost)
+    for line in (f"run         {run.title}", *lines):
+        typer.echo(line)
+    edges = true_edges(run)
+    if out is not None:
+        write_picture(out, run, lines, edges)
+        typer.echo(f"picture     {out}")
+    elif not open_window(run, lines, edges):
+        if (folder / PICTURE).is_file():
+            typer.echo(f"picture     {folder / PICTURE}")
+        typer.echo("            there is no display: --out FILE.png draws the map and the errors over time")
+
+
+def true_edges(run: "FinishedRun") -> "FloatArray | None":
+    """The walls (k, 4), m, of the world that was run in, if it ships with the package and has not changed since."""
+    from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+
+    name = run.config.get("world")
+    if not isinstance(name, str) or name not in shipped_worlds():
+        return None
+    world = load_world(name)
+    return world.edges if world.digest == run.config.get("world_digest") else None
+
+
+def write_picture(path: Path, run: "FinishedRun", lines: list[str], edges: "FloatArray | None") -> None:
+    """Draw a run into a file, which appears when it is whole."""
+    from matplotlib.figure import Figure
+
+    from limslam_agent.output.atomic_write import whole_file
+    from limslam_agent.output.run_picture import SIZE, draw_run
+
+    figure = Figure(figsize=SIZE, layout="constrained")
+    draw_run(figure, run, lines, edges)
+    with whole_file(path) as beside:
+        figure.savefig(beside, dpi=150, facecolor="white")
+
+
+def open_window(run: "FinishedRun", lines: list[str], edges: "FloatArray | None") -> bool:
+    """Show a run in a window until it is closed; False, and nothing is shown, where no window can be opened."""
+    from limslam_env.rendering.window import has_display
+
+    if not has_display():
+        return False
+    import matplotlib.pyplot as plt
+
+    from limslam_agent.output.run_picture import SIZE, draw_run
+
+    try:
+        figure = plt.figure(f"LimSLAM: {run.folder.name}", figsize=SIZE, layout="constrained")
+    except ImportError:  # the toolkit that Matplotlib is told to use cannot be had
+        return False
+    try:
+        # Without a toolkit for windows, Matplotlib falls back to one that only writes files.
+        if type(figure.canvas).required_interactive_framework is None:
+            return False
+        draw_run(figure, run, lines, edges)
+        plt.show()
+    finally:
+        plt.close(figure)
+    return True
+
+
+def _numbers(run: "FinishedRun", part: str) -> dict[str, object]:
+    content = run.result.get(part)
+    if not isinstance(content, dict):
+        from limslam_agent.output.finished_run import RESULT, FolderError
+
+        raise FolderError(f"{run.folder / RESULT}: has no {part}")
+    return content
+
+
+def _check_target(path: Path, *, force: bool) -> None:
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: a picture ends in {', '.join(SUFFIXES)}")
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder")
+    if path.exists() and not force:
+        raise ValueError(f"{path}: is there already; --force replaces it")

@@ -1,0 +1,133 @@
+"""``limslam worlds``: list the shipped worlds, check a world file, convert one."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from limslam_env.worlds.world import World
+
+worlds = typer.Typer(name="worlds", help="The shipped worlds, and yours: list, check, convert.")
+
+# The grid that is searched grows as the robot shrinks.
+_SMALLEST_RADIUS, _LARGEST_RADIUS = 0.02, 10.0
+
+_HEADINGS = ("name", "size, m", "walls", "obstacles", "doors", "starts", "loop", "id")
+
+
+@worlds.callback(invoke_without_command=True)
+def list_worlds(
+    context: typer.Context,
+    thumbnails: Annotated[Path | None, typer.Option(help="Folder for a small picture of each world.")] = None,
+) -> None:
+    """List the shipped worlds."""
+    if context.invoked_subcommand is not None:
+        if thumbnails is not None:
+            raise ValueError(f"--thumbnails goes with the list of worlds, not with {context.invoked_subcommand}")
+        return
+    from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+
+    places = {name: load_world(name) for name in shipped_worlds()}
+    ids = _gym_ids()
+    typer.echo(_table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())]))
+    if thumbnails is not None:
+        for name, place in places.items():
+            _write_thumbnail(thumbnails / f"{name}.png", place)
+        typer.echo(f"pictures    {thumbnails}")
+
+
+@worlds.command()
+def check(
+    world: Annotated[str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")],
+    radius: Annotated[float, typer.Option(help="Radius of the robot that shall live there, m.")] = 0.10,
+) -> None:
+    """Say whether a robot can live in a world, and why not."""
+    from limslam_env.worlds.formats.loading import load_world
+
+    if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
+        raise ValueError(f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not {radius:g}")
+    place = load_world(world)
+    place.check(radius)
+    width, height = place.size
+    typer.echo(
+        f"{place.name}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
+        f"{_count(len(place.obstacles), 'obstacle')}, {_count(len(place.doors), 'door')}, "
+        f"{_count(len(place.starts), 'start')}, {reachable_area(place, radius):.1f} m^2 of floor within reach"
+    )
+
+
+@worlds.command()
+def convert(
+    source: Annotated[str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")],
+    target: Annotated[Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")],
+    *,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Write a world in another format."""
+    from limslam_env.worlds.formats.loading import load_world
+    from limslam_env.worlds.formats.writers import write_world
+
+    files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
+    in_the_way = [file for file in files if file.exists()]
+    if in_the_way and not force:
+        raise ValueError(f"{in_the_way[0]}: is there already; --force replaces it")
+    write_world(load_world(source), target)
+    typer.echo(f"world       {target}")
+
+
+def reachable_area(world: "World", radius: float) -> float:
+    """Floor (m^2) that the body of a robot of ``radius`` (m) can come over from the world's starts.
+
+    Where there are none: in its largest closed region.
+    """
+    import numpy as np
+    from scipy import ndimage
+
+    space = world.free_space(radius)
+    if len(world.starts):
+        labels = {space.label_of(start[:2]) for start in world.starts} - {0}
+        centres = np.isin(space.labels, list(labels))
+    else:
+        centres = space.largest_closed_region()
+    if not centres.any():
+        return 0.0
+    within = ndimage.distance_transform_edt(~centres, sampling=space.cell) <= radius
+    return float(np.count_nonzero(within)) * space.cell**2
+
+
+def _gym_ids() -> dict[str, str]:
+    """Gymnasium's id of each shipped world that has one of its own."""
+    import gymnasium as gym
+
+    import limslam_env  # noqa: F401 (registers the ids)
+
+    ours = {name: spec for name, spec in gym.registry.items() if name.startswith("LimSlam-")}
+    return {spec.kwargs["world"]: name for name, spec in ours.items() if isinstance(spec.kwargs.get("world"), str)}
+
+
+def _row(name: str, world: "World", gym_id: str) -> tuple[str, ...]:
+    counts = (str(len(things)) for things in (world.walls, world.obstacles, world.doors, world.starts))
+    loop = "yes" if len(world.loop) else "no"
+    return (name, f"{world.size[0]:g} x {world.size[1]:g}", *counts, loop, gym_id)
+
+
+def _table(rows: list[tuple[str, ...]]) -> str:
+    """Rows as aligned columns; plain, so that other programs can read it too."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _write_thumbnail(path: Path, world: "World") -> None:
+    import cv2
+
+    from limslam_env.rendering.rendering import thumbnail
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(thumbnail(world), cv2.COLOR_RGB2BGR))
+    path.write_bytes(encoded.tobytes())
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

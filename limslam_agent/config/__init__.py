@@ -1,0 +1,1 @@
+"""Settings: one module for each estimator, one for exploration, and the presets."""

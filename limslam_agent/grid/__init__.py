@@ -1,0 +1,1 @@
+"""The occupancy grid, its frontiers, and paths through it."""

@@ -1,0 +1,141 @@
+"""A low-resolution occupancy grid that grows as far as the robot has seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.config.presets import GridConfig
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec
+
+_SPARE_CELLS = 32
+_MAX_CELLS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class GridView:
+    """The grid at a moment; not to be written to.
+
+    Attributes
+    ----------
+    low
+        Lower left corner (2,), m.
+    cell
+        Side of a cell, m.
+    values
+        (rows, columns), row 0 at the bottom: positive is free, negative is occupied, 0 is unknown.
+    """
+
+    low: FloatArray
+    cell: float
+    values: NDArray[np.int16]
+
+    @property
+    def free(self) -> BoolArray:
+        """Cells through which more was seen than was seen in them."""
+        return np.asarray(self.values > 0)
+
+    @property
+    def occupied(self) -> BoolArray:
+        """Cells in which something was seen."""
+        return np.asarray(self.values < 0)
+
+    @property
+    def unknown(self) -> BoolArray:
+        """Cells about which nothing is known."""
+        return np.asarray(self.values == 0)
+
+    def cells(self, points: FloatArray) -> IntArray:
+        """(row, column) of the cells that points (n, 2) lie in; may be outside the grid."""
+        return np.floor((points - self.low) / self.cell).astype(np.int64)[:, ::-1]
+
+    def centres(self, cells: IntArray) -> FloatArray:
+        """Centres (n, 2), m, of cells (n, 2) given as (row, column)."""
+        return self.low + (cells[:, ::-1] + 0.5) * self.cell
+
+
+class OccupancyGrid:
+    """The grid of one map.
+
+    A cell's value goes up when a beam passes through it and down when one ends in it, as
+    published, so that single wrong readings are outvoted.
+    """
+
+    def __init__(self, config: GridConfig) -> None:
+        self._config = config
+        # Cells are counted from the world's origin; what is known lies within the two corners.
+        self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
+        self._values = np.zeros((0, 0), dtype=np.int16)
+
+    @property
+    def view(self) -> GridView:
+        """The grid as it is now, as far as anything is known."""
+        (left, bottom), (right, top) = self._known_low - self._low, self._known_high - self._low
+        values = self._values[bottom:top, left:right]
+        values.setflags(write=False)
+        return GridView(np.asarray(self._known_low * self._config.cell, dtype=np.float64), self._config.cell, values)
+
+    def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
+        """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
+        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
+        beams = np.nonzero(usable & (ranges > robot.too_near))[0]
+        origins, directions = robot.beam_origins[beams], robot.beam_directions[beams]
+        hit = ranges[beams] < robot.too_far[beams]
+        length = ranges[beams]
+        ends = transform_points(pose, origins + length[:, None] * directions)
+        passed = transform_points(pose, self._samples(origins, directions, length))
+        body = pose[:2] + robot.radius * _BODY
+        self._reach(np.vstack((passed, ends, body)))
+        ends_cells = self._indices(ends[hit])
+        crossed = np.setdiff1d(self._indices(np.vstack((passed, body))), ends_cells)
+        self._add(crossed, self._config.seen_through)
+        self._add(np.unique(ends_cells), -self._config.hit)
+
+    def _samples(self, origins: FloatArray, directions: FloatArray, lengths: FloatArray) -> FloatArray:
+        step = 0.5 * self._config.cell
+        counts = np.floor(lengths / step).astype(np.int64)
+        owner = np.repeat(np.arange(len(lengths)), counts)
+        position = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) * step
+        return origins[owner] + position[:, None] * directions[owner]
+
+    def _indices(self, points: FloatArray) -> IntArray:
+        cells = np.floor(points / self._config.cell).astype(np.int64) - self._low
+        return np.asarray(cells[:, 1] * self._values.shape[1] + cells[:, 0])
+
+    def _add(self, indices: IntArray, amount: int) -> None:
+        flat = self._values.reshape(-1)
+        limit = self._config.limit
+        value = np.clip(flat[indices] + amount, -limit, limit)
+        # 0 is kept for cells about which nothing is known.
+        flat[indices] = np.where(value == 0, np.sign(amount), value)
+
+    def _reach(self, points: FloatArray) -> None:
+        """Let the grid cover points (n, 2), with some to spare so that it seldom has to grow."""
+        low = np.floor(points.min(axis=0) / self._config.cell).astype(np.int64)
+        high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
+        rows, columns = self._values.shape
+        end = self._low + np.array([columns, rows])
+        known = (np.minimum(self._known_low, low), np.maximum(self._known_high, high)) if rows else (low, high)
+        if not rows or (low < self._low).any() or (high > end).any():
+            self._grow(low, high)
+        self._known_low, self._known_high = known
+
+    def _grow(self, low: IntArray, high: IntArray) -> None:
+        rows, columns = self._values.shape
+        end = self._low + np.array([columns, rows])
+        old_low, old_high = (self._low, end) if rows else (low, high)
+        new_low = np.where(low < old_low, low - _SPARE_CELLS, old_low)
+        new_high = np.where(high > old_high, high + _SPARE_CELLS, old_high)
+        columns_new, rows_new = new_high - new_low
+        if max(columns_new, rows_new) > _MAX_CELLS:
+            raise ValueError(f"the map has grown past {_MAX_CELLS * self._config.cell:g} m: the robot's pose is lost")
+        grown = np.zeros((rows_new, columns_new), dtype=np.int16)
+        column, row = old_low - new_low
+        grown[row : row + rows, column : column + columns] = self._values
+        self._low, self._values = new_low, grown
+
+
+_ANGLES = np.arange(8) * (np.pi / 4)
+_BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))

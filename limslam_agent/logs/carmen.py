@@ -1,0 +1,221 @@
+"""CARMEN logs, with a few beams chosen out of the laser's: a sparse robot out of a rich one.
+
+The lines that count are, with the odometry as the *second* pose of a scan::
+
+    FLASER n r_1 .. r_n  x y theta  odom_x odom_y odom_theta  ipc_time host logger_time
+    ODOM x y theta tv rv accel  ipc_time host logger_time
+"""
+
+from array import array
+from collections.abc import Sequence
+from os import fspath
+
+import numpy as np
+
+from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
+from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.interface import RobotSpec, SensorSpec, side_of
+
+# SICK lasers, which most of these logs were taken with, code "no return" and errors as their topmost readings: 8183 to
+# 8191 counts of 1 mm or 1 cm, by their setting.
+_SICK_TOP_COUNTS = (8183.0, 8191.5)
+_SICK_UNITS = (0.001, 0.01)
+
+_SCAN_TAIL = 9
+_ODOM_FIELDS = 10
+# Where the laser's pose strays from a fixed place on the odometry's by more than this (m, rad), it is not where the
+# laser is mounted but what a mapper made of the log.
+_STEADY = np.array([0.05, 0.05, 0.035])
+
+
+def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
+    """Read a CARMEN log, plain or gzip, keeping the beams nearest to the given angles.
+
+    Parameters
+    ----------
+    path
+        The log. Lines other than ODOM and FLASER are skipped; scans have 180, 181, 360 or 361 beams over 180 degrees.
+    beams_deg
+        Beam angles in degrees, 0 ahead, left positive.
+    max_range
+        Longest reading that the sparse robot is given, m; a longer one is "nothing seen".
+
+    Returns
+    -------
+    RecordedLog
+        One event a line, in the order of the file, at the lines' ``ipc_time``. The frame of the estimate is the robot's
+        first pose: where odometry began counting means nothing, and may be far away.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, is cut short, holds something that is not a finite number where one is used, has
+        no scan or no odometry, or has no beam within 1 degree of a given angle.
+    """
+    try:
+        check_max_range(max_range)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+    if not len(beams_deg):
+        raise LogError(f"{fspath(path)}: at least one beam must be chosen")
+    events = _Events(beams_deg)
+    for number, line in numbered_lines(path):
+        cut = not line.endswith(b"\n")
+        try:
+            events.add(line.split(), cut=cut)
+        except ValueError as error:
+            raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
+    if not events.time:
+        raise LogError(f"{fspath(path)}: has no odometry: not one ODOM or FLASER line")
+    if not events.ranges:
+        raise LogError(f"{fspath(path)}: has no scan: not one FLASER line")
+    try:
+        return _as_log(events, max_range)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+
+
+def beam_angles_deg(count: int) -> FloatArray:
+    """Directions (deg) of a scan's beams, (count,), from the right at -90 towards the left.
+
+    Even counts leave the last place, at +90, out.
+
+    Raises
+    ------
+    ValueError
+        If the layout of so many beams is not known.
+    """
+    if count not in (180, 181, 360, 361):
+        raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")
+    return -90.0 + np.arange(count, dtype=np.float64) * (180.0 / (count - count % 2))
+
+
+class _Events:
+    """The numbers that are kept of the lines read so far, packed, since a log may have millions of lines."""
+
+    def __init__(self, beams_deg: Sequence[float]) -> None:
+        self.beams_deg = beams_deg
+        self.beam_count = 0
+        self.columns: list[int] = []
+        self.time = array("d")
+        self.odometry = array("d")
+        self.laser = array("d")
+        self.ranges = array("d")
+        self.has_scan = bytearray()
+
+    def add(self, fields: list[bytes], *, cut: bool) -> None:
+        """Take in one line, split; ``cut`` says that the file ends within it."""
+        kind = fields[0] if fields else b""
+        if kind == b"FLASER":
+            self._add_scan(fields)
+        elif kind == b"ODOM":
+            self._add_odometry(fields)
+        elif cut and len(fields) == 1 and (b"FLASER".startswith(kind) or b"ODOM".startswith(kind)):
+            raise ValueError("the line stops within its first word")
+
+    def _add_scan(self, fields: list[bytes]) -> None:
+        count = self._beams_in(fields)
+        tail = fields[2 + count :]
+        if len(tail) != _SCAN_TAIL:
+            self._refuse_scan(fields, count)
+        values = [parse_number(fields[column], f"range {column - 1}") for column in self.columns]
+        if min(values) < 0.0:
+            raise ValueError(f"range {self.columns[values.index(min(values))] - 1} is negative: {min(values)}")
+        laser = [parse_number(field, "the laser's pose") for field in tail[:3]]
+        self._add_event(tail[3:6], tail[6], has_scan=True)
+        self.ranges.extend(values)
+        self.laser.extend(laser)
+
+    def _add_odometry(self, fields: list[bytes]) -> None:
+        if len(fields) != _ODOM_FIELDS:
+            raise ValueError(f"ODOM has {len(fields)} fields where {_ODOM_FIELDS} are needed")
+        self._add_event(fields[1:4], fields[7], has_scan=False)
+
+    def _add_event(self, pose: list[bytes], time: bytes, *, has_scan: bool) -> None:
+        odometry = [parse_number(field, "the odometry") for field in pose]
+        seconds = parse_number(time, "the time")
+        if seconds < 0.0:
+            raise ValueError(f"the time is negative: {seconds}")
+        self.odometry.extend(odometry)
+        self.time.append(seconds)
+        self.has_scan.append(has_scan)
+
+    def _beams_in(self, fields: list[bytes]) -> int:
+        """The line's number of beams; the first scan decides which of them are used."""
+        text = fields[1] if len(fields) > 1 else b""
+        if not text.isdigit():
+            raise ValueError("FLASER is not followed by the number of beams")
+        count = int(text[:9])
+        if not self.columns:
+            self.columns = [2 + beam for beam in nearest_beams(beam_angles_deg(count), self.beams_deg)]
+            self.beam_count = count
+        elif count != self.beam_count:
+            raise ValueError(f"a scan of {count} beams after scans of {self.beam_count}")
+        return count
+
+    def _refuse_scan(self, fields: list[bytes], count: int) -> None:
+        """Say what is wrong with a scan that has not the right number of fields."""
+        tail = fields[2 + count :]
+        stamped = len(tail) in (3, 6) and not _is_number(tail[-2])
+        bare = len(fields) >= 2 + count and not tail
+        if not self.time and (stamped or bare):
+            raise ValueError("has no odometry: the scan comes without its poses")
+        raise ValueError(f"FLASER has {len(fields)} fields where {2 + count + _SCAN_TAIL} are needed")
+
+
+def _as_log(events: _Events, max_range: float) -> RecordedLog:
+    count = len(events.time)
+    time = np.array(events.time)
+    odometry = np.array(events.odometry).reshape(count, 3)
+    odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
+    has_scan = np.frombuffer(events.has_scan, dtype=np.bool_)
+    angles = np.radians(beam_angles_deg(events.beam_count)[np.array(events.columns) - 2])
+    mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3))
+    ranges = np.full((count, len(angles)), max_range, dtype=np.float32)
+    ranges[has_scan] = _as_readings(np.array(events.ranges).reshape(-1, len(angles)), max_range)
+    return RecordedLog(
+        robot=_robot(angles, mount, max_range, time),
+        time=time,
+        ranges=ranges,
+        has_scan=has_scan,
+        start_pose=np.zeros(3),
+        odometry=odometry,
+    )
+
+
+def _as_readings(ranges: FloatArray, max_range: float) -> FloatArray:
+    """Ranges (k, n_beams) in m with all that mean "nothing seen" at ``max_range``, the unreliable at ``MIN_RANGE``."""
+    seen = np.where(ranges >= max_range, max_range, ranges)
+    for unit in _SICK_UNITS:
+        lowest, highest = _SICK_TOP_COUNTS[0] * unit, _SICK_TOP_COUNTS[1] * unit
+        if lowest <= ranges.max() <= highest:
+            seen[ranges >= lowest] = max_range
+    return np.maximum(seen, MIN_RANGE)
+
+
+def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:
+    """The laser's pose (3,) on the robot, out of both poses (k, 3) of every scan; zeros where there is no fixed one."""
+    offsets = se2.between(odometry, laser)
+    # Mean angles only make sense near to each other: count them from the first one.
+    offsets[:, 2] = offsets[0, 2] + se2.wrap_angle(offsets[:, 2] - offsets[0, 2])
+    mount = np.median(offsets, axis=0)
+    if np.any(np.percentile(np.abs(offsets - mount), 90, axis=0) > _STEADY):
+        return np.zeros(3)
+    # The log has six decimals; anything beyond is rounding. Adding zero turns -0.0 into 0.0.
+    return np.array([*np.round(mount[:2], 6), se2.wrap_angle(float(np.round(mount[2], 6)))]) + 0.0
+
+
+def _robot(angles: FloatArray, mount: FloatArray, max_range: float, time: FloatArray) -> RobotSpec:
+    x, y = float(mount[0]), float(mount[1])
+    turned = [float(se2.wrap_angle(angle + mount[2])) for angle in angles]
+    beams = tuple(SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned)
+    return RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=beams)
+
+
+def _is_number(field: bytes) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True

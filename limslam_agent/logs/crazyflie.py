@@ -1,0 +1,57 @@
+"""Bags of a Crazyflie drone whose log blocks were recorded as plain arrays, without a message type of ROS.
+
+The topics' names spell out what is in them: ``state_ranger_qxyzw`` is the ranger's right, front, left, back and up beam
+(m) and the attitude's quaternion, ``state_xyzv`` is the position (m) by dead reckoning and the velocity.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from limslam_agent.logs.pose_log import beam
+from limslam_agent.logs.ros_messages import yaw_of
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.interface import SensorSpec
+
+RANGER, POSITION = "state_ranger_qxyzw", "state_xyzv"
+# In the order of the array; the fifth looks up.
+_BEAMS_DEG = (-90.0, 0.0, 90.0, 180.0)
+_QUATERNION = slice(5, 9)
+
+
+@dataclass(frozen=True)
+class CrazyflieTopics:
+    """Where the two arrays are."""
+
+    ranger: str
+    position: str
+
+
+def find_topics(types: Mapping[str, str]) -> CrazyflieTopics | None:
+    """The two topics of one drone among a bag's; None where there is not exactly one drone."""
+    found = [sorted(topic for topic in types if topic.rpartition("/")[2] == name) for name in (RANGER, POSITION)]
+    if [len(topics) for topics in found] != [1, 1]:
+        return None
+    return CrazyflieTopics(found[0][0], found[1][0])
+
+
+def beams(max_range: float) -> list[SensorSpec]:
+    """The four level beams, usable up to ``max_range`` m."""
+    return [beam(math.radians(degrees), max_range) for degrees in _BEAMS_DEG]
+
+
+def ranges_of(message: Any, columns: IntArray) -> FloatArray:
+    """Readings (k,), m, of some of the beams."""
+    readings: FloatArray = message.raw[columns].astype(float)
+    return readings
+
+
+def position_of(message: Any) -> Sequence[float]:
+    """Position x, y in m."""
+    return [float(message.raw[0]), float(message.raw[1])]
+
+
+def heading_of(message: Any) -> Sequence[float]:
+    """Heading in rad."""
+    return [yaw_of(message.raw[_QUATERNION])]

@@ -1,0 +1,204 @@
+"""Logs as plain text: a header that names the columns, then a row for every event.
+
+::
+
+    t,x,y,theta,r_-90,r_0,r_90
+    0.0,0.000,0.000,0.00,1.20,,1.19
+    0.1,0.031,0.000,0.01,1.21,nan,1.18
+
+``t`` in s, the pose in m and rad as odometry counted it, ranges in m from the place of that pose. Nothing between two
+commas, ``nan`` and ``inf`` say that a beam saw nothing. Columns may stand apart by spaces instead, and the header may
+be a comment with a remark in brackets.
+"""
+
+import math
+import re
+from array import array
+from collections.abc import Sequence
+from os import fspath
+
+import numpy as np
+
+from limslam_agent.logs.directions import direction_of
+from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, beam, check_max_range, choose_beams, pose_log
+from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
+
+NO_SCAN = b"-"
+"""Stands in all range columns, or once instead of them, where an event brought odometry alone."""
+
+_LEADING = ({"t", "time", "stamp"}, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
+_RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
+_NOTHING_SEEN = {b"", b"nan", b"inf", b"+inf"}
+_MOST_BEAMS = 4096
+
+
+def is_csv(path: FilePath) -> bool:
+    """Whether a text, plain or gzip, begins with such a header.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read or is not text.
+    """
+    for _, line in numbered_lines(path):
+        names = _names(line)[0]
+        if names and not _is_remark(line, names):
+            return _begins_well(names)
+    return False
+
+
+def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
+    """Read a text with the header ``t,x,y,theta,r_<deg>,...``, plain or gzip.
+
+    Parameters
+    ----------
+    path
+        The log.
+    beams_deg
+        Directions to choose out of its beams, deg; None takes all of up to 16 beams, and six of more.
+    max_range
+        Longest reading that is used, m; a longer one is "nothing seen".
+
+    Returns
+    -------
+    RecordedLog
+        One event a row, in the order of the file.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, is cut short, its header is another one, a row has other columns than the header
+        or holds something that is not a number, or there is no row with ranges.
+    """
+    rows = _Rows()
+    for number, line in numbered_lines(path):
+        cut = not line.endswith(b"\n")
+        try:
+            rows.add(line)
+        except ValueError as error:
+            raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
+    try:
+        check_max_range(max_range)
+        return rows.log(beams_deg, max_range)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+
+
+class _Rows:
+    """The header, and the numbers of the rows read so far, packed."""
+
+    def __init__(self) -> None:
+        self.separator: bytes | None = None
+        self.directions: list[float] = []
+        self.moves = array("d")
+        self.ranges = array("d")
+        self.has_scan = bytearray()
+
+    def add(self, line: bytes) -> None:
+        """Take in one line; the first that is neither blank nor a remark is the header."""
+        if not self.directions:
+            names, self.separator = _names(line)
+            self.directions = [] if not names or _is_remark(line, names) else _directions(names)
+        elif not line.startswith(b"#") and (text := line.strip()):
+            self._add_row([field.strip() for field in text.split(self.separator)])
+
+    def _add_row(self, fields: list[bytes]) -> None:
+        count = len(_LEADING) + len(self.directions)
+        readings = fields[len(_LEADING) :]
+        silent = bool(readings) and all(field == NO_SCAN for field in readings)
+        if len(fields) != count and not (silent and len(readings) == 1):
+            raise ValueError(f"{len(fields)} columns where the header names {count}")
+        move = [parse_number(field, name) for field, name in zip(fields, ("t", "x", "y", "theta"), strict=False)]
+        if self.moves and move[0] < self.moves[-4] - LARGEST_STEP_BACK:
+            raise ValueError(f"the time steps back by {self.moves[-4] - move[0]:.1f} s")
+        nothing = [math.nan] * len(self.directions)
+        self.ranges.extend(nothing if silent else map(_reading, readings))
+        self.moves.extend(move)
+        self.has_scan.append(not silent)
+
+    def log(self, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
+        """The rows as a log."""
+        if not self.directions:
+            raise ValueError("is empty: not even a header t,x,y,theta,r_<deg>,...")
+        if not any(self.has_scan):
+            raise ValueError("holds no ranges: not one row of them")
+        beams = [beam(math.radians(degrees), max_range) for degrees in self.directions]
+        chosen = choose_beams(beams, beams_deg)
+        moves = np.array(self.moves).reshape(-1, len(_LEADING))
+        ranges = np.array(self.ranges).reshape(len(moves), -1)[:, chosen]
+        has_scan = np.frombuffer(self.has_scan, dtype=np.bool_)
+        return pose_log([beams[index] for index in chosen], moves[:, 0], moves[:, 1:], ranges, has_scan)
+
+
+def _names(line: bytes) -> tuple[list[str], bytes | None]:
+    """A header's column names in lower case, and what stands between them (None for spaces)."""
+    text = line.decode("utf-8-sig", "replace").strip().lstrip("#").partition("(")[0].strip().lower()
+    separator = next((mark for mark in (",", ";") if mark in text), None)
+    names = [name.strip() for name in text.split(separator)]
+    return (names if text else []), separator.encode() if separator else None
+
+
+def _is_remark(line: bytes, names: list[str]) -> bool:
+    return line.startswith(b"#") and not _begins_well(names)
+
+
+def _begins_well(names: list[str]) -> bool:
+    return len(names) >= len(_LEADING) and all(map(set.__contains__, _LEADING, names))
+
+
+def _directions(names: list[str]) -> list[float]:
+    """Directions (deg) of the range columns."""
+    if not _begins_well(names):
+        raise ValueError(f"the header must be t,x,y,theta,r_<deg>,..., not {','.join(names)[:60]!r}")
+    directions: list[float] = []
+    columns = names[len(_LEADING) :]
+    for place, name in enumerate(columns):
+        if name == "...":
+            directions += _between(directions, columns[place + 1 :])
+        else:
+            directions.append(_direction(name))
+    if not directions:
+        raise ValueError("the header names no ranges: r_<deg>,... must follow theta")
+    turns = [degrees % 360.0 for degrees in directions]
+    if len(set(turns)) < len(turns):
+        twice = next(degrees for degrees, turn in zip(directions, turns, strict=True) if turns.count(turn) > 1)
+        raise ValueError(f"the header names the beam at {twice:g} deg twice")
+    return directions
+
+
+def _direction(name: str) -> float:
+    """Direction (deg) in a column's name: ``r_-45``, ``r[-45]`` or ``r_left``."""
+    inner = _RANGE.fullmatch(name)
+    if inner is None:
+        raise ValueError(f"the column {name[:40]!r} is not a range: r_<deg>")
+    try:
+        degrees = float(inner[1])
+    except ValueError:
+        named = direction_of(inner[1])
+        if named is None:
+            raise ValueError(f"the column {name[:40]!r} names no direction: r_<deg>") from None
+        return named
+    if not -360.0 <= degrees <= 360.0:
+        raise ValueError(f"the column {name[:40]!r} is not within 360 deg")
+    return degrees
+
+
+def _between(before: list[float], after: list[str]) -> list[float]:
+    """The directions that ``...`` stands for: in the steps of the two before, up to the one after."""
+    if len(before) < 2 or len(after) != 1:
+        raise ValueError("'...' must stand between two ranges and the last one")
+    step, last = before[-1] - before[-2], _direction(after[0])
+    count = (last - before[-1]) / step if step else 0.0
+    if not (1.0 <= count <= _MOST_BEAMS and math.isclose(count, round(count), abs_tol=1e-6)):
+        raise ValueError(f"'...' cannot go from {before[-1]:g} to {last:g} deg in steps of {step:g}")
+    return [before[-1] + step * number for number in range(1, round(count))]
+
+
+def _reading(field: bytes) -> float:
+    """A range in m, not a number where nothing was seen."""
+    if field.lower() in _NOTHING_SEEN:
+        return math.nan
+    value = parse_number(field, "a range")
+    if value < 0.0:
+        raise ValueError(f"a range is negative: {value}")
+    return value

@@ -1,0 +1,55 @@
+"""Opens any log that the project can replay."""
+
+from collections.abc import Sequence
+from os import fspath
+from pathlib import PurePath
+
+from limslam_agent.logs.carmen import read_carmen
+from limslam_agent.logs.csv_log import is_csv, read_csv
+from limslam_agent.logs.pose_log import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
+from limslam_agent.logs.recorded_log import ZIP_MAGIC, FilePath, LogError, RecordedLog, first_bytes, read_npz
+from limslam_agent.logs.ros_bag import is_bag
+from limslam_agent.logs.ros_log import read_ros
+from limslam_agent.logs.ros_topics import Topics
+
+_TEXT_ENDINGS = (".csv", ".csv.gz")
+
+
+def read_log(
+    path: FilePath,
+    beams_deg: Sequence[float] | None = None,
+    max_range: float | None = None,
+    topics: Topics | None = None,
+) -> RecordedLog:
+    """Read the project's own ``log.npz``, a ROS bag, a table as text, or a CARMEN log, told apart by what they are.
+
+    Parameters
+    ----------
+    path
+        The log; a ROS 2 bag is a folder.
+    beams_deg
+        Beam angles in degrees to choose out of the log's. None takes six of a CARMEN log's, and of others all if
+        they are no more than 16. Our own log has its beams.
+    max_range
+        Longest reading in m that is used, 3 m when None. Our own log has its limits.
+    topics
+        Topics of a bag, where they are not to be found by their types.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be used, or fixes what was to be chosen.
+    """
+    reach = DEFAULT_MAX_RANGE if max_range is None else max_range
+    if is_bag(path):
+        return read_ros(path, beams_deg, reach, topics)
+    if topics:
+        raise LogError(f"{fspath(path)}: is no ROS bag, so no topics can be chosen")
+    if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or PurePath(path).suffix == ".npz":
+        if beams_deg is not None or max_range is not None:
+            chosen = "beams" if beams_deg is not None else "largest range"
+            raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
+        return read_npz(path)
+    if fspath(path).endswith(_TEXT_ENDINGS) or is_csv(path):
+        return read_csv(path, beams_deg, reach)
+    return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)

@@ -1,0 +1,148 @@
+"""The door to ROS bags: ROS 1 and ROS 2 files, opened by rosbags, with every fault of theirs in one line.
+
+rosbags is an extra (``pip install 'limslam[ros]'``) and is loaded when the first bag is opened; no ROS is needed.
+"""
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+METADATA = "metadata.yaml"
+
+# How the files begin, and the ending by which rosbags tells them.
+_MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP": ".mcap", b"SQLite format 3": ".db3"}
+_LONGEST_MAGIC = max(map(len, _MAGIC))
+_LONGEST_REASON = 200
+
+
+@dataclass(frozen=True)
+class Told:
+    """One message: its topic, when the bag got it (s), and what it says."""
+
+    topic: str
+    bag_time: float
+    content: Any
+
+
+def is_bag(path: FilePath) -> bool:
+    """Whether a path can only be a bag: by a file's first bytes or ending; of all logs, only ROS 2 bags are folders.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read.
+    """
+    place = Path(path)
+    return place.is_dir() or place.suffix in _MAGIC.values() or _ending_by_content(path) is not None
+
+
+class Bag:
+    """An open bag.
+
+    Attributes
+    ----------
+    types
+        The type of each topic, as ROS 2 writes it: ``sensor_msgs/msg/LaserScan``.
+    counts
+        How many messages each topic has.
+    """
+
+    def __init__(self, path: FilePath, reader: "AnyReader") -> None:
+        self.path, self._reader = path, reader
+        self.types: dict[str, str] = {}
+        self.counts: dict[str, int] = {}
+        for connection in reader.connections:
+            self.types[connection.topic] = connection.msgtype
+            self.counts[connection.topic] = self.counts.get(connection.topic, 0) + connection.msgcount
+
+    def messages(self, topics: Collection[str]) -> Iterator[Told]:
+        """The messages of some topics, in the order in which the bag got them.
+
+        Raises
+        ------
+        LogError
+            If the bag is cut short or damaged.
+        """
+        connections = [each for each in self._reader.connections if each.topic in topics]
+        if not connections:
+            return
+        stream = self._reader.messages(connections)
+        while True:
+            with _one_line(self.path):
+                item = next(stream, None)
+                if item is None:
+                    return
+                connection, nanoseconds, raw = item
+                content = self._reader.deserialize(raw, connection.msgtype)
+            yield Told(connection.topic, 1e-9 * nanoseconds, content)
+
+    def first(self, topic: str) -> Any:
+        """The first message of a topic; None if it has none."""
+        told = next(self.messages([topic]), None)
+        return None if told is None else told.content
+
+
+@contextmanager
+def open_bag(path: FilePath) -> Iterator[Bag]:
+    """Open a ROS 1 bag, a ROS 2 bag (its folder), or a single ``.mcap`` or ``.db3`` file.
+
+    Raises
+    ------
+    LogError
+        If it is none of these, is cut short or damaged, has another ending than its content, or rosbags is missing.
+    """
+    _check_ending(path)
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise LogError(f"{fspath(path)}: bags are read with rosbags: pip install 'limslam[ros]' ({error})") from error
+    with _one_line(path):
+        # Older ROS 2 bags do not say what their types look like; the standard ones have not changed since.
+        reader = AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST))
+        reader.open()
+    try:
+        yield Bag(path, reader)
+    finally:
+        with _one_line(path):
+            reader.close()
+
+
+def _check_ending(path: FilePath) -> None:
+    place = Path(path)
+    if place.is_dir():
+        if not (place / METADATA).is_file():
+            raise LogError(f"{fspath(path)}: is a folder, but no ROS 2 bag: it has no {METADATA}")
+        return
+    ending = _ending_by_content(path)
+    if ending is None:
+        raise LogError(f"{fspath(path)}: is no bag: it begins like neither of {', '.join(_MAGIC.values())}")
+    if place.suffix != ending:
+        raise LogError(f"{fspath(path)}: is a {ending} file by its content: its name must end so")
+
+
+def _ending_by_content(path: FilePath) -> str | None:
+    begin = first_bytes(path, _LONGEST_MAGIC)
+    return next((ending for magic, ending in _MAGIC.items() if begin.startswith(magic)), None)
+
+
+@contextmanager
+def _one_line(path: FilePath) -> Iterator[None]:
+    """Turn whatever rosbags trips over into a refusal: on damaged files that can be anything."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # its own errors, assertions, struct's, sqlite's, the compressors'
+        its_own = type(error).__module__.startswith("rosbags") and str(error)
+        reason = str(error) if its_own else f"{type(error).__name__} {error}"
+        what = "cut short, damaged, or of a kind that rosbags cannot read"
+        raise LogError(f"{fspath(path)}: {what}: {reason[:_LONGEST_REASON].strip()}") from error

@@ -1,0 +1,235 @@
+"""Which topics of a bag a log is made of: found by their types, or given; and what each of them offers."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.logs import crazyflie
+from limslam_agent.logs.directions import direction_of, is_vertical
+from limslam_agent.logs.pose_log import beam, choose_beams
+from limslam_agent.logs.ros_bag import Bag
+from limslam_agent.logs.ros_messages import (
+    LASER_SCAN,
+    ODOMETRY,
+    POSES,
+    RANGE,
+    TRANSFORMS,
+    Mounts,
+    beam_on_body,
+    pose_of,
+    scan_angles,
+    scan_readings,
+    sensor_limits,
+)
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.interface import SensorSpec
+
+_MOST_NAMED = 8
+_AT_ORIGIN = (np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topics that somebody chose; what is left empty is found by type.
+
+    Attributes
+    ----------
+    scans
+        Of LaserScans; several are put together.
+    ranges
+        Of Ranges, each with the direction of its beam in degrees, left positive, or None if the bag shall tell.
+    odometry
+        Of an Odometry or a pose.
+    """
+
+    scans: tuple[str, ...] = ()
+    ranges: Mapping[str, float | None] = field(default_factory=dict)
+    odometry: str | None = None
+
+    def __bool__(self) -> bool:
+        """Whether anything was chosen."""
+        return bool(self.scans or self.ranges or self.odometry)
+
+
+@dataclass(frozen=True, eq=False)
+class Reader:
+    """Takes the numbers that are wanted out of each message of a topic."""
+
+    topic: str
+    read: Callable[[Any], Sequence[float] | FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a bag becomes a log.
+
+    Attributes
+    ----------
+    beams
+        The robot's.
+    scans
+        Readers of ranges; their columns side by side, in the order ``columns``, belong to the beams.
+    columns
+        (n_beams,).
+    moves
+        Readers whose columns side by side are x, y and heading.
+    """
+
+    beams: list[SensorSpec]
+    scans: list[Reader]
+    columns: IntArray
+    moves: list[Reader]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A topic with ranges: its beams on the body, and how the readings (m) of some of them are taken from a message."""
+
+    topic: str
+    beams: list[SensorSpec]
+    read: Callable[[Any, IntArray], Sequence[float] | FloatArray]
+
+
+def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_range: float) -> Plan:
+    """Choose topics and beams.
+
+    Raises
+    ------
+    ValueError
+        If there are too few or too many candidates, or a topic that was asked for is missing, empty or of another type.
+    """
+    if not topics and (found := crazyflie.find_topics(bag.types)) is not None:
+        ranger = Sensor(found.ranger, crazyflie.beams(max_range), crazyflie.ranges_of)
+        moves = [Reader(found.position, crazyflie.position_of), Reader(found.ranger, crazyflie.heading_of)]
+        return _choose([ranger], moves, beams_deg)
+    scans, ranges = _sensor_topics(bag, topics)
+    odometry = _odometry_topic(bag, topics.odometry)
+    mounts = _mounts(bag, odometry)
+    sensors = [_laser(bag, topic, mounts, max_range) for topic in scans]
+    given = [_range_sensor(bag, topic, degrees, mounts, max_range) for topic, degrees in ranges.items()]
+    sensors += [sensor for sensor in given if sensor is not None]
+    if not sensors:
+        raise ValueError(f"all of {', '.join(ranges)} look up or down: no beam is left")
+    return _choose(sensors, [Reader(odometry, pose_of)], beams_deg)
+
+
+def _choose(sensors: list[Sensor], moves: list[Reader], beams_deg: Sequence[float] | None) -> Plan:
+    offers = [(sensor, column) for sensor in sensors for column in range(len(sensor.beams))]
+    beams = [sensor.beams[column] for sensor, column in offers]
+    chosen = choose_beams(beams, beams_deg)
+    readers, read_order = [], []
+    for sensor in sensors:
+        indices = [index for index in chosen if offers[index][0] is sensor]
+        if indices:
+            readers.append(_reader(sensor, np.array([offers[index][1] for index in indices])))
+            read_order += indices
+    columns = np.array([read_order.index(index) for index in chosen])
+    return Plan([beams[index] for index in chosen], readers, columns, moves)
+
+
+def _reader(sensor: Sensor, columns: IntArray) -> Reader:
+    return Reader(sensor.topic, lambda message: sensor.read(message, columns))
+
+
+def _sensor_topics(bag: Bag, topics: Topics) -> tuple[list[str], dict[str, float | None]]:
+    """Topics of LaserScans, and of Ranges with their directions, deg, where these are given."""
+    if topics.scans or topics.ranges:
+        scans = [_given(bag, topic, (LASER_SCAN,)) for topic in topics.scans]
+        return scans, {_given(bag, topic, (RANGE,)): degrees for topic, degrees in topics.ranges.items()}
+    scans, ranges = _of_type(bag, LASER_SCAN), _of_type(bag, RANGE)
+    ranges = [topic for topic in ranges if not is_vertical(topic)]
+    if scans and ranges:
+        both = f"LaserScan ({', '.join(scans)}) and Range topics ({', '.join(ranges)})"
+        raise ValueError(f"has {both}: choose with --scan-topic or --range-topics")
+    if len(scans) > 1:
+        raise ValueError(f"has {len(scans)} LaserScan topics, {', '.join(scans)}: choose with --scan-topic")
+    if not scans and not ranges:
+        raise ValueError(f"has no LaserScan and no Range; {_contents(bag)}")
+    return scans, dict.fromkeys(ranges)
+
+
+def _odometry_topic(bag: Bag, given: str | None) -> str:
+    if given is not None:
+        return _given(bag, given, (ODOMETRY, *POSES))
+    # What is called odometry goes first: poses are often goals, or another program's estimate.
+    for types in ((ODOMETRY,), POSES):
+        found = [topic for each in types for topic in _of_type(bag, each)]
+        if len(found) > 1:
+            raise ValueError(f"has {len(found)} topics with poses, {', '.join(found)}: choose with --odometry-topic")
+        if found:
+            return found[0]
+    raise ValueError(f"has no Odometry and no pose; {_contents(bag)}")
+
+
+def _of_type(bag: Bag, wanted: str) -> list[str]:
+    return sorted(topic for topic, kind in bag.types.items() if kind == wanted and bag.counts[topic])
+
+
+def _given(bag: Bag, topic: str, types: tuple[str, ...]) -> str:
+    """The topic's full name, if it can be used."""
+    name = topic if topic in bag.types else f"/{topic}"
+    if name not in bag.types:
+        raise ValueError(f"has no topic {topic}; {_contents(bag)}")
+    if bag.types[name] not in types:
+        wanted = " or ".join(each.rpartition("/")[2] for each in types)
+        raise ValueError(f"{name} holds {bag.types[name]}, where {wanted} is needed")
+    if not bag.counts[name]:
+        raise ValueError(f"the topic {name} is empty")
+    return name
+
+
+def _contents(bag: Bag) -> str:
+    names = [f"{topic} ({kind}{'' if bag.counts[topic] else ', empty'})" for topic, kind in sorted(bag.types.items())]
+    if not names:
+        return "it has no topics at all"
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"it has {', '.join(names[:_MOST_NAMED])}{more}"
+
+
+def _mounts(bag: Bag, odometry: str) -> Mounts:
+    mounts = Mounts(getattr(bag.first(odometry), "child_frame_id", None))
+    fixed = [topic for topic, kind in bag.types.items() if kind in TRANSFORMS and topic.endswith("tf_static")]
+    for told in bag.messages(fixed):
+        mounts.add(told.content)
+    return mounts
+
+
+def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
+    first = bag.first(topic)
+    angles = scan_angles(first)
+    mount = mounts.find(first.header.frame_id) or _AT_ORIGIN
+    limits = sensor_limits(float(first.range_min), float(first.range_max), max_range)
+    seen = [beam_on_body(mount, float(angle), limits) for angle in angles]
+    level = np.array([index for index, each in enumerate(seen) if each is not None], dtype=np.int64)
+    if not len(level):
+        raise ValueError(f"all beams of {topic} look up or down")
+    flat = [each for each in seen if each is not None]
+    return Sensor(topic, flat, lambda message, columns: scan_readings(message, angles[level[columns]]))
+
+
+def _range_sensor(bag: Bag, topic: str, degrees: float | None, mounts: Mounts, max_range: float) -> Sensor | None:
+    """A Range's one beam; None if it looks up or down."""
+    first = bag.first(topic)
+    mount = mounts.find(first.header.frame_id)
+    limits = sensor_limits(float(first.min_range), float(first.max_range), max_range)
+    if degrees is not None:
+        x, y = (0.0, 0.0) if mount is None else map(float, mount[1][:2])
+        found: SensorSpec | None = beam(np.radians(degrees), limits[1], x=x, y=y, min_range=limits[0])
+    elif mount is not None:
+        found = beam_on_body(mount, 0.0, limits)
+    elif is_vertical(first.header.frame_id):
+        found = None
+    else:
+        found = beam(np.radians(_guess(topic, first.header.frame_id)), limits[1], min_range=limits[0])
+    if found is None:
+        return None
+    return Sensor(topic, [found], lambda message, columns: [float(message.range)] * len(columns))
+
+
+def _guess(topic: str, frame: str) -> float:
+    for name in (frame, topic.rpartition("/")[2], topic):
+        if (degrees := direction_of(name)) is not None:
+            return degrees
+    raise ValueError(f"where {topic} points is not known: say it as --range-topics {topic}:DEGREES,...")

@@ -1,0 +1,176 @@
+"""map.png: the map beside the truth, as one would print it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from limslam_agent.output.style import hexadecimal, robot_colour
+from limslam_env.geometry import FloatArray
+
+TRUTH, WALLS = "0.72", "#c0392b"
+TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
+
+_DASHES = (0, (4, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class MapPicture:
+    """What a picture of a map shows. All arrays are in the world frame, m.
+
+    Attributes
+    ----------
+    title
+        Written above it.
+    segments
+        Walls of the map (N, 4).
+    estimated
+        Believed positions (n, 2); of several robots a list of them.
+    odometry
+        Positions by odometry alone, from the same start: as ``estimated``, or an empty list if they are unknown.
+    true_edges, true_path
+        The truth (k, 4), and as ``estimated``, where it is known.
+
+    Raises
+    ------
+    ValueError
+        If there is no path, or not one of each robot of a kind that is there.
+    """
+
+    title: str
+    segments: FloatArray
+    estimated: FloatArray | Sequence[FloatArray]
+    odometry: FloatArray | Sequence[FloatArray]
+    true_edges: FloatArray | None = None
+    true_path: FloatArray | Sequence[FloatArray] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.estimates:
+            raise ValueError("a picture of a map needs the path of a robot")
+        for name, paths in (("odometry", self.odometries), ("true", self.true_paths)):
+            if paths and len(paths) != len(self.estimates):
+                raise ValueError(f"{len(self.estimates)} estimated paths go with {len(paths)} {name} ones")
+
+    @property
+    def estimates(self) -> list[FloatArray]:
+        """Believed positions (n, 2) of each robot."""
+        return _listed(self.estimated)
+
+    @property
+    def odometries(self) -> list[FloatArray]:
+        """Positions (n, 2) of each robot by odometry alone."""
+        return _listed(self.odometry)
+
+    @property
+    def true_paths(self) -> list[FloatArray]:
+        """True positions (n, 2) of each robot."""
+        return [] if self.true_path is None else _listed(self.true_path)
+
+
+def draw_map(path: Path, picture: MapPicture) -> None:
+    """Draw a map as a PNG file."""
+    low, high = _extent(picture)
+    width, height = np.maximum(high - low, 0.5)
+    scale = min(7.2 / width, 7.6 / height)
+    handles = legend(picture)
+    rows = -(-len(handles) // 3)
+    size = (max(scale * width, 4.6) + 0.5, scale * height + 0.95 + 0.2 * rows)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.add_subplot()
+    paint_map(axes, picture)
+    axes.set_title(picture.title, fontsize=11, parse_math=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False, fontsize=9)
+    figure.savefig(path, dpi=160, facecolor="white")
+
+
+def paint_map(axes: Axes, picture: MapPicture) -> None:
+    """Paint truth, paths, walls and a scale, without title and legend."""
+    low, high = _extent(picture)
+    if picture.true_edges is not None:
+        edges = picture.true_edges.reshape(-1, 2, 2)
+        axes.add_collection(LineCollection(list(edges), colors=TRUTH, linewidths=5.0, capstyle="round", zorder=1))
+    _draw_paths(axes, picture)
+    _draw_walls(axes, picture.segments)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_axis_off()
+    _draw_scale(axes, low, high)
+
+
+def path_colours(robots: int) -> list[tuple[str, str]]:
+    """For each robot the colours of its estimated path and of its odometry: of several one for both, as in a video."""
+    if robots == 1:
+        return [(ESTIMATED_PATH, ODOMETRY_PATH)]
+    return [(hexadecimal(robot_colour(number)),) * 2 for number in range(robots)]
+
+
+def legend(picture: MapPicture) -> list[Line2D]:
+    """What is what."""
+    robots = len(picture.estimates)
+    several, (estimated, odometry) = robots > 1, path_colours(robots)[0]
+    handles = [
+        Line2D(
+            [], [], color=WALLS, marker="o", markerfacecolor="white", markersize=4, label="walls of the map, end points"
+        ),
+    ]
+    if several:
+        colours = path_colours(robots)
+        handles += [Line2D([], [], color=colours[number][0], label=f"robot {number + 1}") for number in range(robots)]
+        estimated = odometry = "0.45"
+    handles.append(Line2D([], [], color=estimated, label="estimated path"))
+    if picture.odometries:
+        handles.append(Line2D([], [], color=odometry, linestyle=_DASHES, label="path by odometry alone"))
+    if picture.true_paths:
+        handles.append(Line2D([], [], color=TRUE_PATH, label="true path"))
+    if picture.true_edges is not None:
+        handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
+    return handles
+
+
+def _draw_paths(axes: Axes, picture: MapPicture) -> None:
+    colours = path_colours(len(picture.estimates))
+    for (_, colour), path in zip(colours, picture.odometries, strict=False):
+        axes.plot(*path.T, color=colour, linewidth=0.9, linestyle=_DASHES, zorder=2)
+    for path in picture.true_paths:
+        axes.plot(*path.T, color=TRUE_PATH, linewidth=1.2, zorder=3)
+    for (colour, _), path in zip(colours, picture.estimates, strict=True):
+        axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
+        axes.plot(*path[0], marker="o", color=colour, markersize=6, zorder=5)
+
+
+def _draw_walls(axes: Axes, segments: FloatArray) -> None:
+    ends = segments.reshape(-1, 2)
+    axes.add_collection(LineCollection(list(segments.reshape(-1, 2, 2)), colors=WALLS, linewidths=1.6, zorder=6))
+    axes.plot(*ends.T, linestyle="", marker="o", color="white", markeredgecolor=WALLS, markersize=3.6, zorder=7)
+
+
+def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
+    """A bar of a round length, below the map on the left."""
+    span = float(high[0] - low[0])
+    length = max(size for size in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if size <= max(0.25 * span, 0.1))
+    left, bottom = low + 0.015 * span
+    axes.plot([left, left + length], [bottom, bottom], color="black", linewidth=2.5, solid_capstyle="butt")
+    axes.annotate(
+        f"{length:g} m", (left + 0.5 * length, bottom), xytext=(0, 3), textcoords="offset points",
+        ha="center", va="bottom", fontsize=9,
+    )  # fmt: skip
+
+
+def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
+    edges = [] if picture.true_edges is None else [picture.true_edges.reshape(-1, 2)]
+    paths = [*picture.estimates, *picture.odometries, *picture.true_paths]
+    points = np.vstack([picture.segments.reshape(-1, 2), *paths, *edges])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.04 * float((high - low).max()) + 0.05
+    # The scale bar gets a strip of its own below.
+    return low - np.array([margin, 2.2 * margin]), high + margin
+
+
+def _listed(paths: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
+    if isinstance(paths, np.ndarray) and paths.ndim == 2:
+        return [paths]
+    return list(paths)

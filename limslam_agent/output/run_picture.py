@@ -1,0 +1,89 @@
+"""A finished run on one sheet: its map, and how its errors grew."""
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from limslam_agent.output.drawing import MapPicture, legend, paint_map, path_colours
+from limslam_agent.output.finished_run import FinishedRun, heading_error, position_error
+from limslam_env.geometry import FloatArray
+
+SIZE = (12.0, 6.8)
+"""Of the sheet, inches."""
+
+_Style: TypeAlias = str | tuple[float, tuple[float, ...]]
+_DASHES: _Style = (0, (4, 2))
+
+
+def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None) -> None:
+    """Draw a finished run into an empty figure with a constrained layout.
+
+    Parameters
+    ----------
+    figure
+        Drawn into.
+    run
+        What is drawn.
+    lines
+        The run in words.
+    true_edges
+        The world's walls (k, 4), m, where they are known.
+    """
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
+    picture = MapPicture(
+        run.title, run.segments, [poses[:, :2] for poses in run.estimated], [poses[:, :2] for poses in run.odometry],
+        true_edges, [poses[:, :2] for poses in run.true],
+    )  # fmt: skip
+    axes = figure.add_subplot(grid[:, 0])
+    paint_map(axes, picture)
+    figure.suptitle(run.title, fontsize=12, parse_math=False)
+    handles = legend(picture)
+    figure.legend(handles=handles, loc="outside lower left", ncols=min(len(handles), 5), frameon=False, fontsize=8.5)
+    upper = figure.add_subplot(grid[0, 1])
+    lower = figure.add_subplot(grid[1, 1], sharex=upper)
+    _draw_errors(upper, lower, run)
+    words = figure.add_subplot(grid[2, 1])
+    words.set_axis_off()
+    words.text(
+        0.0, 1.0, "\n".join(lines), va="top", fontsize=8, family="monospace", transform=words.transAxes,
+        parse_math=False,
+    )  # fmt: skip
+
+
+def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
+    """Errors against the truth; without it, how far the estimate has gone from odometry."""
+    reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
+    colours = path_colours(len(run.estimated))
+    time = run.time - run.time[0]
+    curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, "-", "estimated")]
+    if run.true:
+        curves.append((run.odometry, 1, _DASHES, "odometry alone"))
+    for kind, which, style, name in curves:
+        for number, (poses, other) in enumerate(zip(kind, reference, strict=False)):
+            of_whom = f"robot {number + 1}, {name}" if len(kind) > 1 else name
+            colour = colours[number][which]
+            upper.plot(time, position_error(poses, other), color=colour, linestyle=style, linewidth=1.2, label=of_whom)
+            turned = np.degrees(heading_error(poses, other))
+            lower.plot(time, _without_jumps(turned), color=colour, linestyle=style, linewidth=1.2)
+    upper.set_ylabel(f"position {compared}, m", fontsize=9)
+    lower.set_ylabel(f"heading {compared}, deg", fontsize=9)
+    lower.set_xlabel("time, s", fontsize=9)
+    upper.set_ylim(bottom=0.0)
+    upper.tick_params(labelsize=8, labelbottom=False)
+    lower.tick_params(labelsize=8)
+    for axes in (upper, lower):
+        axes.grid(color="0.9", linewidth=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
+    if upper.lines:
+        upper.legend(fontsize=8, frameon=False, loc="upper left")
+    else:
+        upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
+
+
+def _without_jumps(degrees: FloatArray) -> FloatArray:
+    """Angles with a gap where they pass 180 degrees, so that no line is drawn across."""
+    jumps = np.abs(np.diff(degrees, prepend=degrees[:1])) > 180.0
+    return np.where(jumps, np.nan, degrees)

@@ -1,0 +1,1 @@
+"""Policies: from what the robot believes to its wheel speeds."""

@@ -1,0 +1,99 @@
+"""From a point to steer for to wheel speeds, with the front beams watching."""
+
+import math
+
+import numpy as np
+
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec
+
+_FRONT = math.radians(60.0)
+_BODY_MARGIN = 0.03
+_TURN_IN_PLACE = math.radians(40.0)
+_TURN_GAIN = 2.5
+
+
+def steer(
+    pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, config: PolicyConfig, cruise: float
+) -> FloatArray:
+    """Wheel speeds (2,), fractions of the maximum, towards a point (2,), m, at ``cruise`` m/s or less.
+
+    Far off its heading the robot turns where it stands; else it drives, more slowly the less
+    room the beams show ahead.
+    """
+    error = bearing_of(pose, target)
+    if abs(error) > _TURN_IN_PLACE:
+        return turn_by(error, robot, config)
+    room = free_ahead(ranges, robot) - config.stop_distance
+    speed = cruise * math.cos(error) * min(max(room / 0.2, 0.0), 1.0)
+    return wheel_speeds(speed, _turn_rate(error, config), robot)
+
+
+def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
+    """Wheel speeds (2,) on the spot for a robot that has ``error`` (rad) left to turn, counter-clockwise."""
+    return wheel_speeds(0.0, _turn_rate(error, config), robot)
+
+
+def bearing_of(pose: FloatArray, place: FloatArray) -> float:
+    """Where a place (2,), m, lies as seen from a pose (3,), rad from ahead."""
+    offset = place - pose[:2]
+    return wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
+
+
+def _turn_rate(error: float, config: PolicyConfig) -> float:
+    return float(np.clip(_TURN_GAIN * error, -config.turn_rate, config.turn_rate))
+
+
+def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
+    """How far (m) the body could drive straight on before the nearest point that a front beam sees.
+
+    A beam that gives no number is left out; when none of the front ones gives any, there is no room.
+    """
+    angles = robot.beam_angles
+    ahead = np.abs(wrap_angle(angles)) <= _FRONT
+    front = ahead & np.isfinite(ranges)
+    if ahead.any() and not front.any():
+        return 0.0
+    reading = np.where(front, ranges, 0.0)
+    seen = front & (reading < robot.too_far)
+    x, y = (robot.beam_origins + reading[:, None] * robot.beam_directions).T
+    in_the_way = seen & (np.abs(y) < robot.radius + _BODY_MARGIN) & (x > 0.0)
+    if not in_the_way.any():
+        return math.inf
+    lateral = np.minimum(np.abs(y[in_the_way]), robot.radius)
+    return float((x[in_the_way] - np.sqrt(robot.radius**2 - lateral**2)).min())
+
+
+def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray:
+    """Left and right wheel (2,) as fractions of the maximum, for m/s and rad/s.
+
+    Where both cannot be had the turn is kept and the speed gives way.
+    """
+    turn = float(np.clip(0.5 * turn_rate * robot.axle, -robot.max_wheel_speed, robot.max_wheel_speed))
+    room = robot.max_wheel_speed - abs(turn)
+    forward = float(np.clip(speed, -room, room))
+    return np.array([forward - turn, forward + turn]) / robot.max_wheel_speed
+
+
+def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple[int, float]:
+    """The beam that the least turn points at a place (2,), m, and that turn, rad."""
+    offset = place - pose[:2]
+    errors = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]) - robot.beam_angles)
+    beam = int(np.argmin(np.abs(errors)))
+    return beam, float(errors[beam])
+
+
+def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
+    """Wheel speeds (2,) straight back if the map shows ground that is free there, else zero."""
+    heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
+    behind = robot.radius + np.arange(1, 4)[:, None] * 0.05
+    places = np.vstack(
+        [pose[:2] - behind * heading + side * robot.radius * heading[[1, 0]] * (-1, 1) for side in (-1, 0, 1)]
+    )
+    cells = grid.cells(places)
+    inside = ((cells >= 0) & (cells < grid.values.shape)).all(axis=1)
+    is_free = bool(inside.all()) and bool((grid.values[cells[:, 0], cells[:, 1]] > 0).all())
+    return wheel_speeds(-0.5 * config.speed if is_free else 0.0, 0.0, robot)

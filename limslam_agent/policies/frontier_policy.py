@@ -1,0 +1,239 @@
+"""Exploration: to the frontier of least cost, until none is left or the rest cannot be had."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.frontier import group_places, sight_begins
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.planner import wall_distance
+from limslam_agent.policies.belief import NO_PLAN, Belief
+from limslam_agent.policies.collision_guard import Bumper
+from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
+from limslam_agent.policies.goal_memory import GoalMemory
+from limslam_agent.policies.right_of_way import Manners
+from limslam_agent.policies.targets import Target, is_walled_in, islands, next_target, open_frontier
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+
+_ARRIVED = 0.08
+_POINTED = math.radians(4.0)
+# Wheel speeds that sum to less than this hardly move the robot.
+_CREEP = 0.05
+# It is progress when the way has grown shorter by so much, m, or the map larger by so many cells.
+_AHEAD, _NEW_CELLS = 0.05, 2
+_MOST_NAMED = 3
+# Times that a robot that seems walled in looks round before it believes it.
+_MOST_ROUNDS = 3
+
+_FROM_AFAR, _FROM_NEAR, _ALL_THE_WAY = range(3)
+
+
+@dataclass
+class _Pursuit:
+    """A target, and how the robot gets on with it.
+
+    ``boldness`` says how near to go, ``left`` is the least way to go so far, m, and ``standing`` counts the steps
+    without motion.
+    """
+
+    target: Target
+    boldness: int
+    left: float = math.inf
+    standing: int = 0
+
+
+class FrontierPolicy:
+    """Drive to the frontier of least cost until there is none left (step 8 of the method).
+
+    A frontier is looked at with the nearest beam from where it should be seen, and if that shows nothing, from nearer.
+    One that the robot cannot get to is set aside for a while, and tried again up to twice. Frontiers that no
+    way leads to are looked at from the nearest place: the wall between may be a mistake of the
+    map. A pursuit ends when it makes no progress, so exploring ends too.
+
+    Parameters
+    ----------
+    robot, config
+        Body and speeds.
+    index
+        The robot's place in its team; of two that meet, the one of the higher index waits.
+
+    Attributes
+    ----------
+    stop_reason
+        Why there is nothing left to do, in words; None while there is.
+    plan
+        The way to the present goal (k, 2), m.
+    """
+
+    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0) -> None:
+        self._robot, self._config = robot, config
+        self.stop_reason: str | None = None
+        self.plan: FloatArray = NO_PLAN
+        self._pursuit: _Pursuit | None = None
+        self._memory = GoalMemory(config.aside_steps)
+        self._bumper = Bumper(robot)
+        self._manners = Manners(index, 5.0 * robot.radius, config.patience)
+        self._step = self._until_plan = self._backing = self._turning = self._rounds = 0
+        # Steps without progress towards any goal, and the most cells that the map had.
+        self._idle = self._known = 0
+
+    @property
+    def goal(self) -> FloatArray | None:
+        """The present goal (2,), m, or None."""
+        return None if self._pursuit is None else self._pursuit.target.goal
+
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) towards the present goal; zero when done."""
+        self._step += 1
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._bumper.note(belief.pose, belief.ranges)
+        return self._bumper.soften(belief.pose, self._wheels(belief))
+
+    def _wheels(self, belief: Belief) -> FloatArray:
+        """Where the plan leads, before a last look at what is near."""
+        if self._backing > 0:
+            self._backing -= 1
+            return back_off(belief.pose, belief.grid, self._robot, self._config)
+        if self._turning == 0 and (self._until_plan <= 0 or self._pursuit is None):
+            self._replan(belief)
+        self._until_plan -= 1
+        if self._turning > 0:
+            self._turning -= 1
+            return wheel_speeds(0.0, self._config.turn_rate, self._robot)
+        if self._pursuit is None or self._manners.waits(belief.pose, belief.other_poses):
+            return np.zeros(2)
+        return self._follow(belief, self._pursuit)
+
+    def _replan(self, belief: Belief) -> None:
+        self._until_plan = self._config.replan_period
+        target = self._target(belief)
+        while (target is None or (self._pursuit is None and not target.is_reachable)) and self._memory.release():
+            target = self._target(belief)
+        is_lost = target is None or not target.is_reachable
+        if is_lost and self._rounds < _MOST_ROUNDS and is_walled_in(belief.grid, belief.pose):
+            self._rounds += 1
+            self._turning = math.ceil(2.0 * math.pi / (self._config.turn_rate * self._robot.control_period))
+            self._drop()
+        elif target is None:
+            self._drop()
+            self.stop_reason = self._reason(belief)
+        else:
+            self._take_up(belief.grid, target)
+
+    def _target(self, belief: Belief) -> Target | None:
+        ignored = self._memory.ignored_cells(belief.grid, self._step)
+        return next_target(belief, ignored, self.goal, self._robot, self._config)
+
+    def _take_up(self, grid: GridView, target: Target) -> None:
+        """Go on with the old target's frontier, or begin with another one."""
+        old = self._pursuit
+        if old is not None and np.hypot(*(old.target.goal - target.goal)) < self._config.view_distance:
+            old.target = target
+        else:
+            is_new = self._memory.tries_at(target.goal) == 0
+            self._pursuit = old = _Pursuit(target, _FROM_AFAR if is_new else _ALL_THE_WAY)
+        self.plan = self._cut(grid, target, old.boldness)
+
+    def _cut(self, grid: GridView, target: Target, boldness: int) -> FloatArray:
+        """The way (k, 2) up to where its end is looked at from."""
+        if not target.is_reachable or boldness == _ALL_THE_WAY:
+            return target.path
+        if boldness == _FROM_AFAR:
+            return cut_short(target.path, self._view_distance(grid, target))
+        cells = grid.cells(target.path)
+        has_room = wall_distance(grid)[cells[:, 0], cells[:, 1]] >= self._robot.radius
+        return target.path[: int(np.flatnonzero(has_room)[-1]) + 1] if has_room.any() else target.path[:1]
+
+    def _view_distance(self, grid: GridView, target: Target) -> float:
+        """How far from its end the way may be left, m: a small frontier is looked at from where nothing hides it."""
+        near, far = self._config.view_distance, self._config.far_view_distance
+        if len(target.group) > self._config.small_frontier or far <= near:
+            return near
+        seen_from = sight_begins(grid, target.path, far)
+        return max(near, float(np.hypot(*np.diff(target.path[seen_from:], axis=0).T).sum()))
+
+    def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
+        away = np.linalg.norm(self.plan - belief.pose[:2], axis=1)
+        if away[-1] < _ARRIVED or len(self.plan) == 1:
+            return self._look(belief, pursuit)
+        nearest = int(np.argmin(away))
+        ahead = np.flatnonzero(away[nearest:] > self._config.lookahead)
+        aim = self.plan[nearest + ahead[0]] if ahead.size else self.plan[-1]
+        action = steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
+        left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
+        if self._is_stuck(belief.grid, pursuit, left, action):
+            self._set_aside(pursuit)
+            self._backing = self._config.back_steps
+        return action
+
+    def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
+        """Whether the robot has stood in front of something, or got no nearer and saw nothing new, for too long."""
+        known = int(np.count_nonzero(grid.values))
+        is_nearer = left < pursuit.left - _AHEAD and math.isfinite(pursuit.left)
+        self._idle = 0 if is_nearer or known > self._known + _NEW_CELLS else self._idle + 1
+        if self._idle == 0:
+            self._known = max(known, self._known)
+        if is_nearer or not math.isfinite(pursuit.left):
+            pursuit.left = left
+        pursuit.standing = pursuit.standing + 1 if abs(float(action.sum())) < _CREEP else 0
+        return pursuit.standing > self._config.patience or self._idle > 3 * self._config.patience
+
+    def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
+        """Point a beam at the target from where it should be seen, and draw the conclusion."""
+        aim = pursuit.target.aim
+        beam, error = nearest_beam(belief.pose, aim, self._robot)
+        self._idle += 1
+        if abs(error) > _POINTED and self._idle <= 3 * self._config.patience:
+            return turn_by(error, self._robot, self._config)
+        distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self._robot.beam_origins[beam]))
+        reading = float(belief.ranges[beam])
+        is_wall = reading < self._robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
+        if not pursuit.target.is_reachable:
+            self._set_aside(pursuit)
+        elif is_wall or pursuit.boldness == _ALL_THE_WAY:
+            # From far off the beam may have met a wall beside the way on.
+            self._memory.settle(pursuit.target.goal, is_near=distance < 1.5 * self._config.view_distance)
+            self._drop()
+        elif pursuit.boldness == _FROM_AFAR:
+            pursuit.boldness, pursuit.left, self._idle = _FROM_NEAR, math.inf, 0
+            self._until_plan = 0
+        else:
+            self._set_aside(pursuit)
+        return np.zeros(2)
+
+    def _set_aside(self, pursuit: _Pursuit) -> None:
+        """Leave a goal alone: for a while, or for good if no way leads there."""
+        if pursuit.target.is_reachable:
+            self._memory.set_aside(pursuit.target.goal, self._step)
+        else:
+            self._memory.give_up(pursuit.target.group)
+        self._drop()
+
+    def _drop(self) -> None:
+        self._pursuit, self.plan = None, NO_PLAN
+        self._until_plan = self._idle = 0
+
+    def _reason(self, belief: Belief) -> str:
+        grid = belief.grid
+        ignored = self._memory.settled_cells(grid) | islands(grid, belief.pose)
+        places = group_places(grid, open_frontier(grid, self._config.min_last_frontier, ignored, self._robot))
+        if not len(places):
+            return "explored: no frontier is left"
+        named = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]
+        more = len(places) - len(named)
+        if more:
+            named.append("1 more place" if more == 1 else f"{more} more places")
+        near = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
+        what = "1 frontier is" if len(places) == 1 else f"{len(places)} frontiers are"
+        return f"explored: {what} left that cannot be reached, near {near}"
+
+
+def cut_short(path: FloatArray, distance: float) -> FloatArray:
+    """A path (k, 2) without its last ``distance`` (m): from there its end can be seen. One place at least."""
+    lengths = np.hypot(*np.diff(path, axis=0).T)
+    to_go = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
+    return path[: max(int(np.count_nonzero(to_go >= distance)), 1)]

@@ -1,0 +1,1 @@
+"""A learned exploration policy that runs in numpy, with its weights."""

@@ -1,0 +1,92 @@
+"""The network of the learned explorer, in numpy: running it takes no deep-learning library and executes no file."""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig
+
+Weights = NDArray[np.float32]
+
+LAYERS = ("first", "state", "second", "third", "score")
+"""Layers of the policy; each has a ``weight`` and a ``bias``."""
+
+COMPASS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionNetwork:
+    """Scores directions by what is seen there and to both sides: convolutions round the circle.
+
+    Attributes
+    ----------
+    weights
+        By ``LAYER.weight`` and ``LAYER.bias``: of the circular convolutions (out, in, width), of ``state`` (out, in).
+    view
+        The view it was trained for.
+    """
+
+    weights: dict[str, Weights]
+    view: ViewConfig
+
+    def scores(self, observation: NDArray[np.float32]) -> Weights:
+        """Logits (directions,) of an observation (size,), as ``polar_view.observe`` makes them."""
+        directions, size = self.view.directions, CHANNELS * self.view.rings * self.view.directions
+        angles = 2.0 * np.pi * np.arange(directions) / directions
+        # Which way is ahead: all else would be the same for a robot that has turned.
+        compass = np.stack((np.cos(angles), np.sin(angles)))
+        values = np.concatenate((observation[:size].reshape(-1, directions), compass)).astype(np.float32)
+        state = self.weights["state.weight"] @ observation[size:] + self.weights["state.bias"]
+        values = np.maximum(self._around("first", values) + state[:, None], 0.0)
+        values = np.maximum(self._around("second", values), 0.0)
+        values = np.maximum(self._around("third", values), 0.0)
+        return np.asarray(self._around("score", values)[0])
+
+    def _around(self, layer: str, values: Weights) -> Weights:
+        weight, bias = self.weights[f"{layer}.weight"], self.weights[f"{layer}.bias"]
+        half = weight.shape[2] // 2
+        total = sum(weight[:, :, tap] @ np.roll(values, half - tap, axis=1) for tap in range(weight.shape[2]))
+        return np.asarray(total + bias[:, None])
+
+
+def save_network(path: Path, network: DirectionNetwork) -> None:
+    """Write weights and the view's shape to an ``.npz``: arrays of numbers, and nothing else."""
+    view = network.view
+    shape = np.array([view.directions, view.rings, view.nearest, view.growth])
+    with path.open("wb") as file:
+        held: dict[str, Any] = {"view": shape, **network.weights}
+        np.savez_compressed(file, **held)
+
+
+def load_network(path: Path) -> DirectionNetwork:
+    """Read what :func:`save_network` wrote. Arrays of objects are refused, so that reading executes nothing.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or holds another network.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            held = {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: no weights of a learned explorer: {error}") from error
+    wanted = {"view"} | {f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")}
+    if set(held) != wanted:
+        raise ValueError(f"{path}: no weights of a learned explorer: it holds {', '.join(sorted(held)) or 'nothing'}")
+    if not all(values.dtype.kind == "f" and np.isfinite(values).all() for values in held.values()):
+        raise ValueError(f"{path}: weights must be finite numbers")
+    shape = held.pop("view")
+    if shape.shape != (4,):
+        raise ValueError(f"{path}: the shape of the view must be four numbers")
+    view = ViewConfig(int(shape[0]), int(shape[1]), float(shape[2]), float(shape[3]))
+    network = DirectionNetwork({name: values.astype(np.float32) for name, values in held.items()}, view)
+    try:
+        network.scores(np.zeros(CHANNELS * view.rings * view.directions + held["state.weight"].shape[1], np.float32))
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{path}: the layers do not fit together: {error}") from error
+    return network

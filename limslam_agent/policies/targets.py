@@ -1,0 +1,183 @@
+"""Which frontier to go to next, by what way, and from where to look at one that no way leads to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.frontier import frontier_cells, group_of
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.planner import Routes, routes, wall_distance
+from limslam_agent.policies.belief import Belief
+from limslam_agent.policies.right_of_way import parting, taken_cells
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import RobotSpec
+
+# Unknown regions of fewer cells hide no obstacle.
+_POCKET = 3
+# A metre of wall or unknown between a place and what is to be looked at counts as so many metres of way.
+_BETWEEN = 3.0
+# Cells around the old goal in which its frontier is looked for again.
+_KEPT = 2
+# Another frontier has to cost less than this share of the old one to be worth a change of mind.
+_WORTH = 0.5
+_SPACING = 0.05
+# Free regions of fewer cells that no way leads to are mistakes of the map.
+_ISLAND = 15
+# Cells of the smallest frontier that no way leads to and that is looked at all the same.
+_WORTH_A_LOOK = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A frontier to go to.
+
+    Attributes
+    ----------
+    goal
+        The middle of its nearest cell (2,), m.
+    aim
+        The middle of what is unknown beside that cell (2,), m.
+    group
+        All cells of the frontier (n, 2), m.
+    path
+        The way there (k, 2), m; for a frontier that no way leads to, to the place nearest to it.
+    is_reachable
+        Whether the way leads all the way.
+    """
+
+    goal: FloatArray
+    aim: FloatArray
+    group: FloatArray
+    path: FloatArray
+    is_reachable: bool
+
+
+def open_frontier(grid: GridView, size: int, ignored: BoolArray, robot: RobotSpec) -> BoolArray:
+    """Frontier cells (rows, columns) in groups of ``size`` that may lead on: gaps that the robot cannot pass do not."""
+    # Two cells may be a passage: walls take more room on the grid than they have.
+    close_gaps = grid.cell < 2.0 * robot.radius
+    return frontier_cells(grid, size, ignored, close_gaps=close_gaps, pocket=_POCKET)
+
+
+def islands(grid: GridView, pose: FloatArray) -> BoolArray:
+    """Small free regions (rows, columns) without the robot, at a pose (3,): specks of a map that does not fit."""
+    labels, _ = ndimage.label(grid.free, structure=np.ones((3, 3), dtype=int))
+    small = np.bincount(labels.ravel()) < _ISLAND
+    row, column = grid.cells(pose[None, :2])[0]
+    if 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]:
+        small[labels[row, column]] = False
+    return np.asarray(small[labels] & (labels > 0))
+
+
+def is_walled_in(grid: GridView, pose: FloatArray) -> bool:
+    """Whether most of the free ground is cut off from the robot at a pose (3,), though it came from there."""
+    row, column = grid.cells(pose[None, :2])[0]
+    labels, _ = ndimage.label(grid.free)
+    if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
+        return True
+    around = labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    own = np.isin(labels, np.unique(around[around > 0]))
+    return bool(2 * np.count_nonzero(own) < np.count_nonzero(labels))
+
+
+def next_target(
+    belief: Belief, ignored: BoolArray, old_goal: FloatArray | None, robot: RobotSpec, config: PolicyConfig
+) -> Target | None:
+    """The frontier of least cost, or the old one while it can be had: changing one's mind costs time.
+
+    Small frontiers come after large ones, and those that no way leads to come last.
+    """
+    ways: list[Routes] = []
+    for size in (config.min_frontier, config.min_last_frontier):
+        cells = open_frontier(belief.grid, size, ignored, robot)
+        for wanted in (_beside(belief.grid, cells, old_goal), cells):
+            if not wanted.any():
+                continue
+            # A search that found nothing went everywhere, so one is enough.
+            ways = ways or _ways(belief, wanted, robot, config)
+            found = _cheapest(belief, ways, wanted, cells)
+            if found is not None:
+                return _reachable(belief.grid, cells, *found)
+    ignored = ignored | islands(belief.grid, belief.pose)
+    large = open_frontier(belief.grid, max(config.min_frontier, _WORTH_A_LOOK), ignored, robot)
+    return _unreachable(belief, ways[-1], large, old_goal, robot) if large.any() else None
+
+
+def _ways(belief: Belief, wanted: BoolArray, robot: RobotSpec, config: PolicyConfig) -> list[Routes]:
+    """Ways to the nearest of some cells or, with other robots about, to all: first round them, then as if through."""
+    grid, start, radius = belief.grid, belief.pose[:2], robot.radius + config.margin
+    if not len(belief.other_poses):
+        return [routes(grid, start, radius, config.clearance, targets=wanted)]
+    taken = taken_cells(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
+    return [routes(grid, start, radius, config.clearance, closed=closed) for closed in (taken, None)]
+
+
+def _cheapest(
+    belief: Belief, ways: list[Routes], wanted: BoolArray, cells: BoolArray
+) -> tuple[IntArray, Routes] | None:
+    """The cell (2,) of least cost among those wanted, or one of all that costs far less, and the ways to it."""
+    toll = parting(belief.grid, belief.pose, belief.other_poses, belief.other_goals)
+    for each in ways:
+        found = _least(each, each.cost + toll, wanted, cells)
+        if found is not None:
+            return found
+    return None
+
+
+def _least(ways: Routes, cost: FloatArray, wanted: BoolArray, cells: BoolArray) -> tuple[IntArray, Routes] | None:
+    best, other = (int(np.argmin(np.where(among, cost, np.inf))) for among in (wanted, cells))
+    if not np.isfinite(cost.flat[best]):
+        return None
+    if cost.flat[other] < _WORTH * cost.flat[best]:
+        best = other
+    return np.array(np.unravel_index(best, cost.shape)), ways
+
+
+def _beside(grid: GridView, cells: BoolArray, goal: FloatArray | None) -> BoolArray:
+    """Those of the cells (rows, columns) that lie around a goal."""
+    near = np.zeros_like(cells)
+    if goal is not None:
+        row, column = grid.cells(goal[None])[0]
+        window = (
+            slice(max(row - _KEPT, 0), max(row + _KEPT + 1, 0)),
+            slice(max(column - _KEPT, 0), max(column + _KEPT + 1, 0)),
+        )
+        near[window] = cells[window]
+    return near
+
+
+def _reachable(grid: GridView, cells: BoolArray, cell: IntArray, ways: Routes) -> Target:
+    path = grid.centres(ways.path_to((int(cell[0]), int(cell[1]))))
+    return Target(path[-1], _aim(grid, cell), grid.centres(group_of(cells, cell)), path, is_reachable=True)
+
+
+def _unreachable(
+    belief: Belief, ways: Routes, cells: BoolArray, old_goal: FloatArray | None, robot: RobotSpec
+) -> Target | None:
+    """What lies behind a wall, and the way to the place from which to look at that wall."""
+    grid = belief.grid
+    there = np.isfinite(ways.cost)
+    room = there & (wall_distance(grid) >= robot.radius)
+    room = room if room.any() else there
+    if not room.any():
+        return None
+    away, (rows, columns) = ndimage.distance_transform_edt(~room, sampling=grid.cell, return_indices=True)
+    cost = np.where(cells, _BETWEEN * away + ways.cost[rows, columns], np.inf)
+    kept = np.where(_beside(grid, cells, old_goal), cost, np.inf)
+    cost = kept if np.isfinite(kept).any() else cost
+    cell = np.array(np.unravel_index(int(np.argmin(cost)), cost.shape))
+    row, column = (int(index[tuple(cell)]) for index in (rows, columns))
+    goal = grid.centres(cell[None])[0]
+    group = grid.centres(group_of(cells, cell))
+    return Target(goal, goal, group, grid.centres(ways.path_to((row, column))), is_reachable=False)
+
+
+def _aim(grid: GridView, cell: IntArray) -> FloatArray:
+    """The middle (2,), m, of the unknown cells beside a cell (2,)."""
+    row, column = (int(index) for index in cell)
+    unknown = np.pad(grid.unknown, 1, constant_values=True)
+    beside = [(row + down, column + right) for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0))]
+    there = [place for place in beside if unknown[place[0] + 1, place[1] + 1]] or [(row, column)]
+    return np.asarray(grid.centres(np.array(there)).mean(axis=0))

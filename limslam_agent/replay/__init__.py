@@ -1,0 +1,1 @@
+"""Mapping from a recorded log, with its options and the calibration of its odometry."""

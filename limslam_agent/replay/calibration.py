@@ -1,0 +1,165 @@
+"""The constant bias of a log's odometry, out of motions that somebody has measured on a calibration run.
+
+Odometry of a real robot errs the same way all the time: one wheel is a little larger, and a metre is not quite one.
+By how much can be seen from a short run whose true motions are known (as relations), and holds for the rest.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.relations import Relations
+from limslam_env.geometry import BoolArray, FloatArray, se2
+
+LONGEST_DRIVE = 20.0
+"""Relations over more driving (m) than this are left out: they overlap, and one slip would count in many of them."""
+
+LEAST_DRIVE = 1.0
+"""Metres that have to be driven in the relations together."""
+
+# What a measured relation itself may be off by: m, rad.
+_MEASURED_WITHIN = 0.02, math.radians(0.5)
+# Residuals past this many standard deviations count linearly (Huber): a wheel that slipped is no bias.
+_HUBER = 1.5
+_ROUNDS = 30
+_LARGEST_SCALE = 2.0
+
+
+@dataclass(frozen=True)
+class OdometryBias:
+    """What odometry is wrong by all the time.
+
+    Attributes
+    ----------
+    turn_per_metre
+        True minus reported heading for each metre driven, rad per metre.
+    distance_scale
+        True distance over reported distance.
+    turn_std, scale_std
+        Their standard deviations, as the assumed noise has it.
+    relations
+        How many relations they are made of.
+    driven
+        How far odometry went in these, m.
+    """
+
+    turn_per_metre: float
+    distance_scale: float
+    turn_std: float
+    scale_std: float
+    relations: int
+    driven: float
+
+
+def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig | None = None) -> OdometryBias:
+    """Fit turn per metre and distance scale to known motions, by least squares.
+
+    Both are linear: the heading's error grows with the distance driven whatever the scale is, and lengths, once the
+    turn is put right, grow with the scale. Each relation is weighted by the variance that odometry has gathered over
+    it.
+
+    Parameters
+    ----------
+    log
+        A log with odometry poses.
+    relations
+        Known motions; those outside of the log's time or over a long drive are left out.
+    noise
+        The odometry's random errors, the defaults when None.
+
+    Raises
+    ------
+    ValueError
+        If the log has no odometry, too little is driven in the relations, or they do not fit this log.
+    """
+    if log.odometry is None:
+        raise ValueError("has wheel travel; a bias can be estimated for odometry poses only")
+    noise = noise or OdometryConfig()
+    path = _Path(log.time, log.odometry)
+    inside = within(relations, float(log.time.min()), float(log.time.max()))
+    near = inside & (np.abs(path.between(path.driven, relations)) <= LONGEST_DRIVE)
+    known = select(relations, near)
+    driven = np.abs(path.between(path.driven, known))
+    if driven.sum() < LEAST_DRIVE:
+        usable = f"{len(driven)} of {len(inside)} relations lie in the log and are over less than {LONGEST_DRIVE:g} m"
+        raise ValueError(f"{driven.sum():.2f} m are driven in them, too little to calibrate by: {usable}")
+    heading_variance = (
+        noise.turn_variance_per_metre * driven
+        + noise.turn_variance_per_radian * np.abs(path.between(path.turned, known))
+        + _MEASURED_WITHIN[1] ** 2
+    )
+    turn, turn_std = _fit(
+        path.between(path.signed, known), known.relative[:, 2] - path.between(path.heading, known), heading_variance,
+        angles=True,
+    )  # fmt: skip
+    # A heading that is off bends a way of length d aside by d / sqrt(3), rms.
+    length_variance = noise.distance_variance * driven + heading_variance * driven**2 / 3.0 + _MEASURED_WITHIN[0] ** 2
+    lengths = np.hypot(*known.relative[:, :2].T)
+    scale, scale_std = _fit(path.lengths(known, turn), lengths, length_variance, angles=False)
+    if not 1.0 / _LARGEST_SCALE <= scale <= _LARGEST_SCALE:
+        raise ValueError(f"the relations are {scale:.3g} times as long as odometry has them: they are of another run")
+    return OdometryBias(turn, scale, turn_std, scale_std, len(driven), float(driven.sum()))
+
+
+def within(relations: Relations, begin: float, end: float) -> BoolArray:
+    """Which relations (k,) lie within a time, both ends of them, s."""
+    low = np.minimum(relations.start_time, relations.end_time)
+    high = np.maximum(relations.start_time, relations.end_time)
+    return np.asarray((low >= begin) & (high <= end))
+
+
+def select(relations: Relations, chosen: BoolArray) -> Relations:
+    """The relations that are marked (k,)."""
+    return Relations(relations.start_time[chosen], relations.end_time[chosen], relations.relative[chosen])
+
+
+class _Path:
+    """Odometry along time: sums that can be asked for at any moment."""
+
+    def __init__(self, time: FloatArray, odometry: FloatArray) -> None:
+        # Logs step back in time here and there.
+        order = np.argsort(time, kind="stable")
+        self.time, self._odometry = time[order], odometry[order]
+        self._steps = se2.between(self._odometry[:-1], self._odometry[1:])
+        length = np.hypot(self._steps[:, 0], self._steps[:, 1])
+        self.driven = _sums(length)
+        # As in motion_from_odometry: what the heading misses a metre unwinds when driving backwards.
+        self.signed = _sums(np.copysign(length, self._steps[:, 0]))
+        self.turned = _sums(np.abs(self._steps[:, 2]))
+        self.heading = _sums(self._steps[:, 2])
+
+    def between(self, sums: FloatArray, relations: Relations) -> FloatArray:
+        """What a sum (n,) has grown by (k,) over each relation."""
+        return self._at(sums, relations.end_time) - self._at(sums, relations.start_time)
+
+    def lengths(self, relations: Relations, turn_per_metre: float) -> FloatArray:
+        """Straight distance (k,), m, between the two ends of each relation, with the turn put right."""
+        heading = (self.heading + turn_per_metre * self.signed)[:-1]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x = _sums(cos * self._steps[:, 0] - sin * self._steps[:, 1])
+        y = _sums(sin * self._steps[:, 0] + cos * self._steps[:, 1])
+        return np.hypot(self.between(x, relations), self.between(y, relations))
+
+    def _at(self, values: FloatArray, when: FloatArray) -> FloatArray:
+        return np.interp(when, self.time, values)
+
+
+def _fit(reported: FloatArray, known: FloatArray, variance: FloatArray, *, angles: bool) -> tuple[float, float]:
+    """The factor f with known = f * reported (k,), and its standard deviation: least squares with Huber's weights."""
+    factor, weights = 0.0, 1.0 / variance
+    information = 0.0
+    for _ in range(_ROUNDS):
+        rest = known - factor * reported
+        rest = se2.wrap_angle(rest) if angles else rest
+        far = np.abs(rest) / np.sqrt(variance)
+        weights = np.where(far <= _HUBER, 1.0, _HUBER / np.maximum(far, _HUBER)) / variance
+        information = float(np.sum(weights * reported**2))
+        factor += float(np.sum(weights * reported * rest)) / max(information, 1e-12)
+    return factor, 1.0 / math.sqrt(max(information, 1e-12))
+
+
+def _sums(steps: FloatArray) -> FloatArray:
+    return np.concatenate(([0.0], np.cumsum(steps)))

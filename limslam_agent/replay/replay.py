@@ -1,0 +1,184 @@
+"""A recorded log through the mapping half of the agent, scored and written down."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.relations import Relations, relation_errors, summary
+from limslam_agent.output.cost import run_cost
+from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.motion import Factors, motion_of
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibration:
+    """What the filter has found the odometry to be wrong by.
+
+    Attributes
+    ----------
+    factors, covariance
+        Of wheels and axle, and their covariance (3, 3).
+    axle
+        That the robot was said to have, m.
+    """
+
+    factors: Factors
+    covariance: FloatArray
+    axle: float
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """For ``result.json``: the turn that odometry misses a metre, the size of the wheels, each with its std."""
+        turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
+        values = np.array(self.factors)
+        return {
+            "self_calibration_turn_deg_per_m": math.degrees(turn @ values),
+            "self_calibration_turn_std_deg_per_m": math.degrees(math.sqrt(turn @ self.covariance @ turn)),
+            "self_calibration_scale": 1.0 + float(size @ values),
+            "self_calibration_scale_std": math.sqrt(size @ self.covariance @ size),
+            "self_calibration_axle": 1.0 + self.factors.axle,
+            "self_calibration_axle_std": math.sqrt(self.covariance[2, 2]),
+        }
+
+    @property
+    def words(self) -> str:
+        """For the screen."""
+        figures = self.figures
+        turn, scale = (
+            (figures[f"self_calibration_{name}"], figures[f"self_calibration_{std}"])
+            for name, std in (("turn_deg_per_m", "turn_std_deg_per_m"), ("scale", "scale_std"))
+        )
+        return f"{turn[0]:.3f} +- {turn[1]:.3f} deg/m, scale {scale[0]:.4f} +- {scale[1]:.4f}, by the filter itself"
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What came of a log: a pose for every event of it.
+
+    Attributes
+    ----------
+    log
+        What was replayed.
+    config
+        The settings.
+    estimated, odometry
+        Poses (n, 3): the belief, and odometry alone, corrected for its known bias.
+    covariances
+        Of the believed poses (n, 3, 3).
+    landmarks, segments, grid
+        The map.
+    refused_readings
+        How many readings were not finite.
+    self_calibration
+        What the odometry was found to be wrong by; None where that was not asked for.
+    slam_ms, wall_clock
+        (n,) cost of each event, ms, and of all of it, s.
+    """
+
+    log: RecordedLog
+    config: AgentConfig
+    estimated: FloatArray
+    odometry: FloatArray
+    covariances: FloatArray
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+    refused_readings: int
+    self_calibration: SelfCalibration | None
+    slam_ms: FloatArray
+    wall_clock: float
+
+
+def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], None] | None = None) -> Replay:
+    """Map from a log, event by event, as if it were happening.
+
+    ``progress`` is told how many events are done.
+    """
+    slam = LineSlam(log.robot, config, log.start_pose)
+    grid = OccupancyGrid(config.grid)
+    count = len(log)
+    estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
+    covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
+    by_odometry, begin = log.start_pose, time.perf_counter()
+    for number, observation in enumerate(log.observations()):
+        before = time.perf_counter()
+        slam.step(observation)
+        slam_ms[number] = 1e3 * (time.perf_counter() - before)
+        grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
+        increment = motion_of(observation, log.robot, config.noise, config.odometry).increment
+        by_odometry = compose(by_odometry, increment)
+        estimated[number], odometry[number], covariances[number] = slam.pose, by_odometry, slam.covariance
+        if progress is not None:
+            progress(number + 1)
+    slam.finish()
+    return Replay(
+        log=log,
+        config=config,
+        estimated=estimated,
+        odometry=odometry,
+        covariances=covariances,
+        landmarks=slam.landmarks,
+        segments=slam.segments,
+        grid=grid.view,
+        refused_readings=slam.refused_readings,
+        self_calibration=slam.factors and SelfCalibration(*slam.factors, log.robot.axle),
+        slam_ms=slam_ms,
+        wall_clock=time.perf_counter() - begin,
+    )
+
+
+def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
+    """Errors over known relative poses, of the estimate, of odometry corrected, and of odometry as recorded."""
+    log = replay.log
+    trajectories = {"": replay.estimated, "odometry_": replay.odometry}
+    if log.odometry is not None:
+        trajectories["raw_odometry_"] = log.odometry
+    scores: dict[str, Any] = {}
+    for prefix, poses in trajectories.items():
+        errors = relation_errors(relations, log.time, poses, log.odometry)
+        scores |= {prefix + name: value for name, value in summary(errors).items()}
+    return scores
+
+
+def write_replay(
+    folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any], versions: dict[str, str]
+) -> None:
+    """Write trajectory, map, picture and result of a replay into a folder.
+
+    ``source`` names the ``log`` and the ``relations`` that it was made from.
+    """
+    from limslam_agent.output.drawing import MapPicture, draw_map
+
+    log, config = replay.log, replay.config
+    write_tum(folder / "trajectory_est.tum", log.time, replay.estimated)
+    write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
+    if log.true_pose is not None:
+        write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
+    write_json(folder / "map.json", map_content(replay.landmarks))
+    write_grid(folder, replay.grid)
+    true_path = None if log.true_pose is None else log.true_pose[:, :2]
+    title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
+    picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
+    draw_map(folder / "map.png", picture)
+    counts = {"landmarks": len(replay.landmarks), "refused_readings": replay.refused_readings}
+    found = replay.self_calibration.figures if replay.self_calibration else {}
+    result = {
+        "metrics": {**scores, **found, **counts},
+        "cost": run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms),
+        "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
+        "versions": versions,
+        "seed": None,
+    }
+    write_json(folder / "result.json", result)

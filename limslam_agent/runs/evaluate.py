@@ -1,0 +1,203 @@
+"""Score anything that can act by the metrics of ``limslam run``."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pettingzoo
+from pettingzoo.env_registry.exceptions import PettingZooRegistryError
+
+import limslam_env  # noqa: F401 (registers the environments)
+from limslam_agent.runs.actors import Actions, Driver, driver_of
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.runs.episode import OUT_OF_TIME
+from limslam_agent.slam.core.motion import motion_of
+from limslam_agent.runs.results import drive_scores, map_scores, team_scores
+from limslam_env.envs.adapter import Staged
+from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.geometry.se2 import compose
+from limslam_env.interface import RobotSpec
+
+Result = dict[str, Any]
+"""Metrics of one episode by their names in ``docs/metrics.md``, and its ``seed``."""
+
+_TIMES = ("time_to_", "exploration_time")
+_TEAMS = "limslam/"
+_ALONE = "robot_0"
+
+
+def evaluate(
+    actor: Any,
+    env_id: str = "LimSlam-Env1-v0",
+    seeds: Iterable[int] = range(10),
+    *,
+    max_time: float = 1800.0,
+    wrap: Callable[[Any], Any] | None = None,
+    **arguments: Any,
+) -> list[Result]:
+    """Let an actor explore, once for each seed, and score it as the agent that comes with this package is scored.
+
+    Parameters
+    ----------
+    actor
+        Who drives: anything with ``act(observation)``, a Stable-Baselines3 model or another with
+        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. Its ``reset(start_pose, seed)``
+        is called before each episode, if it has one. In a parallel environment an actor answers a dict of all robots'
+        observations by a dict of their actions; a dict of actors, by the robots' names, has each answer for its own,
+        and a model with ``predict`` answers for each robot in turn.
+    env_id
+        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo one (``limslam/Env1-v0``) for several robots.
+    seeds
+        One episode each.
+    max_time
+        Longest simulated time of an episode, s.
+    wrap
+        Makes the environment that the actor sees out of the bare one.
+    **arguments
+        Of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is None, unless given,
+        for actors that say themselves when they are ``done``, and 0.99 for others: they have to be stopped.
+
+    Returns
+    -------
+    results
+        For each seed the metrics of the drive: ``coverage_true``, ``time_to_50_s`` and so on, ``exploration_time_s``,
+        ``collisions``, ``path_m`` and ``stop_reason``. Of an actor with a ``snapshot()`` (`LimSlamAgent`,
+        `LimSlamTeam`) those of its trajectory and map, too.
+
+    Raises
+    ------
+    ValueError
+        If there is no such environment, the actor cannot act in it, or what it answers is no action.
+    """
+    if not max_time > 0.0:
+        raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
+    is_team = env_id.startswith(_TEAMS)
+    driver = driver_of(actor, is_team=is_team)
+    robot = arguments.get("robot") or RobotSpec()
+    goal = {"coverage_goal": None} if driver.knows_its_end else {}
+    bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
+    env = wrap(bare) if wrap else bare
+    try:
+        return [_scored(driver, _Robots(env, is_team=is_team), bare.unwrapped, int(seed)) for seed in seeds]
+    finally:
+        env.close()
+
+
+def medians(results: Sequence[Result]) -> dict[str, float | None]:
+    """The median of each metric over several episodes.
+
+    A time that was never reached counts as later than all others; where half of them were not, the median is None.
+    Of other metrics the episodes that do not have them are left out.
+    """
+    columns: dict[str, list[float]] = {}
+    for result in results:
+        for name, value in result.items():
+            column = columns.setdefault(name, [])
+            if isinstance(value, int | float) and name != "seed":
+                column.append(float(value))
+            elif value is None and name.startswith(_TIMES):
+                column.append(np.inf)
+    middles = {name: float(np.median(column)) for name, column in columns.items() if column}
+    return {name: middle if np.isfinite(middle) else None for name, middle in middles.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One step of all n robots: true and believed poses (n, 3), covariances (n, 3, 3); empty where none are known."""
+
+    infos: list[dict[str, Any]]
+    odometry: FloatArray
+    estimated: FloatArray
+    covariances: FloatArray
+
+
+class _Robots:
+    """One environment or the other, with all robots by their names."""
+
+    def __init__(self, env: Any, *, is_team: bool) -> None:
+        self._env, self._is_team = env, is_team
+
+    def reset(self, seed: int) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """What the robots observe, and what is true."""
+        observation, info = self._env.reset(seed=seed)
+        return (observation, info) if self._is_team else ({_ALONE: observation}, {_ALONE: info})
+
+    def step(self, actions: Actions) -> tuple[dict[str, Any], dict[str, dict[str, Any]], bool, bool]:
+        """The same, and whether the episode is over, and whether its time is."""
+        if self._is_team:
+            told, _, over, late, infos = self._env.step(dict(actions))
+            return told, infos, all(over.values()), all(late.values())
+        observation, _, is_over, is_late, info = self._env.step(actions[_ALONE])
+        return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
+
+
+def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
+    try:
+        if env_id.startswith(_TEAMS):
+            env: Any = pettingzoo.make("parallel", env_id, max_cycles=max_steps, **arguments)
+        else:
+            env = gym.make(env_id, max_episode_steps=max_steps, disable_env_checker=True, **arguments)
+    except PettingZooRegistryError as error:
+        raise ValueError(f"there is no environment {env_id!r}") from error
+    except gym.error.Error as error:
+        raise ValueError(str(error)) from error
+    if not isinstance(env.unwrapped, Staged):
+        env.close()
+        raise ValueError(f"{env_id!r} is no environment of LimSLAM")  # noqa: TRY004 (a wrong value)
+    return env
+
+
+def _scored(driver: Driver, robots: _Robots, stage: Staged, seed: int) -> Result:
+    """One episode, scored."""
+    rows, stop_reason = _drive(driver, robots, seed)
+    time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))
+    true, contact = (np.array([[info[name] for info in row.infos] for row in rows]) for name in ("pose", "collision"))
+    scores: Result = drive_scores(time, coverage, true, contact, has_explored=stop_reason is not None)
+    if driver.believer is not None:
+        estimated, covariances = np.array([row.estimated for row in rows]), np.array([row.covariances for row in rows])
+        odometry, snapshot = np.array([row.odometry for row in rows]), driver.believer.snapshot()
+        scores |= team_scores(true, estimated, odometry, covariances)
+        scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
+    return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
+
+
+def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str | None]:
+    """The rows of an episode, and why it was over; None if its time was."""
+    told, infos = robots.reset(seed)
+    _begin(driver, infos, seed)
+    odometry = np.array([info["pose"] for info in infos.values()])
+    rows, is_over, is_late = list[_Row](), False, False
+    while True:
+        # The last observation is for the estimate alone.
+        actions = driver.act(told)
+        rows.append(_row(driver.believer, told, infos, rows[-1].odometry if rows else odometry))
+        if is_over or is_late or driver.done:
+            break
+        told, infos, is_over, is_late = robots.step(actions)
+    finish = getattr(driver.believer, "finish", None)
+    if callable(finish):
+        finish()
+    if driver.done:
+        return rows, driver.stop_reason or "the actor says that it is done"
+    return rows, "the coverage goal is reached" if is_over else None
+
+
+def _begin(driver: Driver, infos: dict[str, dict[str, Any]], seed: int) -> None:
+    driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
+    if driver.done:
+        raise ValueError(f"the actor was done before seed {seed} began: a policy that it was given serves for one run")
+
+
+def _row(believer: Any, told: dict[str, Any], infos: dict[str, dict[str, Any]], odometry: FloatArray) -> _Row:
+    truth = list(infos.values())
+    if believer is None:
+        return _Row(truth, odometry, no_rows(3), no_rows(9))
+    config, snapshot = getattr(believer, "config", None) or AgentConfig(), believer.snapshot()
+    robot = getattr(believer, "robot", None) or RobotSpec()
+    moved = [
+        compose(pose, motion_of(observation, robot, config.noise, config.odometry).increment)
+        for pose, observation in zip(odometry, told.values(), strict=True)
+    ]
+    return _Row(truth, np.array(moved), snapshot.poses, snapshot.covariances)

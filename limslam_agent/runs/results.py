@@ -1,0 +1,232 @@
+"""What a run was worth: its metrics and its cost, and the folder that keeps them.
+
+The estimate meets the truth here, after the run is over.
+"""
+
+import math
+import sys
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.output.cost import run_cost
+from limslam_agent.runs.episode import Episode, RunConfig
+from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.runs.oracle import explores
+from limslam_agent.team import Snapshot
+from limslam_env.metrics import metrics
+from limslam_env.metrics.association import (
+    AssociationEvent,
+    association_metrics,
+    closure_metrics,
+    dropped_beam_metrics,
+)
+from limslam_env.simulation.coverage import CELL, CoverageGrid
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_limit
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.world import World
+
+
+def trajectory_scores(
+    true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
+) -> dict[str, float | None]:
+    """Errors of an estimated trajectory (n, 3) with covariances (n, 3, 3), and of odometry alone beside them."""
+    by_odometry = metrics.trajectory_metrics(true, odometry)
+    return {
+        **metrics.trajectory_metrics(true, estimated),
+        **{f"odometry_{name}": by_odometry[name] for name in ("ate_m", "heading_rmse_deg")},
+        **finite(metrics.consistency_metrics(true, estimated, covariances)),
+    }
+
+
+def score(episode: Episode) -> dict[str, Any]:
+    """The metrics of a run, by their names in ``docs/metrics.md``; of several robots the means over them."""
+    config = episode.config
+    events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
+    trajectory = team_scores(episode.true, episode.estimated, episode.odometry, episode.covariances)
+    has_explored = episode.is_finished and explores(config.policy, config.laps)
+    return {
+        **trajectory,
+        **(limit_scores(episode, trajectory["ate_m"]) if config.limit else {}),
+        **map_scores(
+            episode.world, config.robot, episode.coverage_grid, episode.snapshot, episode.true, episode.estimated
+        ),
+        **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
+        **association_metrics(events, len(episode.world.edges)),
+        **closure_metrics(events, closed, len(episode.world.edges)),
+        **dropped_beam_metrics(episode.dropped, episode.wall_seen),
+        "stop_reason": episode.stop_reason,
+    }
+
+
+def team_scores(
+    true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
+) -> dict[str, float | None]:
+    """Means over n robots of :func:`trajectory_scores`, from poses (t, n, 3) and covariances (t, n, 3, 3)."""
+    numbers = range(true.shape[1])
+    return mean_scores(
+        [
+            trajectory_scores(*(rows[:, number] for rows in (true, estimated, odometry, covariances)))
+            for number in numbers
+        ]
+    )
+
+
+def drive_scores(
+    time: FloatArray, coverage: FloatArray, true: FloatArray, contact: BoolArray, *, has_explored: bool
+) -> dict[str, float | None]:
+    """What needs no estimate: of times (t,), s, covered shares (t,), true poses (t, n, 3) and contacts (t, n)."""
+    return {
+        "path_m": float(np.mean([metrics.path_length(poses) for poses in true.swapaxes(0, 1)])),
+        "coverage_true": float(coverage[-1]),
+        **metrics.coverage_times(time, coverage),
+        "exploration_time_s": float(time[-1]) if has_explored else None,
+        "collisions": sum(metrics.contacts_begun(touched) for touched in contact.T),
+    }
+
+
+def map_scores(
+    world: World, robot: RobotSpec, covered: CoverageGrid, snapshot: Snapshot, true: FloatArray, estimated: FloatArray
+) -> dict[str, float | None]:
+    """What the map of a snapshot is worth; true and estimated poses (t, n, 3) align it."""
+    segments, grid = snapshot.segments, snapshot.grid
+    # All robots draw one map, and one motion aligns it.
+    alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
+    visible = metrics.visible_samples(world, robot.radius, robot.reach)
+    claimed = grid.centres(np.argwhere(grid.free))
+    return {
+        **metrics.wall_metrics(visible, world.edges, segments, alignment),
+        "doors_open": metrics.doors_open(world.doors, segments),
+        **metrics.coverage_claims(claimed, grid.cell, covered.coverable, covered.low, CELL),
+        "landmarks": len(segments),
+    }
+
+
+def limit_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
+    """What the offline optimum errs by, m, and how many times as much an estimate with the error ``ate`` (m) does.
+
+    None where there is no optimum: no wall was read, or the solution did not come to rest.
+    """
+    agent, true = episode.config.agent, episode.true
+    nothing: dict[str, float | None] = {"limit_ate_m": None, "ate_over_limit": None}
+    try:
+        limit = solve_limit(
+            episode.config.robot, true, episode.wheels, episode.ranges, episode.wall_seen,
+            range_std=agent.noise.range_std, wheel_variance=agent.noise.wheel_variance, contact=episode.contact,
+        )  # fmt: skip
+    except UnreadWallsError:
+        return nothing
+    if not limit.is_converged:
+        return nothing
+    errors = np.linalg.norm(limit.poses[..., :2] - true[..., :2], axis=-1)
+    best = float(np.sqrt(np.mean(errors**2, axis=0)).mean())
+    return {"limit_ate_m": best, "ate_over_limit": ate / best if ate is not None and best > 0.0 else None}
+
+
+def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
+    """Means of several robots' scores; None where one has none."""
+    columns = {name: [scores[name] for scores in each] for name in each[0]}
+    return {
+        name: None
+        if any(value is None for value in values)
+        else float(np.mean([value for value in values if value is not None]))
+        for name, values in columns.items()
+    }
+
+
+def cost(episode: Episode) -> dict[str, float]:
+    """What a run cost, never part of a comparison for identity."""
+    duration = float(episode.time[-1])
+    return run_cost(duration, episode.wall_clock, slam=episode.slam_ms, explore=episode.decide_ms)
+
+
+def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
+    """Write a run's folder, and give back what its ``result.json`` holds."""
+    config = episode.config
+    _write_log(folder / "log.npz", episode)
+    for number in range(config.robots):
+        suffix = f"_{number}" if config.robots > 1 else ""
+        write_tum(folder / f"trajectory_true{suffix}.tum", episode.time, episode.true[:, number])
+        write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
+    write_json(folder / "map.json", map_content(episode.snapshot.landmarks))
+    write_grid(folder, episode.snapshot.grid)
+    _draw(folder / "map.png", episode)
+    written_config = {
+        "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
+        "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
+        "policy": config.policy, "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
+        "robot": asdict(config.robot), "agent": asdict(config.agent),
+    }  # fmt: skip
+    result = {
+        "metrics": score(episode), "cost": cost(episode), "config": written_config,
+        "closures": [asdict(closure) for closure in episode.closures],
+        "versions": {**versions(), **({"gtsam": version("gtsam")} if config.limit else {})}, "seed": config.seed,
+    }  # fmt: skip
+    write_json(folder / "result.json", result)
+    return result
+
+
+def _write_log(path: Path, episode: Episode) -> None:
+    arrays: dict[str, Any] = {
+        "ranges": episode.ranges, "wheels": episode.wheels, "action": episode.actions,
+        "true_pose": episode.true, "wall_seen": episode.wall_seen,
+    }  # fmt: skip
+    if episode.config.robots == 1:
+        arrays = {name: array[:, 0] for name, array in arrays.items()}
+    np.savez_compressed(
+        path, time=episode.time, start_pose=arrays["true_pose"][0], robot=np.array(episode.config.robot.to_json()),
+        **arrays,
+    )  # fmt: skip
+
+
+def title_of(config: RunConfig) -> str:
+    """What was run, in a line."""
+    team = f"{config.robots} robots, " if config.robots > 1 else ""
+    ablation = f" {config.ablation}" if config.ablation else ""
+    policy = f", {config.policy.replace('_', ' ')}" if config.policy != "frontier" else ""
+    driver = policy + (f", {config.laps} laps" if config.laps else "")
+    noise = f"range noise {100 * config.noise:g} cm"
+    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{driver}, seed {config.seed}"
+
+
+def _draw(path: Path, episode: Episode) -> None:
+    from limslam_agent.output.drawing import MapPicture, draw_map
+
+    config, title = episode.config, title_of(episode.config)
+    estimated, odometry, true = (
+        [poses[:, number, :2] for number in range(config.robots)]
+        for poses in (episode.estimated, episode.odometry, episode.true)
+    )
+    picture = MapPicture(title, episode.snapshot.segments, estimated, odometry, episode.world.edges, true)
+    draw_map(path, picture)
+
+
+def _joined(poses: FloatArray) -> FloatArray:
+    return np.asarray(poses.reshape(-1, 3))
+
+
+def versions() -> dict[str, str]:
+    """Versions of all that a result depends on."""
+    packages = ("limslam", "gymnasium", "pymunk", "numpy", "scipy", "numba", "filterpy", "opencv-python-headless")
+    return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
+
+
+def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
+    """JSON knows no infinity: a NEES that no covariance allows is written as null."""
+    return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
+
+
+def _events(episode: Episode) -> list[AssociationEvent]:
+    return [
+        AssociationEvent(
+            record.landmark,
+            record.is_new,
+            tuple(episode.wall_seen[record.readings[:, 0], record.robot, record.readings[:, 1]].tolist()),
+        )
+        for record in episode.associations
+    ]

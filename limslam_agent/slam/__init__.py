@@ -1,0 +1,1 @@
+"""SLAM with line landmarks: `LineSlam`, and below it the estimators."""

@@ -1,0 +1,1 @@
+"""The consistent estimator for many robots at once, compiled."""

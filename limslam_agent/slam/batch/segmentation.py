@@ -1,0 +1,223 @@
+"""Which readings of a line lie on one straight wall: `straight` once more, for kernels."""
+
+import math
+
+import numpy as np
+
+from limslam_agent.slam.batch.algebra import dot, factorise, leave_beside, orthonormalise, quantile, whiten
+from limslam_agent.slam.batch.clone_ekf import clones_from
+from limslam_agent.slam.batch.compilation import algebra
+from limslam_agent.slam.batch.state import Filter, Settings
+from limslam_agent.slam.batch.update import GRAZING, block_of, columns_of, covariance_of, end_points, expect
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+_FEWEST = 6
+_FEWEST_FOR_SHAPE = 10
+_DEEPEST = 4
+_MOST = 2**_DEEPEST
+_KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
+_AROUND_KINK = 0.02
+
+# What a piece is told as: columns of a row.
+THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD = 0, 1, 2, 3, 4
+# What is found out about a piece besides.
+_STATE, _BENT, _BEND_AT = 5, 6, 7
+
+
+@algebra
+def solve_line(values: FloatArray, count: int, solution: FloatArray) -> FloatArray:
+    """Least squares of the first of three columns by the others (2,), which become orthonormal."""
+    before = values[:count, 1:3].copy()
+    orthonormalise(values, 1, 3, count)
+    a, b, c = 0.0, 0.0, 0.0
+    for i in range(count):
+        a += values[i, 1] * before[i, 0]
+        b += values[i, 1] * before[i, 1]
+        c += values[i, 2] * before[i, 1]
+    solution[1] = dot(values, 2, 0, count) / c
+    solution[0] = (dot(values, 1, 0, count) - b * solution[1]) / a
+    return values[:count, 1:3]
+
+
+@algebra
+def anchor_of(points: FloatArray, members: IntArray, r: float, theta: float) -> FloatArray:
+    """The foot of the points' mean on a line (2,), m."""
+    cos, sin, along = math.cos(theta), math.sin(theta), 0.0
+    for i in range(len(members)):
+        along += -sin * points[members[i], 0] + cos * points[members[i], 1]
+    along /= len(members)
+    return np.array([r * cos - along * sin, r * sin + along * cos])
+
+
+@algebra
+def fit_straight(
+    mind: Filter, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    settings: Settings, piece: FloatArray, along: FloatArray, loose: BoolArray,
+) -> bool:  # fmt: skip
+    """The line through readings in generalised least squares, and whether they are straight; whether there is one.
+
+    Fills the piece (8,), where each reading falls along it (n,), and which (n,) are loose.
+    """
+    number, start = len(members), clones_from(mind)
+    anchor, state, step = anchor_of(points, members, line[0], line[1]), np.array([0.0, line[1]]), np.empty(2)
+    foot, expected = (anchor[0], anchor[1]), np.empty((number, 7))
+    expect(mind.x, start, places, reads, members, (0.0, line[1]), foot, expected)
+    clear, count = np.empty(number, dtype=np.int64), 0
+    for i in range(number):
+        if abs(expected[i, 6]) > GRAZING:
+            clear[count] = i
+            count += 1
+    if count < _FEWEST - 1:
+        return False
+    clear = clear[:count]
+    columns, begins = columns_of(mind, places, members[clear], -1)
+    factor = covariance_of(block_of(mind.top, mind.rest, columns), begins, expected[clear], settings.std**2)
+    factorise(factor, count)
+    values = np.empty((count, 3))
+    for iteration in range(2):
+        if iteration:
+            expect(mind.x, start, places, reads, members, (state[0], state[1]), foot, expected)
+        for i in range(count):
+            seen = expected[clear[i]]
+            values[i, 0] = reads[members[clear[i]], 3] - seen[0]
+            values[i, 1], values[i, 2] = seen[4], seen[5]
+        whiten(factor, values, count, 3)
+        solve_line(values, count, step)
+        state = state + step
+    basis = values[:, 1:3].copy()
+    leave_beside(values, 0, 1, basis, count)
+    cos, sin = math.cos(state[1]), math.sin(state[1])
+    own_reads = reads[members]
+    met = own_reads[:, 3].copy()
+    met[clear] = expected[clear, 0]
+    where = end_points(mind.x, start, places[members], own_reads, met)
+    for i in range(number):
+        along[i] = (where[i, 0] - anchor[0]) * -sin + (where[i, 1] - anchor[1]) * cos
+    own, cosines, left = along[clear], expected[clear, 6], values[:, 0].copy()
+    spread = own - own.mean()
+    ordered = np.sort(along[:number])
+    piece[THETA], piece[MIDDLE_X], piece[MIDDLE_Y] = state[1], anchor[0] + state[0] * cos, anchor[1] + state[0] * sin
+    piece[EXTENT] = ordered[number - 2] - ordered[1]
+    piece[ANGLE_STD] = settings.std / max(math.sqrt((spread * spread).sum()), 1e-6)
+    piece[_STATE] = piece[MIDDLE_X] * cos + piece[MIDDLE_Y] * sin
+    piece[_BENT] = bend(own, cosines, left, basis, factor, settings, piece)
+    loose[:number] = False
+    loosen(own, cosines, left, basis, factor, settings, clear, loose)
+    return True
+
+
+@algebra
+def bend(
+    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
+    settings: Settings, piece: FloatArray,
+) -> float:  # fmt: skip
+    """Whether (1 or 0) readings are explained much better by a bent line; where goes into the piece."""
+    count = len(along)
+    ordered = np.sort(along)
+    reach, kinks = ordered[count - 1] - ordered[0], len(_KINKS_AT)
+    if count < _FEWEST_FOR_SHAPE or reach <= 0.0:
+        return 0.0
+    shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
+    for k in range(kinks):
+        places[k] = quantile(ordered, count, _KINKS_AT[k])
+    for i in range(count):
+        for k in range(kinks):
+            shapes[i, k] = max(along[i] - places[k], 0.0) / cosines[i]
+        scaled = 2.0 * (along[i] - ordered[0]) / reach - 1.0
+        for k in range(3):
+            shapes[i, kinks + k] = scaled ** (2 + k) / cosines[i]
+    whiten(factor, shapes, count, kinks + 3)
+    leave_beside(shapes, 0, kinks + 3, basis, count)
+    most, best, angle = strongest_kink(shapes, left, kinks)
+    orthonormalise(shapes, kinks, kinks + 3, count)
+    curved = 0.0
+    for k in range(3):
+        product = 0.0
+        for i in range(count):
+            product += left[i] * shapes[i, kinks + k]
+        curved += product * product
+    piece[_BEND_AT] = places[best]
+    is_kinked = most > settings.kink_gate and abs(angle) > settings.min_kink
+    return 1.0 if is_kinked or curved > settings.curve_gate else 0.0
+
+
+@algebra
+def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
+    """The most that a kink gains (chi-square), which one, and its angle, rad."""
+    most, best, angle = -1.0, 0, 0.0
+    for k in range(kinks):
+        square, product = 0.0, 0.0
+        for i in range(len(left)):
+            square += shapes[i, k] * shapes[i, k]
+            product += left[i] * shapes[i, k]
+        square = max(square, 1e-9)
+        gain = (product / square) ** 2 * square
+        if gain > most:
+            most, best, angle = gain, k, product / square
+    return most, best, angle
+
+
+@algebra
+def loosen(
+    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
+    settings: Settings, clear: IntArray, loose: BoolArray,
+) -> None:  # fmt: skip
+    """Mark readings at either end that lie off the line all on one side."""
+    count, shape = len(along), np.empty((len(along), 1))
+    for end in (along.min(), along.max()):
+        inside = 0
+        for i in range(count):
+            is_in = abs(along[i] - end) < settings.end_zone
+            inside += is_in
+            shape[i, 0] = (1.0 if is_in else 0.0) / cosines[i]
+        whiten(factor, shape, count, 1)
+        leave_beside(shape, 0, 1, basis, count)
+        square, product = dot(shape, 0, 0, count), 0.0
+        for i in range(count):
+            product += left[i] * shape[i, 0]
+        if inside < count and square > 1e-9 and product * product > settings.end_gate * square:
+            for i in range(count):
+                if abs(along[i] - end) < settings.end_zone:
+                    loose[clear[i]] = True
+
+
+@algebra
+def principal_line(points: FloatArray, members: IntArray) -> FloatArray:
+    """The line (r, theta) through points."""
+    own = points[members]
+    middle = np.array([own[:, 0].mean(), own[:, 1].mean()])
+    across = np.linalg.svd(own - middle, False)[2][1]  # noqa: FBT003 (numba knows it by its place only)
+    return np.array([middle[0] * across[0] + middle[1] * across[1], math.atan2(across[1], across[0])])
+
+
+@algebra
+def straight_pieces(
+    mind: Filter, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    settings: Settings,
+) -> tuple[FloatArray, list[IntArray]]:  # fmt: skip
+    """Cut readings about one line where they bend, and cut off ends that bend away: the pieces, and their readings."""
+    pieces, own = np.empty((_MOST, 8)), [members[:0]]
+    todo, lines, depths = [members], [line], [_DEEPEST]
+    along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
+    while todo:
+        these, this, depth = todo.pop(), lines.pop(), depths.pop()
+        if len(these) < _FEWEST:
+            continue
+        piece = pieces[len(own) - 1]
+        if not fit_straight(mind, places, reads, points, these, this, settings, piece, along, loose):
+            continue
+        here, is_loose = along[: len(these)], loose[: len(these)]
+        if depth and piece[_BENT] > 0.0:
+            # The first half is looked at first.
+            for half in (these[here > piece[_BEND_AT] + _AROUND_KINK], these[here < piece[_BEND_AT] - _AROUND_KINK]):
+                if len(half) >= _FEWEST:
+                    todo.append(half)
+                    lines.append(principal_line(points, half))
+                    depths.append(depth - 1)
+        elif depth and is_loose.any():
+            todo.append(these[~is_loose])
+            lines.append(np.array([piece[_STATE], piece[THETA]]))
+            depths.append(depth - 1)
+        else:
+            own.append(these)
+    return pieces, own[1:]

@@ -1,0 +1,150 @@
+"""What the consistent estimator knows of its landmarks besides their lines: extents, and how often they were read."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limslam_agent.config.presets import CloneConfig
+from limslam_agent.slam.consistent.beam_model import GRAZING
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.wall_extent import WallExtent
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.line import at, direction, normal
+from limslam_env.geometry.segment import lengths
+
+
+@dataclass(eq=False)
+class Wall:
+    """One landmark: its number, where it is a wall, and how many groups of readings, and readings, it was made of."""
+
+    number: int
+    extent: WallExtent = field(default_factory=WallExtent)
+    groups: int = 0
+    readings: int = 0
+
+
+class WallMap:
+    """The landmarks, in the order in which the filter holds their lines.
+
+    Parameters
+    ----------
+    belief
+        The filter: where the lines are.
+    config
+        When something is a wall of the map.
+    """
+
+    def __init__(self, belief: CloneEKF, config: CloneConfig) -> None:
+        self._belief, self._config = belief, config
+        self.walls: list[Wall] = []
+        self._numbers = 0
+        self._drawn: list[FloatArray] | None = None
+
+    def __len__(self) -> int:
+        return len(self.walls)
+
+    def __getitem__(self, index: int) -> Wall:
+        return self.walls[index]
+
+    def add(self) -> Wall:
+        """The landmark whose line the filter has just been given."""
+        self.walls.append(Wall(self._numbers))
+        self._numbers += 1
+        return self.walls[-1]
+
+    def grow(self, index: int, points: FloatArray) -> None:
+        """Beams have ended on a landmark at points (n, 2), m, and corrected the filter."""
+        wall = self.walls[index]
+        wall.extent.hit(self.along(index, points))
+        wall.groups += 1
+        wall.readings += len(points)
+        self._drawn = None
+
+    def unite(self, older: int, younger: int, origin: FloatArray, tangent: FloatArray) -> None:
+        """The younger of two landmarks has become the older one.
+
+        ``origin`` (2,), m, and ``tangent`` (2,) are where the younger's places counted from and to, in the world.
+        """
+        wall, other = self.walls[older], self.walls.pop(younger)
+        factor = 1.0 if tangent @ direction(self._belief.anchored[older]) > 0.0 else -1.0
+        wall.extent.absorb(other.extent, factor, float(self.along(older, origin)))
+        wall.groups += other.groups
+        wall.readings += other.readings
+        self._drawn = None
+
+    def along(self, index: int, points: FloatArray) -> FloatArray:
+        """Where points (..., 2) fall along a landmark (...), m from its anchor."""
+        return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.anchored[index]))
+
+    def ends(self, index: int) -> FloatArray:
+        """The outermost points (2, 2) of a landmark, m."""
+        return self._points(index, np.array(self.walls[index].extent.ends))
+
+    @property
+    def segments(self) -> FloatArray:
+        """The walls of the map (N, 4), m: where beams ended, and none went through."""
+        shown = [pieces for wall, pieces in zip(self.walls, self._pieces, strict=True) if self._is_shown(wall)]
+        every = np.concatenate((np.zeros((0, 4)), *shown))
+        return np.asarray(every[lengths(every) >= self._config.shown_length])
+
+    @property
+    def landmarks(self) -> list[Landmark]:
+        """The landmarks that are walls of the map."""
+        marked = zip(self.all_landmarks, self.walls, self._pieces, strict=True)
+        return [mark for mark, wall, pieces in marked if self._is_shown(wall) and len(pieces)]
+
+    @property
+    def all_landmarks(self) -> list[Landmark]:
+        """The same, and those that are provisional, by number."""
+        lines = self._belief.lines
+        return [
+            Landmark(
+                float(lines[index, 0]), float(lines[index, 1]), self._belief.line_covariance(index), self.ends(index),
+                wall.groups, wall.number,
+            )
+            for index, wall in enumerate(self.walls)
+        ]  # fmt: skip
+
+    def see_through(self, origins: FloatArray, towards: FloatArray, ranges: FloatArray, stds: FloatArray) -> None:
+        """Take back what beams have gone through.
+
+        Parameters
+        ----------
+        origins, towards
+            Where the beams begin (n, 2), m, and their directions (n, 2), in the world.
+        ranges, stds
+            How far they went (n,), and how unsure that is (n,), m.
+        """
+        if not self.walls:
+            return
+        lines, anchors = self._belief.anchored, self._belief.anchors
+        normals = normal(lines)
+        cosines = towards @ normals.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ahead = (lines[:, 0] + np.sum(anchors * normals, axis=1) - origins @ normals.T) / cosines
+        margin = self._config.through_sigmas * stds[:, None] / np.maximum(np.abs(cosines), GRAZING)
+        is_clear = (np.abs(cosines) > GRAZING) & (ahead > 0.0)
+        went_on = is_clear & (ahead + margin + self._config.through_slack < ranges[:, None])
+        for beam, index in np.argwhere(went_on).tolist():
+            place = self.along(index, origins[beam] + ahead[beam, index] * towards[beam])
+            if self.walls[index].extent.pass_at(float(place)):
+                self._drawn = None
+
+    def _is_shown(self, wall: Wall) -> bool:
+        return wall.readings >= self._config.shown_readings
+
+    @property
+    def _pieces(self) -> list[FloatArray]:
+        # Lines only change when one is observed, and the map is asked for at every step.
+        if self._drawn is None:
+            gap, tolerance = self._config.max_gap, self._config.through_tolerance
+            self._drawn = [
+                self._points(index, wall.extent.pieces(gap, tolerance)).reshape(-1, 4)
+                for index, wall in enumerate(self.walls)
+            ]
+        return self._drawn
+
+    def _points(self, index: int, along: FloatArray) -> FloatArray:
+        """Points (..., 2) of the world at places (...) along a landmark."""
+        return np.asarray(self._belief.anchors[index] + at(self._belief.anchored[index], along))

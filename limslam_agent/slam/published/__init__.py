@@ -1,0 +1,1 @@
+"""The published method: scan buffers, association, loop closing."""

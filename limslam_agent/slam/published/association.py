@@ -1,0 +1,156 @@
+"""Which landmark an observed line is: the Mahalanobis distance, and four ways to rule a pair out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.presets import AssociationConfig
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.line import direction, from_frame, normal
+from limslam_env.geometry.se2 import transform_points, wrap_angle
+from limslam_env.geometry.segment import distances as segment_distances
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedLine:
+    """A line as the robot sees it, in its present frame.
+
+    Attributes
+    ----------
+    line, covariance
+        (r, theta) and its covariance (2, 2).
+    ends
+        End points (2, 2), m.
+    origins, points
+        Where the beams that saw it began and ended (n, 2), m.
+    """
+
+    line: FloatArray
+    covariance: FloatArray
+    ends: FloatArray
+    origins: FloatArray
+    points: FloatArray
+
+
+@dataclass(frozen=True)
+class Match:
+    """A landmark that an observation may be, and the squared Mahalanobis distance to it."""
+
+    landmark: int
+    distance: float
+
+
+_BEHIND = 0.05
+"""A beam may begin this far, m, behind a line that noise has moved."""
+
+_MOST_UNSEEN = 0.35
+"""A landmark may go on this far, m, beyond its known ends, and what noise adds to that."""
+
+Innovation = Callable[[FloatArray, FloatArray, int], tuple[FloatArray, FloatArray]]
+
+
+def associate(
+    observed: ObservedLine,
+    pose: FloatArray,
+    lines: FloatArray,
+    segments: FloatArray,
+    innovation: Innovation,
+    max_range: float,
+    config: AssociationConfig,
+) -> list[Match]:
+    """Landmarks that an observation may be, nearest first.
+
+    Parameters
+    ----------
+    observed
+        The observation.
+    pose
+        The believed pose (3,).
+    lines, segments
+        The landmarks in the world: (N, 2), and with their end points (N, 4), m.
+    innovation
+        From observed line, its covariance and a landmark's index to their difference (2,) and
+        the total covariance of both (2, 2).
+    max_range
+        Farthest that the robot's beams see from its centre, m.
+    config
+        Gate and thresholds.
+    """
+    if len(lines) == 0:
+        return []
+    ends = transform_points(pose, observed.ends)
+    # Without the gate for ends, beams must still meet the landmark.
+    seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
+    possible = (
+        near_ends(ends, lines, segments, config.max_end_gap)
+        & in_range(pose, segments, max_range + config.range_slack)
+        & alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance)
+        & visible(observed, pose, segments, max_range + config.range_slack, seen_past_ends)
+    )
+    matches = []
+    for landmark in np.nonzero(possible)[0].tolist():
+        difference, covariance = innovation(observed.line, observed.covariance, landmark)
+        squared = float(difference @ np.linalg.solve(covariance, difference))
+        if squared <= config.gate:
+            matches.append(Match(landmark, squared))
+    return sorted(matches, key=lambda match: match.distance)
+
+
+def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap: float) -> BoolArray:
+    """Exclusion 1: landmarks (N,) whose end points lie near the observation's ends (2, 2), along the wall.
+
+    Two walls on one line with a door between them stay two landmarks by this.
+    """
+    directions = direction(lines)
+    observed = np.sort(directions @ ends.T, axis=1)
+    known = np.sort(
+        np.column_stack((np.sum(segments[:, :2] * directions, axis=1), np.sum(segments[:, 2:] * directions, axis=1))),
+        axis=1,
+    )
+    gap = np.maximum(observed[:, 0] - known[:, 1], known[:, 0] - observed[:, 1])
+    return np.asarray(gap <= max_gap)
+
+
+def visible(
+    observed: ObservedLine, pose: FloatArray, segments: FloatArray, max_range: float, slack: float
+) -> BoolArray:
+    """Exclusion 2: landmarks (N,) that the beams which made the observation can see.
+
+    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and
+    within ``max_range`` (m). A landmark behind another one counts: around a loop the same wall may stand
+    in the map twice, and the older one must not be hidden by the younger.
+    """
+    origins = transform_points(pose, observed.origins)
+    reaches = transform_points(pose, observed.points) - origins
+    reaches /= np.maximum(np.linalg.norm(reaches, axis=1, keepdims=True), 1e-12)
+    return np.asarray((_crossings(origins, reaches, segments, slack) < max_range).mean(axis=0) >= 0.5)
+
+
+def _crossings(origins: FloatArray, directions: FloatArray, segments: FloatArray, slack: float) -> FloatArray:
+    """How far (n, N), m, beams go to each lengthened segment; infinite where they do not meet it."""
+    start = segments[:, :2]
+    span = segments[:, 2:] - start
+    length = np.maximum(np.linalg.norm(span, axis=1), 1e-12)
+    tangent = span / length[:, None]
+    offset = start[None] - origins[:, None]
+    cross = directions[:, :1] * tangent[:, 1] - directions[:, 1:] * tangent[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = (offset[..., 0] * tangent[:, 1] - offset[..., 1] * tangent[:, 0]) / cross
+        position = (offset[..., 0] * directions[:, 1:] - offset[..., 1] * directions[:, :1]) / cross
+    met = (ahead > -_BEHIND) & (position > -slack) & (position < length + slack)
+    return np.where(met, ahead, np.inf)
+
+
+def in_range(pose: FloatArray, segments: FloatArray, max_range: float) -> BoolArray:
+    """Exclusion 3: landmarks (N,) of which some part lies within ``max_range`` (m) of the robot."""
+    return np.asarray(segment_distances(pose[None, :2], segments)[0] <= max_range)
+
+
+def alike(line: FloatArray, ends: FloatArray, lines: FloatArray, max_angle: float, max_distance: float) -> BoolArray:
+    """Exclusion 4: landmarks (N,) with nearly the direction (rad) of a line and near its middle (m)."""
+    angle = np.abs(wrap_angle(lines[:, 1] - line[1]))
+    angle = np.minimum(angle, np.pi - angle)
+    middle = ends.mean(axis=0)
+    offset = np.abs(normal(lines) @ middle - lines[:, 0])
+    return np.asarray((angle <= max_angle) & (offset <= max_distance))

@@ -1,0 +1,164 @@
+"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
+from limslam_agent.slam.core.ekf import LineEKF
+from limslam_agent.slam.core.estimator import Estimator
+from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
+from limslam_agent.slam.core.line_map import Landmark, LineMap
+from limslam_agent.slam.core.motion import Motion
+from limslam_agent.slam.published.association import ObservedLine, associate
+from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
+from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec, Side
+
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+class PublishedEstimator(Estimator):
+    """Points of a few beams are collected by odometry, and the lines in them observed as if independent of it.
+
+    Parameters
+    ----------
+    robot
+        Body and beams of each robot.
+    config
+        Settings of every stage.
+    start
+        Where the robots begin (n, 3), m, m, rad.
+    """
+
+    def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
+        super().__init__(robot, config, LineEKF(start))
+        self._map = LineMap()
+        self._buffers = [{side: ScanBuffer(robot, side, config.buffer) for side in SIDES} for _ in start]
+        association = config.association
+        self._min_new_length = max(association.min_new_length, association.min_new_share * robot.reach)
+        self._closed: set[tuple[int, int]] = set()
+        self._drawn: FloatArray | None = None
+
+    def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
+        """Collect points, and use each buffer that is full."""
+        for side, buffer in self._buffers[number].items():
+            buffer.carry(motion.increment, float(motion.covariance[2, 2]))
+            for scan in buffer.add(front.ranges, front.measured, front.hits, front.step):
+                self._use(number, front.step, side, scan)
+
+    def finish(self, fronts: Sequence[FrontEnd]) -> None:
+        """Use the points that are left in the buffers."""
+        for number, front in enumerate(fronts):
+            for side, buffer in self._buffers[number].items():
+                self._use(number, front.step, side, buffer.take())
+
+    def waiting(self, fronts: Sequence[FrontEnd]) -> list[Waiting]:
+        """What is in the buffers."""
+        del fronts
+        return [
+            Waiting(number, side, transform_points(pose, buffer.scan.points), self.config.buffer.size)
+            for number, (pose, buffers) in enumerate(zip(self.poses, self._buffers, strict=True))
+            for side, buffer in buffers.items()
+        ]
+
+    @property
+    def segments(self) -> FloatArray:
+        """The walls of the map (N, 4), m, in the world."""
+        return self._all_segments[self._confirmed]
+
+    @property
+    def landmarks(self) -> list[Landmark]:
+        """The walls of the map with all that is known of them."""
+        every = self.all_landmarks
+        return [every[index] for index in self._confirmed.tolist()]
+
+    @property
+    def all_landmarks(self) -> list[Landmark]:
+        """The walls of the map, and those that are provisional, by number."""
+        lines, segments = self._belief.lines, self._all_segments
+        return [
+            Landmark(
+                float(lines[index, 0]), float(lines[index, 1]), self._belief.line_covariance(index),
+                segments[index].reshape(2, 2).copy(), self._map.observations(index), index,
+            )
+            for index in range(len(lines))
+        ]  # fmt: skip
+
+    @property
+    def _all_segments(self) -> FloatArray:
+        # Lines only change when one is observed, and the map is asked for at every step.
+        if self._drawn is None:
+            self._drawn = self._map.segments(self._belief.lines)
+        return self._drawn
+
+    @property
+    def _confirmed(self) -> IntArray:
+        return self._map.confirmed(self._all_segments, self.config.map)
+
+    def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
+        lines = extract_lines(scan.points, self.config.hough, self.config.range_std)
+        found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
+        ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
+        pose = self._belief.poses[robot]
+        self.last_extraction = Extraction(robot, side, step, pose, scan.points, found, ends)
+        for line in lines:
+            self._incorporate(robot, step, line, scan.select(line.members))
+
+    def _incorporate(self, robot: int, step: int, line: ExtractedLine, scan: Scan) -> None:
+        """Take an observed line for a landmark that is known, or for a new one; or close a loop with it."""
+        fit, pose = line.fit, self._belief.poses[robot]
+        covariance = fit.covariance + np.diag([0.0, self.config.filter.drift_share * float(scan.drift.mean())])
+        matches = associate(
+            ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points), pose, self._belief.lines,
+            self._all_segments, lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
+            self.robot.reach, self.config.association,
+        )  # fmt: skip
+        if self._closes_loop([match.landmark for match in matches], step):
+            return
+        if matches:
+            landmark = matches[0].landmark
+            if self.config.filter.correct:
+                self._belief.observe_line(fit.line, covariance, landmark, robot)
+            pose = self._belief.poses[robot]
+            self._map.grow(landmark, self._belief.lines[landmark], transform_points(pose, fit.ends))
+        elif fit.length < self._min_new_length:
+            return
+        else:
+            landmark = self._belief.augment(fit.line, covariance, robot)
+            self._map.add(transform_points(pose, fit.ends))
+        self._drawn = None
+        if self.on_association is not None:
+            self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
+
+    def _closes_loop(self, landmarks: list[int], step: int) -> bool:
+        """Whether the two landmarks nearest to an observation are one wall; then the younger is corrected by the older.
+
+        The observation has done its duty by that. A pair is closed once: the two are not merged, but the older one
+        would otherwise be taken for a new measurement again and again.
+        """
+        config, pair = self.config.closing, closing_pair(landmarks)
+        if pair is None or pair in self._closed or not (config.enabled and self.config.filter.correct):
+            return False
+        before = self._distance(*pair)
+        lines, segments = self._belief.lines, self._all_segments
+        if not agree(*pair, lines, segments, before, config):
+            return False
+        older, younger = pair
+        offset_before = offset(lines[older], segments[younger])
+        self._belief.observe_landmark(older, younger)
+        self._closed.add(pair)
+        self._drawn = None
+        offset_after = offset(self._belief.lines[older], self._all_segments[younger])
+        self.closures.append(
+            Closure(older, younger, step, before, self._distance(*pair), offset_before, offset_after)
+        )  # fmt: skip
+        return True
+
+    def _distance(self, older: int, younger: int) -> float:
+        floor = np.array([self.config.closing.floor_distance, self.config.closing.floor_angle])
+        return squared_distance(*self._belief.difference(older, younger), floor)

@@ -1,0 +1,131 @@
+"""Pseudo-dense scans: points of a few beams, collected on the way and carried along by odometry."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.presets import BufferConfig
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.interface import RobotSpec, Side
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Points of one side, in the robot's present frame.
+
+    Attributes
+    ----------
+    points
+        Where the beams ended (n, 2), m.
+    origins
+        Where each of those beams began (n, 2), m.
+    readings
+        (n, 2): the step and the beam that each point comes from.
+    drift
+        How uncertain the heading has become by odometry since each point was measured (n,), rad^2.
+    """
+
+    points: FloatArray
+    origins: FloatArray
+    readings: IntArray
+    drift: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def select(self, chosen: IntArray) -> "Scan":
+        """The points with the given indices."""
+        return Scan(self.points[chosen], self.origins[chosen], self.readings[chosen], self.drift[chosen])
+
+
+_EMPTY = Scan(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros(0))
+
+
+class ScanBuffer:
+    """The points of one side of the robot.
+
+    Parameters
+    ----------
+    robot
+        Its beams of this side fill the buffer.
+    side
+        ``"left"`` or ``"right"``: the two never see the same wall at once.
+    config
+        Size and gap.
+    """
+
+    def __init__(self, robot: RobotSpec, side: Side, config: BufferConfig) -> None:
+        self._config = config
+        self._beams = np.array([number for number, beam in enumerate(robot.beams) if beam.side == side], dtype=int)
+        self._origins = robot.beam_origins[self._beams]
+        self._directions = robot.beam_directions[self._beams]
+        self._scan = _EMPTY
+        self._since_hit, self._missed = 0.0, False
+        self._moved = self._turned = np.inf
+
+    @property
+    def scan(self) -> Scan:
+        """What is in the buffer now."""
+        return self._scan
+
+    def carry(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
+        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
+        back = inverse(increment)
+        scan = self._scan
+        points, origins = transform_points(back, scan.points), transform_points(back, scan.origins)
+        self._scan = Scan(points, origins, scan.readings, scan.drift + turn_variance)
+        distance = float(np.hypot(increment[0], increment[1]))
+        self._since_hit += distance
+        self._moved += distance
+        self._turned += abs(float(increment[2]))
+
+    def add(self, ranges: FloatArray, measured: BoolArray, hit: BoolArray, step: int) -> list[Scan]:
+        """Add this side's hits among all beams' readings.
+
+        Parameters
+        ----------
+        ranges
+            (n_beams,), m.
+        measured, hit
+            (n_beams,): which beams have measured in this step, and which of them saw a wall.
+        step
+            The step's number.
+
+        Returns
+        -------
+        scans
+            What is handed on: the points of a wall that has ended, and those of a full buffer.
+        """
+        chosen = hit[self._beams]
+        self._missed |= bool(measured[self._beams].any()) and not chosen.any()
+        handed_on = []
+        # A long way between two measurements that both hit is no gap; one with a miss in it is.
+        if self._missed and self._since_hit > self._config.max_gap and len(self._scan):
+            handed_on.append(self.take())
+        if chosen.any():
+            self._since_hit, self._missed = 0.0, False
+            self._append(ranges, chosen, step)
+            if len(self._scan) >= self._config.size:
+                handed_on.append(self.take())
+        return handed_on
+
+    def take(self) -> Scan:
+        """Empty the buffer, and give back what was in it."""
+        scan, self._scan = self._scan, _EMPTY
+        return scan
+
+    def _append(self, ranges: FloatArray, chosen: BoolArray, step: int) -> None:
+        if self._moved < self._config.min_distance and self._turned < self._config.min_turn:
+            return
+        self._moved = self._turned = 0.0
+        beams, origins = self._beams[chosen], self._origins[chosen]
+        points = origins + ranges[beams, None] * self._directions[chosen]
+        readings = np.column_stack((np.full(len(beams), step), beams))
+        scan = self._scan
+        self._scan = Scan(
+            np.vstack((scan.points, points)),
+            np.vstack((scan.origins, origins)),
+            np.vstack((scan.readings, readings)),
+            np.concatenate((scan.drift, np.zeros(len(beams)))),
+        )

@@ -1,0 +1,255 @@
+"""The right half of a video: what the robots believe, drawn as a map in the making."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.output.style import (
+    FREE,
+    FRONTIER,
+    GLOW,
+    INK,
+    OCCUPIED,
+    PAPER,
+    PEAKS,
+    UNKNOWN,
+    WALL,
+    Colour,
+    Image,
+    blended,
+    mixed,
+    plain,
+    robot_colour,
+    side_colour,
+    width_of,
+    write,
+)
+from limslam_agent.video.belief_frame import BeliefFrame, HoughView, wall_bands
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.shapes import ellipse, thinned
+
+EXTRACTION_SHOWN = 1.0
+"""How long, s of the run, points and lines of an extraction are shown in the map."""
+
+_SHIFT = 4  # OpenCV draws at 1/16 pixel
+_FAR = 100_000  # pixels
+_WIDEST_BAND = 1.5  # m
+_SURE = 8  # a cell's value from which on it has its full colour
+_RADIUS = 0.10  # m
+_APART = 150  # pixels
+_TRAIL_POINTS = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A picture with the world's coordinates: x right, y up, metres.
+
+    Attributes
+    ----------
+    image
+        (height, width, 3), RGB.
+    low
+        What the lower left corner of the picture shows (2,), m.
+    scale
+        Pixels per metre.
+    """
+
+    image: Image
+    low: FloatArray
+    scale: float
+
+    def pixels(self, points: FloatArray) -> NDArray[np.int32]:
+        """Places (n, 2), m, as OpenCV takes them."""
+        scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + (0.0, self.image.shape[0])
+        # What is believed may lie anywhere; OpenCV counts in 32 bits.
+        return np.asarray(np.round(np.clip(scaled - 0.5, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32)
+
+    def path(self, points: FloatArray, colour: Colour, width: int = 1, *, closed: bool = False) -> None:
+        """A chain of lines through points (n, 2), m; its width is in pixels."""
+        if len(points):
+            cv2.polylines(
+                self.image, [self.pixels(points)], isClosed=closed, color=colour, thickness=width,
+                lineType=cv2.LINE_AA, shift=_SHIFT,
+            )  # fmt: skip
+
+    def discs(self, centres: FloatArray, radius: float, colour: Colour, width: int = -1) -> None:
+        """Discs about places (n, 2), m, or rings of a width in pixels; radius in pixels too."""
+        size = round(radius * (1 << _SHIFT))
+        for x, y in self.pixels(centres.reshape(-1, 2)).tolist():
+            cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def wash(self, outlines: FloatArray, colour: Colour, strength: float = 1.0) -> None:
+        """Fill polygons (n, k, 2), m, with a colour that lets through what is below; overlaps are not darker."""
+        if not len(outlines):
+            return
+        corners = self.pixels(outlines.reshape(-1, 2)).reshape(outlines.shape)
+        height, width = self.image.shape[:2]
+        # Only the box around them is blended: most of what is drawn this way is small.
+        left, top = np.maximum((corners.min(axis=(0, 1)) >> _SHIFT) - 2, 0).tolist()
+        right, bottom = np.minimum((corners.max(axis=(0, 1)) >> _SHIFT) + 3, (width, height)).tolist()
+        if left >= right or top >= bottom:
+            return
+        cover = np.zeros((bottom - top, right - left), dtype=np.uint8)
+        corners -= np.array([left, top], dtype=np.int32) << _SHIFT
+        for outline in corners:
+            cv2.fillPoly(cover, [outline], (round(255 * strength),), cv2.LINE_AA, _SHIFT)
+        touched = np.nonzero(cover)
+        part = self.image[top:bottom, left:right]
+        part[touched] = blended(part[touched], colour, cover[touched][:, None])
+
+    def label(self, words: str, place: FloatArray, size: int, ink: Colour, paper: Colour) -> None:
+        """Words on a small plate about a place (2,), m."""
+        x, y = (self.pixels(np.asarray(place)[None])[0] >> _SHIFT).tolist()
+        half, above = width_of(words, size, bold=True) // 2 + 3, round(0.36 * size) + 3
+        cv2.rectangle(self.image, (x - half, y - above), (x + half, y + above), paper, -1)
+        write(self.image, words, (x, y + above - 3), size, ink, bold=True, anchor="centre")
+
+
+def draw_belief(
+    frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray] | None = None
+) -> Image:
+    """What is believed, as a picture.
+
+    Parameters
+    ----------
+    frame
+        What is drawn. Walls that its ``events`` are about glow.
+    size
+        Width and height, pixels.
+    window
+        Lower left and upper right corner (2,), m, of what is shown; all that is known if left out.
+
+    Returns
+    -------
+    image
+        (height, width, 3), RGB.
+    """
+    sheet = _sheet(size, window or _extent(frame))
+    _draw_grid(sheet, frame)
+    for number, path in enumerate(frame.paths):
+        sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
+    sheet.wash(np.clip(wall_bands(frame), *_band_limits(frame)), WALL, 0.22)
+    _draw_walls(sheet, frame)
+    for buffer in frame.buffers:
+        sheet.discs(buffer.points, 2.2, side_colour(buffer.side))
+    if frame.hough is not None and frame.time - frame.hough.time < EXTRACTION_SHOWN:
+        _draw_extraction(sheet, frame.hough)
+    _draw_plans(sheet, frame)
+    for number, (pose, covariance) in enumerate(zip(frame.poses, frame.covariances, strict=True)):
+        _draw_robot(sheet, pose, covariance, robot_colour(number))
+    _draw_names(sheet, frame)
+    return sheet.image
+
+
+def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Sheet:
+    (width, height), (low, high) = size, window
+    extent = np.maximum(high - low, 1e-3)
+    scale = float(min(width / extent[0], height / extent[1]))
+    # What is asked for lies in the middle; one scale for both directions.
+    corner = 0.5 * (low + high) - 0.5 * np.array([width, height]) / scale
+    return Sheet(plain(width, height, UNKNOWN).copy(), corner, scale)
+
+
+def _extent(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
+    rows, columns = frame.grid_values.shape
+    grid_high = frame.grid_low + frame.grid_cell * np.array([columns, rows])
+    grid = np.vstack((frame.grid_low, grid_high)) if rows else np.zeros((0, 2))
+    places = np.vstack((frame.segments.reshape(-1, 2), frame.poses[:, :2], grid))
+    return places.min(axis=0) - 0.3, places.max(axis=0) + 0.3
+
+
+def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
+    """Cells: paper where free, grey where something was seen, the more so the surer."""
+    if not frame.grid_values.size:
+        return
+    values = np.clip(frame.grid_values.astype(np.float32) / _SURE, -1.0, 1.0)[..., None]
+    # The least that is known shows: a cell seen once differs from one never seen.
+    strength = np.where(values == 0.0, 0.0, 0.5 + 0.5 * np.abs(values))
+    known = np.where(values > 0.0, np.array(FREE), np.array(OCCUPIED))
+    cells = np.round(np.array(UNKNOWN) + strength * (known - np.array(UNKNOWN))).astype(np.uint8)
+    step = 1.0 / (sheet.scale * frame.grid_cell)
+    column, row = (sheet.low - frame.grid_low) / frame.grid_cell
+    height, width = sheet.image.shape[:2]
+    to_cells = np.array([[step, 0.0, column + 0.5 * step - 0.5], [0.0, -step, row + (height - 0.5) * step - 0.5]])
+    cv2.warpAffine(
+        cells, to_cells, (width, height), dst=sheet.image, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_TRANSPARENT,
+    )  # fmt: skip
+    half = 0.42 * frame.grid_cell * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    sheet.wash(frame.frontier[:, None] + half, FRONTIER, 0.55)
+
+
+def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
+    glowing = {wall for event in frame.events for wall in event.walls}
+    for name, segment in zip(frame.names, frame.segments.reshape(-1, 2, 2), strict=True):
+        if name in glowing:
+            sheet.path(segment, GLOW, 7)
+        is_sure = name not in frame.unsure
+        sheet.path(segment, WALL if is_sure else mixed(WALL, UNKNOWN, 0.3), 2 if is_sure else 1)
+        if is_sure:
+            sheet.discs(segment, 2.5, WALL)
+
+
+def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
+    """The walls' numbers; those that something happened to stand out, and the two of a loop are linked."""
+    middles = dict(zip(frame.names, frame.segments.reshape(-1, 2, 2).mean(axis=1), strict=True))
+    glowing = {wall for event in frame.events for wall in event.walls}
+    for name, middle in middles.items():
+        if name not in frame.unsure and name not in glowing:
+            sheet.label(str(name), middle, 10, WALL, mixed(PAPER, WALL, 0.06))
+    for event in frame.events:
+        known = [wall for wall in event.walls if wall in middles]
+        ends = np.array([middles[wall] for wall in known]).reshape(-1, 2)
+        if len(ends) == 2:
+            sheet.path(ends, GLOW, 2)
+            sheet.label(f"{event.wall} = {event.other}", ends.mean(axis=0), 14, INK, GLOW)
+        # Labels that would lie over each other say nothing.
+        if len(ends) < 2 or np.hypot(*(ends[1] - ends[0])) * sheet.scale > _APART:
+            for wall, end in zip(known, ends, strict=True):
+                sheet.label(str(wall), end, 14, INK, GLOW)
+
+
+def _draw_extraction(sheet: Sheet, hough: HoughView) -> None:
+    """The points that voted, ringed, and the lines that won, each in the colour of its peak."""
+    for number, segment in enumerate(hough.segments.reshape(-1, 2, 2)):
+        colour = mixed(PEAKS[number % len(PEAKS)], INK, 0.15)
+        beyond = 0.25 * (segment[1] - segment[0])
+        sheet.path(np.vstack((segment[0] - beyond, segment[1] + beyond)), colour, 2)
+    sheet.discs(hough.points, 3.2, side_colour(hough.side))
+    sheet.discs(hough.points, 3.2, INK, 1)
+
+
+def _draw_plans(sheet: Sheet, frame: BeliefFrame) -> None:
+    for number, plan in enumerate(frame.plans):
+        sheet.path(plan, robot_colour(number), 2)
+    for number, goal in enumerate(frame.goals):
+        if goal is not None:
+            sheet.discs(goal, 7.0, robot_colour(number), 2)
+            sheet.discs(goal, 2.5, robot_colour(number))
+
+
+def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: Colour) -> None:
+    """The body, the ellipse that holds its place and the fan that holds its heading with a probability of 95 %."""
+    heading = float(pose[2])
+    spread = min(2.0 * math.sqrt(max(float(covariance[2, 2]), 0.0)), math.pi)
+    angles = heading + np.linspace(-spread, spread, 13)
+    arc = pose[:2] + 0.55 * np.column_stack((np.cos(angles), np.sin(angles)))
+    sheet.wash(np.vstack((pose[:2], arc))[None], colour, 0.30)
+    outline = pose[:2] + ellipse(covariance[:2, :2], 40)
+    sheet.wash(outline[None], colour, 0.30)
+    size = max(_RADIUS * sheet.scale, 4.0)
+    sheet.discs(pose[:2], size, colour)
+    sheet.discs(pose[:2], size, mixed(colour, INK, 0.4), 1)
+    corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (1.25 * size / sheet.scale)
+    cos, sin = math.cos(heading), math.sin(heading)
+    sheet.wash((pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]))[None], PAPER)
+    sheet.path(outline, mixed(colour, INK, 0.4), 1, closed=True)
+
+
+def _band_limits(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
+    """Corners for each wall, (k, 1, 2) each: a band that is wider says no more."""
+    ends = frame.segments.reshape(-1, 2, 2)
+    return ends.min(axis=1, keepdims=True) - _WIDEST_BAND, ends.max(axis=1, keepdims=True) + _WIDEST_BAND

@@ -1,0 +1,284 @@
+"""A video of a run: left the truth, right what is believed, and in words what is happening."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from limslam_agent.output.style import FAINT, GLOW, INK, PAPER, RULE, TEXT, Image, fitted, mixed, width_of, write
+from limslam_agent.video.belief_frame import BeliefFrame
+from limslam_agent.video.belief_panels import (
+    blank,
+    buffers_height,
+    draw_buffers,
+    draw_hough,
+    draw_legend,
+    draw_log,
+    draw_stages,
+)
+from limslam_agent.video.belief_picture import draw_belief
+from limslam_agent.video.narration import Caption, Narrator
+from limslam_env.geometry import FloatArray
+
+WIDTH, HEIGHT = 1280, 720
+FRAME_PERIOD = 0.2
+"""Simulated time from one frame to the next, s."""
+FPS = 25
+"""Frames in a second of the video: a run is shown five times as fast as it was."""
+
+_SPEED = FPS * FRAME_PERIOD
+_GAP, _TOP, _FOOT = 16, 80, 134
+_SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
+_LAST_FRAME = 3.0  # s of the video
+
+# Pictures of simulations leave this margin around the world and are at most so large (limslam_env.rendering.rendering).
+_TRUTH_MARGIN, _TRUTH_MOST = 30, (1600, 640)
+_KEPT_MARGIN = 5
+_ADDED_MARGIN = 0.04  # of the world's size, at each side: a map that has drifted can still be seen
+
+
+class Writer(Protocol):
+    """What takes the frames."""
+
+    def write(self, image: Image, hold: float = 0.0) -> None:
+        """Take a frame (height, width, 3), RGB, which is shown for ``hold`` s, or as long as any."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a frame shows besides truth and belief.
+
+    Attributes
+    ----------
+    caption
+        What is happening, in words.
+    title
+        What is run.
+    log
+        What has happened, the latest first: time (s), kind and words.
+    coverage
+        True coverage, 0 to 1, where it is known.
+    window
+        Corners (2,), m, of what the belief's picture shows; all that is known if left out.
+    is_paused
+        Whether the run stands still for the caption.
+    """
+
+    caption: Caption
+    title: str = ""
+    log: Sequence[tuple[float, str, str]] = ()
+    coverage: float | None = None
+    window: tuple[FloatArray, FloatArray] | None = None
+    is_paused: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the parts of a frame lie; boxes are left, top, width and height in pixels."""
+
+    truth: tuple[int, int, int, int]
+    belief: tuple[int, int, int, int]
+    buffers: tuple[int, int, int, int]
+    hough: tuple[int, int, int, int]
+    log: tuple[int, int, int, int]
+
+
+class Film:
+    """Makes frames of a run and hands them to a writer.
+
+    Parameters
+    ----------
+    writer
+        Takes the frames.
+    low, high
+        Corners (2,), m, of the smallest box around all walls of the world: both pictures show this.
+    title
+        What is run.
+    explain
+        Whether the run stands still for a short lesson when something happens for the first time.
+    """
+
+    def __init__(
+        self, writer: Writer, low: FloatArray, high: FloatArray, title: str = "", *, explain: bool = True
+    ) -> None:
+        self._writer, self._corners, self._title = writer, (low, high), title
+        self._narrator = Narrator(_SPEED, explain=explain)
+        self._next = 0.0
+        self._last: tuple[Image, BeliefFrame, Scene] | None = None
+
+    def is_due(self, time: float) -> bool:
+        """Whether a frame is to be added at a simulated time, s."""
+        return time >= self._next - 1e-6
+
+    def add(self, truth: Image, frame: BeliefFrame, coverage: float | None = None) -> None:
+        """Add a frame.
+
+        Parameters
+        ----------
+        truth
+            The picture of the simulation (h, w, 3), RGB, as ``limslam_env.rendering.rendering.render`` draws it.
+        frame
+            What is believed.
+        coverage
+            True coverage, 0 to 1.
+        """
+        self._next = frame.time + FRAME_PERIOD
+        cropped, window = cropped_truth(truth, *self._corners)
+        for moment in self._narrator.hear(frame):
+            caption = moment.caption
+            scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0)
+            # Only what is spoken of glows, and as long as it is spoken of.
+            shown = replace(frame, events=() if caption.event is None else (caption.event,))
+            self._last = (cropped, shown, scene)
+            self._writer.write(compose(*self._last), moment.pause)
+
+    def finish(self, words: str) -> None:
+        """Hold the last frame for a while, and say in words why the run is over."""
+        if self._last is not None:
+            truth, frame, scene = self._last
+            caption = Caption(
+                (), f"{words[:1].upper()}{words[1:]}.", "Truth on the left, map on the right: how alike are they?"
+            )
+            scene = replace(scene, caption=caption, is_paused=False)
+            self._writer.write(compose(truth, replace(frame, events=()), scene), _LAST_FRAME)
+
+
+def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
+    """One frame of a video (HEIGHT, WIDTH, 3), RGB.
+
+    Parameters
+    ----------
+    truth
+        The picture of what is true (h, w, 3).
+    frame
+        What is believed, drawn beside it as large as the truth.
+    scene
+        Words, and what else is told.
+    """
+    page = blank(WIDTH, HEIGHT)
+    height, width = truth.shape[:2]
+    layout = layout_for(width / height, len(frame.poses))
+    several = len(frame.poses) > 1
+    _draw_header(page, frame.time, scene)
+    _headed(
+        page, layout.truth, "What is true", "the robots do not know it" if several else "the robot does not know it"
+    )
+    _headed(page, layout.belief, "What is believed", "one map for all robots" if several else "by the robot")
+    _put(page, _resized(truth, layout.truth[2:]), layout.truth)
+    _put(page, draw_belief(frame, layout.belief[2:], scene.window), layout.belief)
+    _put(page, draw_buffers(frame.buffers, *layout.buffers[2:]), layout.buffers)
+    _put(page, draw_hough(frame.hough, *layout.hough[2:], several=several), layout.hough)
+    _put(page, draw_log(scene.log, *layout.log[2:]), layout.log)
+    _draw_foot(page, scene)
+    return page
+
+
+def layout_for(aspect: float, robots: int = 1) -> Layout:
+    """The layout that shows pictures of an aspect (width over height) largest: panels beside them, or below."""
+    room = HEIGHT - _TOP - _FOOT
+    width = (WIDTH - _SIDE - 4 * _GAP) // 2
+    beside = min(width / aspect, room)
+    wide = (WIDTH - 3 * _GAP) // 2
+    below = min(wide / aspect, room - _STRIP - _GAP)
+    if beside >= below:
+        size = _even(beside * aspect, beside)
+        right = 2 * _GAP + width
+        left = WIDTH - _GAP - _SIDE
+        buffers, hough = buffers_height(robots) + _GAP, 268
+        return Layout(
+            (_GAP + (width - size[0]) // 2, _TOP, *size),
+            (right + (width - size[0]) // 2, _TOP, *size),
+            (left, _TOP - 22, _SIDE, buffers),
+            (left, _TOP - 22 + buffers, _SIDE, hough),
+            (left, _TOP - 22 + buffers + hough + 14, _SIDE, room + 22 - buffers - hough - 14),
+        )
+    size = _even(below * aspect, below)
+    top = _TOP + size[1] + _GAP
+    strip = HEIGHT - _FOOT - top
+    third = (WIDTH - 4 * _GAP) // 3
+    return Layout(
+        (_GAP + (wide - size[0]) // 2, _TOP, *size),
+        (2 * _GAP + wide + (wide - size[0]) // 2, _TOP, *size),
+        (_GAP, top, third, strip),
+        (2 * _GAP + third, top, third, strip),
+        (3 * _GAP + 2 * third, top, third, strip),
+    )
+
+
+def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Image, tuple[FloatArray, FloatArray]]:
+    """The part of a simulation's picture that shows the world, and the corners (2,), m, of what it shows.
+
+    ``low`` and ``high`` (2,), m, are the corners of the box around all walls. The caption above the world is left
+    out: a video has its own.
+    """
+    rows, columns = truth.shape[:2]
+    extent = np.maximum(high - low, 1e-3)
+    most = np.array(_TRUTH_MOST) - 2 * _TRUTH_MARGIN
+    scale = float((most / extent).min())
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _TRUTH_MARGIN])
+    # From the pixel (left, top) to (right, bottom), outwards to whole ones.
+    start = np.floor(origin - np.array([_KEPT_MARGIN, extent[1] * scale + _KEPT_MARGIN])).astype(int)
+    end = np.ceil(origin + np.array([extent[0] * scale + _KEPT_MARGIN, _KEPT_MARGIN])).astype(int)
+    left, top = np.maximum(start, 0).tolist()
+    right, bottom = np.minimum(end, (columns, rows)).tolist()
+    window_low = low + np.array([left - origin[0], origin[1] - bottom]) / scale
+    window_high = low + np.array([right - origin[0], origin[1] - top]) / scale
+    more = round(_ADDED_MARGIN * float(extent.max()) * scale)
+    kept = truth[top:bottom, left:right]
+    padded = cv2.copyMakeBorder(kept, more, more, more, more, cv2.BORDER_CONSTANT, value=PAPER)
+    return np.asarray(padded, dtype=np.uint8), (window_low - more / scale, window_high + more / scale)
+
+
+def _draw_header(page: Image, time: float, scene: Scene) -> None:
+    write(page, "LimSLAM", (_GAP, 33), 21, INK, bold=True)
+    write(page, fitted(scene.title, 14, 680), (_GAP + width_of("LimSLAM", 21, bold=True) + 14, 33), 14)
+    right = WIDTH - _GAP
+    minutes, seconds = divmod(round(time, 1), 60.0)
+    write(page, f"{int(minutes)}:{seconds:04.1f}", (right, 33), 18, INK, bold=True, anchor="right")
+    if scene.coverage is not None:
+        words = f"seen {100.0 * scene.coverage:.0f} %"
+        write(page, words, (right - 150, 33), 14, TEXT, anchor="right")
+        _bar(page, right - 142, 24, 60, scene.coverage)
+    write(page, "paused" if scene.is_paused else f"{_SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
+    cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
+
+
+def _bar(page: Image, x: int, y: int, width: int, share: float) -> None:
+    cv2.rectangle(page, (x, y), (x + width, y + 6), RULE, -1)
+    if share > 0.0:
+        cv2.rectangle(page, (x, y), (x + round(width * min(share, 1.0)), y + 6), TEXT, -1)
+
+
+def _draw_foot(page: Image, scene: Scene) -> None:
+    top = HEIGHT - _FOOT + 12
+    width = WIDTH - 2 * _GAP
+    _put(page, draw_stages(scene.caption.stages, width, 26), (_GAP, top, width, 26))
+    if scene.is_paused:
+        cv2.rectangle(page, (0, top + 34), (WIDTH, top + 90), mixed(GLOW, PAPER, 0.82), -1)
+    write(page, scene.caption.headline, (_GAP, top + 58), 18, INK, bold=True)
+    write(page, scene.caption.explanation, (_GAP, top + 81), 15, INK if scene.is_paused else TEXT)
+    _put(page, draw_legend(width, 22), (_GAP, HEIGHT - 27, width, 22))
+
+
+def _headed(page: Image, box: tuple[int, int, int, int], words: str, more: str) -> None:
+    left, top, width, height = box
+    write(page, words, (left, top - 9), 15, INK, bold=True)
+    write(page, more, (left + width_of(words, 15, bold=True) + 10, top - 9), 12, FAINT)
+    cv2.rectangle(page, (left - 1, top - 1), (left + width, top + height), RULE, 1)
+
+
+def _put(page: Image, part: Image, box: tuple[int, int, int, int]) -> None:
+    left, top, width, height = box
+    page[top : top + height, left : left + width] = part
+
+
+def _resized(image: Image, size: tuple[int, int]) -> Image:
+    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
+
+
+def _even(width: float, height: float) -> tuple[int, int]:
+    return 2 * max(int(width / 2), 1), 2 * max(int(height / 2), 1)

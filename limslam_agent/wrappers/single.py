@@ -1,0 +1,160 @@
+"""A wrapper that lets learning agents act on what a robot believes, as the policies of this package do."""
+
+from typing import Any, SupportsFloat, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from limslam_agent.agent import LimSlamAgent
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.policies.belief import NO_PLAN, Belief
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import between, transform_points
+from limslam_env.geometry.shapes import places_around
+from limslam_env.interface import RobotSpec
+
+Observation: TypeAlias = dict[str, Any]
+
+UNKNOWN, FREE, OCCUPIED = 0, 127, 255
+"""Values of the grid's cells."""
+
+FARTHEST = 1000.0
+"""Largest distance from the start that a pose is told with, m."""
+
+LARGEST_COVARIANCE = 1e6
+"""Bound of the covariance's numbers, m^2, m rad, rad^2."""
+
+_UPPER = np.triu_indices(3)
+_FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
+
+
+class _Listener:
+    """A policy that remembers what it was told, and drives nowhere."""
+
+    stop_reason: str | None = None
+    plan: FloatArray = NO_PLAN
+
+    def __init__(self) -> None:
+        self.belief: Belief | None = None
+
+    def act(self, belief: Belief) -> FloatArray:
+        self.belief = belief
+        return np.zeros(2)
+
+
+class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
+    """Observe what the SLAM believes instead of raw readings. No truth goes in after the start pose.
+
+    The observation is a `Dict` of new arrays:
+
+    | Key        | Shape           | Type    | Meaning                                                               |
+    |------------|-----------------|---------|-----------------------------------------------------------------------|
+    | pose       | (3,)            | float32 | estimated pose as seen from the start pose: m ahead, m left, rad      |
+    | covariance | (6,)            | float32 | of the estimated pose in the world: xx, xy, xt, yy, yt, tt            |
+    | grid       | (1, size, size) | uint8   | believed occupancy around the robot: 0 unknown, 127 free, 255 occupied |
+    | ranges     | (n_beams,)      | float32 | the readings, m                                                       |
+
+    The grid has the robot in its middle, looking up. Its cells are as large as the configuration says (0.10 m).
+
+    Parameters
+    ----------
+    env
+        A LimSlam environment for one robot whose observation holds `ranges` and `wheels` as they are, not scaled.
+    agent_config
+        Settings of the SLAM and what it is told of the noise; those of the preset `consistent` if left out.
+    size
+        Side of the grid in cells.
+
+    Raises
+    ------
+    ValueError
+        If the size is below 1, or the environment does not tell its robot, or its observation is another one.
+    """
+
+    def __init__(self, env: gym.Env[Observation, Any], agent_config: AgentConfig | None = None, size: int = 40) -> None:
+        super().__init__(env)
+        if size < 1:
+            raise ValueError(f"a grid needs at least one cell, not {size}")
+        robot = getattr(env.unwrapped, "robot", None)
+        if not isinstance(robot, RobotSpec):
+            raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
+        ranges = ranges_space(env.observation_space, robot)
+        self._listener = _Listener()
+        self._agent = LimSlamAgent(robot, agent_config, self._listener)
+        self._start = np.zeros(3)
+        self.observation_space = belief_space(ranges, size)
+        self._places, self._size = places_around(size, self._agent.config.grid.cell), size
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
+        """Start a new episode and a new map; the start pose is all that is taken from `info`."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._start = np.array(info["pose"], dtype=float)
+        self._agent.reset(self._start.copy(), seed)
+        return self._believed(observation), info
+
+    def step(self, action: Any) -> tuple[Observation, SupportsFloat, bool, bool, Any]:
+        """Drive for one control period, and let the SLAM take in what is observed."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._believed(observation), reward, terminated, truncated, info
+
+    def _believed(self, observation: Observation) -> Observation:
+        self._agent.act({"ranges": observation["ranges"], "wheels": observation["wheels"]})
+        belief = self._listener.belief
+        if belief is None:
+            raise RuntimeError("the agent did not ask its policy")
+        return {
+            "pose": told_pose(self._start, belief.pose),
+            "covariance": told_covariance(belief.covariance),
+            "grid": self._crop(belief),
+            "ranges": np.array(observation["ranges"]),
+        }
+
+    def _crop(self, belief: Belief) -> NDArray[np.uint8]:
+        values = belief.grid.values
+        row, column = belief.grid.cells(transform_points(belief.pose, self._places)).T
+        is_inside = (row >= 0) & (row < values.shape[0]) & (column >= 0) & (column < values.shape[1])
+        signs = np.sign(values[row[is_inside], column[is_inside]])
+        crop = np.full(self._size**2, UNKNOWN, dtype=np.uint8)
+        crop[is_inside] = np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[signs + 1]
+        return crop.reshape(1, self._size, self._size)
+
+
+def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
+    """The space of what a robot with such readings believes, with a grid of ``size`` cells a side."""
+    return spaces.Dict(
+        {
+            "pose": spaces.Box(-_FARTHEST, _FARTHEST),
+            "covariance": spaces.Box(-LARGEST_COVARIANCE, LARGEST_COVARIANCE, (6,), np.float32),
+            "grid": spaces.Box(0, 255, (1, size, size), np.uint8),
+            "ranges": ranges,
+        }
+    )
+
+
+def told_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:
+    """A pose (..., 3) as seen from the start (..., 3), within the bounds of the space."""
+    return np.clip(between(start, pose).astype(np.float32), -_FARTHEST, _FARTHEST)
+
+
+def told_covariance(covariance: FloatArray) -> NDArray[np.float32]:
+    """The six numbers (..., 6) of a covariance (..., 3, 3), within the bounds of the space."""
+    upper = covariance[..., *_UPPER]
+    return np.clip(upper, -LARGEST_COVARIANCE, LARGEST_COVARIANCE).astype(np.float32)
+
+
+def ranges_space(space: gym.Space[Any], robot: RobotSpec) -> spaces.Box:
+    """The readings' part of an observation of a robot.
+
+    Raises
+    ------
+    ValueError
+        If the observation does not hold ranges and wheels as they are.
+    """
+    if not isinstance(space, spaces.Dict) or not {"ranges", "wheels"} <= set(space.spaces):
+        raise ValueError(f"the observation must hold ranges and wheels, not {space}")
+    ranges = space["ranges"]
+    if not isinstance(ranges, spaces.Box) or not np.array_equal(ranges.high, robot.max_ranges.astype(np.float32)):
+        raise ValueError(f"ranges must be those of the robot, in metres, not {ranges}")
+    return ranges

@@ -1,0 +1,239 @@
+"""Many environments at once: the simulation behind the batched adapters."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from limslam_env.batch.noise import BatchNoise
+from limslam_env.batch.places import Places
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_step import BEGIN, NUM_NOISES, SKIP, STEP, advance
+from limslam_env.kernels.random_numbers import Words, derive_keys
+from limslam_env.simulation.coverage import CELL
+from limslam_env.simulation.sensors import beam_table
+
+THREADS_FROM = 1024
+"""Number of robots from which on a second thread is worth its waking."""
+
+_SLICE = 512
+
+_SETTINGS, _PLACES = 1, 2
+
+
+class BatchReadings(NamedTuple):
+    """What the sensors of all environments say: new arrays.
+
+    Attributes
+    ----------
+    ranges
+        (n, m, n_beams), float32, m.
+    wheels
+        (n, m, 2), float32, m.
+    """
+
+    ranges: ReadingArray
+    wheels: ReadingArray
+
+
+class BatchTruth(NamedTuple):
+    """What is really so in all environments: new arrays, the fields of ``simulation.Truth``.
+
+    Attributes
+    ----------
+    poses
+        (n, m, 3), m and rad.
+    time
+        (n,), s.
+    coverage
+        (n,), 0 to 1.
+    new_area
+        (n, m), m^2.
+    contact
+        (n, m).
+    wall_seen
+        (n, m, n_beams).
+    """
+
+    poses: FloatArray
+    time: FloatArray
+    coverage: FloatArray
+    new_area: FloatArray
+    contact: BoolArray
+    wall_seen: IntArray
+
+
+class BatchSimulation:
+    """Environments of one kind, ``m`` robots in each, driven together.
+
+    Parameters
+    ----------
+    places
+        The worlds of the environments.
+    robot
+        What all robots are.
+    noise
+        One setting for all environments or one for each; ranges in it are drawn from at each reset.
+    num_threads
+        How many threads to use at most; None for one a core. The result is the same to the last bit.
+    """
+
+    def __init__(
+        self, places: Places, robot: RobotSpec, noise: Sequence[NoiseConfig], num_threads: int | None = None
+    ) -> None:
+        count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
+        self.robot, self.num_envs, self.num_robots = robot, count, robots
+        self._places, self._noise = places, BatchNoise(noise, robot)
+        self._beams = beam_table(robot)
+        self._farthest = robot.max_wheel_speed * robot.control_period
+        self._homes: Words = np.zeros(count, dtype=np.uint64)
+        self._keys: Words = np.zeros(count, dtype=np.uint64)
+        self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        self._rooms, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
+        self._poses, self._untold = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
+        self._left = _padded(np.zeros((count, 0), dtype=np.uint64), 0)
+        self._hits = np.zeros((count, robots, num_beams), dtype=np.int64)
+        self._ranges = np.zeros((count, robots, num_beams), dtype=np.float32)
+        self._told = np.zeros((count, robots, 2), dtype=np.float32)
+        self._contact = np.zeros((count, robots), dtype=bool)
+        self._new_cells = np.zeros((count, robots), dtype=np.int64)
+        self._table = np.zeros((count, NUM_NOISES))
+        self._threads = num_threads or _cores()
+        self._pool: ThreadPoolExecutor | None = None
+
+    def reset(
+        self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
+    ) -> tuple[BatchReadings, BatchTruth]:
+        """Begin new episodes, as :meth:`begin` does, and observe them."""
+        self.begin(mask, start, seeds)
+        tasks = np.where(mask, BEGIN, SKIP)
+        return self._advance(tasks, np.zeros((self.num_envs, self.num_robots, 2)))
+
+    def begin(
+        self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
+    ) -> None:
+        """Draw world, start and noise of new episodes; a later step observes them.
+
+        Parameters
+        ----------
+        mask
+            (n,), where they begin.
+        start
+            (n, s, 3), the first robots' poses.
+        seeds
+            From which all sequences of random numbers begin anew, those of other environments, too.
+
+        Raises
+        ------
+        WorldError
+            If a start cannot be used, or there is no room. Then all is as it was.
+        """
+        envs = np.flatnonzero(mask)
+        homes: Words = self._homes
+        episodes = self._episodes.copy()
+        if seeds is not None:
+            homes, episodes = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64), 0 * episodes
+        episodes[envs] += 1
+        keys, settings, places = (
+            derive_keys(homes[envs], episodes[envs], purpose) for purpose in (0, _SETTINGS, _PLACES)
+        )
+        self._poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
+        self._homes, self._episodes, self._keys[envs] = homes, episodes, keys
+        self._table[envs] = self._noise.drawn(envs, settings)
+        self._covered[envs] = 0
+        width = self._places.sites.tiles.shape[1]
+        if width > self._left.shape[1]:
+            self._left = _padded(self._left, width)
+
+    def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
+        """Drive for one control period.
+
+        Parameters
+        ----------
+        actions
+            (n, m, 2), left and right wheel speeds, fractions of the maximum.
+        fresh
+            (n,), which environments have begun an episode that is to be observed first; they are not driven.
+        """
+        tasks = np.full(self.num_envs, STEP) if fresh is None else np.where(fresh, BEGIN, STEP)
+        return self._advance(tasks, actions)
+
+    def seen(self, env: int) -> BoolArray:
+        """Which coverable cells of an environment's grid (rows, columns) have been seen."""
+        slot, sites = int(self._places.world_of[env]), self._places.sites
+        return sites.to_cells(slot, sites.tiles[slot] & ~self._left[env])
+
+    def close(self) -> None:
+        """End the threads. May be called again; a later step starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Threads stay where they are.
+        return {**vars(self), "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        # A copy of these words has lost what is beyond them.
+        self._left = _padded(self._left, self._left.shape[1])
+
+    def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
+        places = self._places
+        arguments: tuple[Any, ...] = (
+            tasks, actions, self._farthest, self.robot.radius, self._beams, places.world_of, *places.sites.scene,
+            self._table, self._keys, self._steps, self._rooms, self._poses, self._untold, self._left,
+            self._hits, self._ranges, self._told, self._contact, self._new_cells,
+        )  # fmt: skip
+        starts = range(0, self.num_envs, _SLICE)
+        if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
+            # Whoever is free takes the next slice: another process on one core does not hold up all.
+            waiting = iter(starts)
+
+            def work() -> None:
+                for first in waiting:
+                    advance(first, min(first + _SLICE, self.num_envs), *arguments)
+
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self._threads - 1)
+            others = [self._pool.submit(work) for _ in range(self._threads - 1)]
+            work()
+            for other in others:
+                # Who has not woken up by now is not waited for.
+                if not other.cancel():
+                    other.result()
+        else:
+            advance(0, self.num_envs, *arguments)
+        return self._result(tasks)
+
+    def _result(self, tasks: IntArray) -> tuple[BatchReadings, BatchTruth]:
+        new_cells = self._new_cells
+        if (tasks == SKIP).any():
+            new_cells = np.where(tasks[:, None] == SKIP, 0, new_cells)
+        self._covered += new_cells.sum(axis=1)
+        truth = BatchTruth(
+            self._poses.copy(),
+            np.asarray(self._steps * self.robot.control_period),
+            self._covered / self._places.sites.totals[self._places.world_of],
+            np.asarray(new_cells * CELL**2),
+            self._contact.copy(),
+            self._hits.copy(),
+        )
+        return BatchReadings(self._ranges.copy(), self._told.copy()), truth
+
+
+def _padded(words: Words, columns: int) -> Words:
+    """Words (rows, k) with zeros up to so many columns; a kernel may read a little beyond, for words that it masks."""
+    rows, used = words.shape
+    buffer = np.zeros(rows * columns + 3 * columns + 3, dtype=np.uint64)
+    padded = buffer[: rows * columns].reshape(rows, columns)
+    padded[:, :used] = words
+    return padded
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,176 @@
+"""Many worlds in one set of arrays, as the kernels of the batch take them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import RobotSpec
+from limslam_env.kernels.random_numbers import Words
+from limslam_env.kernels.tiles import TILE
+from limslam_env.simulation.coverage import CoverageGrid, coverage_grid
+from limslam_env.simulation.sensors import WallIndex, build_wall_index, walls_around
+from limslam_env.simulation.starts import StartingPlaces, starting_places
+from limslam_env.worlds.world import World
+
+# Near walls, on the average, up to which a ray tries them all.
+_MOST_NEAR = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A world made ready for a batch: its walls sorted, what can be seen of it, and where robots start.
+
+    Attributes
+    ----------
+    walls
+        For rays and contact.
+    near
+        The walls within the beams' reach of each cell of that list; None where these are too many.
+    grid
+        The cells that count for coverage.
+    places
+        Where robots start.
+    """
+
+    walls: WallIndex
+    near: tuple[IntArray, IntArray] | None
+    grid: CoverageGrid
+    places: StartingPlaces
+
+
+def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
+    """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says.
+
+    Raises
+    ------
+    WorldError
+        If a start cannot be used or there is no room.
+    """
+    places = starting_places(world, robot, num_robots, start)
+    walls = build_wall_index(world.edges)
+    return Site(walls, _near(walls, robot.reach), coverage_grid(world, robot, places.known), places)
+
+
+def _near(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
+    # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
+    low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
+    share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
+    if share * len(walls.edges) > _MOST_NEAR:
+        return None
+    return walls_around(walls, reach)
+
+
+def to_tiles(cells: BoolArray) -> Words:
+    """A grid (rows, columns) as words of 8 x 8 cells, (tile_rows, tile_columns)."""
+    rows, columns = (-(-side // TILE) for side in cells.shape)
+    padded = np.zeros((rows * TILE, columns * TILE), dtype=bool)
+    padded[: cells.shape[0], : cells.shape[1]] = cells
+    blocks = padded.reshape(rows, TILE, columns, TILE).swapaxes(1, 2).reshape(rows, columns, TILE * TILE)
+    return np.packbits(blocks, axis=-1, bitorder="little").view("<u8")[..., 0].astype(np.uint64)
+
+
+def from_tiles(tiles: Words, shape: tuple[int, int]) -> BoolArray:
+    """The grid (rows, columns) that :func:`to_tiles` made tiles (tile_rows, tile_columns) of."""
+    rows, columns = tiles.shape
+    bits = np.unpackbits(tiles.astype("<u8").view(np.uint8).reshape(rows, columns, TILE), axis=-1, bitorder="little")
+    blocks = bits.reshape(rows, columns, TILE, TILE).swapaxes(1, 2).reshape(rows * TILE, columns * TILE)
+    return np.asarray(blocks[: shape[0], : shape[1]], dtype=bool)
+
+
+class _Shelf:
+    """Rows of many worlds, one after the other, with room to put others in their place."""
+
+    def __init__(self, dtype: type[np.generic], *width: int) -> None:
+        self.rows: NDArray[Any] = np.zeros((0, *width), dtype=dtype)
+        self._taken = 0
+        self._firsts: list[int] = []
+        self._sizes: list[int] = []
+
+    def put(self, slot: int, rows: NDArray[Any]) -> int:
+        """Put rows (k, ...) at a slot, the next one or one in use; where they begin."""
+        if slot == len(self._firsts):
+            self._firsts.append(0)
+            self._sizes.append(-1)
+        if len(rows) > self._sizes[slot]:
+            # Who moves in later may need a little more.
+            size = len(rows) if self._sizes[slot] < 0 else len(rows) * 5 // 4
+            self._firsts[slot], self._sizes[slot] = self._taken, size
+            self._taken += size
+            if self._taken > len(self.rows):
+                grown = np.zeros((max(self._taken, len(self.rows) * 3 // 2), *self.rows.shape[1:]), self.rows.dtype)
+                grown[: len(self.rows)] = self.rows
+                self.rows = grown
+        first = self._firsts[slot]
+        self.rows[first : first + len(rows)] = rows
+        return first
+
+
+class Sites:
+    """The worlds of a batch, by the numbers of their slots.
+
+    Attributes
+    ----------
+    layout, grids, areas, tiles
+        As :func:`limslam_env.kernels.batch_step.advance` takes them.
+    totals
+        (w,), how many cells are coverable.
+    shapes
+        Rows and columns of each coverage grid.
+    """
+
+    def __init__(self) -> None:
+        self._edges, self._cells, self._items = _Shelf(np.float64, 4), _Shelf(np.int32), _Shelf(np.int32)
+        self._near_cells, self._near_items = _Shelf(np.int32), _Shelf(np.int32)
+        self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
+        self.grids: FloatArray = np.zeros((0, 3))
+        self.areas: FloatArray = np.zeros((0, 3))
+        self.totals: IntArray = np.zeros(0, dtype=np.int64)
+        self.tiles: Words = np.zeros((0, 0), dtype=np.uint64)
+        self.shapes: list[tuple[int, int]] = []
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    @property
+    def scene(self) -> tuple[NDArray[Any], ...]:
+        """The arrays, in the order in which the kernel takes them."""
+        walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
+        return self.layout, self.grids, self.areas, *walls, self.tiles
+
+    def put(self, slot: int, site: Site) -> None:
+        """Put a world at a slot: the next one, or one whose world is needed no more."""
+        if slot == len(self):
+            self._grow()
+        walls, tiles = site.walls, to_tiles(site.grid.coverable)
+        first_edge = self._edges.put(slot, walls.edges)
+        first_item = self._items.put(slot, walls.cell_edges + first_edge)
+        first_cell = self._cells.put(slot, walls.cell_starts + first_item)
+        columns, rows = walls.grid[3:].astype(int)
+        starts, numbers = site.near or (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+        first_item = self._near_items.put(slot, numbers + first_edge)
+        first_near = self._near_cells.put(slot, starts + first_item)
+        near = -1 if site.near is None else first_near
+        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], near
+        self.grids[slot], self.areas[slot] = walls.grid[:3], site.grid.area
+        self.totals[slot], self.shapes[slot] = max(site.grid.total, 1), site.grid.coverable.shape
+        if tiles.size > self.tiles.shape[1]:
+            self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
+        self.tiles[slot] = 0
+        self.tiles[slot, : tiles.size] = tiles.ravel()
+
+    def to_cells(self, slot: int, tiles: Words) -> BoolArray:
+        """Tiles (t,) of a world as a grid (rows, columns)."""
+        columns, rows = self.layout[slot, 4:6]
+        return from_tiles(tiles[: rows * columns].reshape(rows, columns), self.shapes[slot])
+
+    def _grow(self) -> None:
+        # One by one for a handful of worlds, in leaps for thousands.
+        self.shapes.append((0, 0))
+        if len(self.shapes) > len(self.layout):
+            more = max(1, len(self.layout) // 2)
+            for name in ("layout", "grids", "areas", "totals", "tiles"):
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate((array, np.zeros((more, *array.shape[1:]), array.dtype))))

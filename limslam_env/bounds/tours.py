@@ -1,0 +1,274 @@
+"""Tours for a robot that knows the map: how soon everything can be seen at all.
+
+Finding the shortest path from which everything is seen is the watchman route problem, NP-hard where there are
+obstacles (Chin and Ntafos 1988). So a greedy tour is built, nearest places with most to see first, and improved.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_env.bounds.roadmap import Roadmap
+from limslam_env.bounds.tour_search import Worth, improved
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec
+from limslam_env.simulation.coverage import BeamSweep, coverage_grid
+from limslam_env.worlds.world import World, WorldError
+
+GOAL = 0.99
+"""Share of the coverable cells after which a tour has seen everything, as the environments count it."""
+
+EVALUATIONS = 2000
+"""Changes that are tried to improve a tour."""
+
+MOST_CELLS = 300_000
+"""Coverable cells (3000 m^2) of the largest buildings that tours are planned for: planning takes minutes there."""
+
+# What weight the number of new cells gets against the time to get there.
+_POWERS = (0.5, 0.75, 1.0, 1.5)
+_CANDIDATES, _NEIGHBOURHOOD, _MOST_VISITS = 12, 400, 2
+_PRICE = 0.25  # s for a cell that a tour leaves out: more than it takes to see one
+_VIEW = 0.05  # rad between the headings at which a robot looks round
+_MOST_POSES = 5_000_000  # that all evaluations may drive through together
+
+
+class Speeds(NamedTuple):
+    """How fast a tour is driven: m/s straight on, and rad/s on the spot."""
+
+    drive: float
+    turn: float
+
+
+def top_speeds(robot: RobotSpec) -> Speeds:
+    """The fastest that the wheels allow. Straight lines and turns on the spot are then the quickest way to a place.
+
+    Balkcom and Mason, "Time optimal trajectories for bounded velocity differential drive vehicles" (2002).
+    """
+    return Speeds(robot.max_wheel_speed, 2.0 * robot.max_wheel_speed / robot.axle)
+
+
+def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Speeds) -> FloatArray:
+    """Poses (n, 3) at each control step from ``start`` (3,) on along waypoints (k, 2), m.
+
+    The robot turns on the spot towards each, drives there straight, and goes on from there in the next step.
+    """
+    points = np.vstack((start[None, :2], way))
+    spans = np.diff(points, axis=0)
+    lengths = np.hypot(*spans.T)
+    moves = lengths > 1e-9
+    points, spans, lengths = points[np.append(True, moves)], spans[moves], lengths[moves]
+    turns = wrap_angle(np.diff(np.append(start[2], np.arctan2(spans[:, 1], spans[:, 0]))))
+    headings = start[2] + np.append(0.0, np.cumsum(turns))
+    # In control steps: the turn, the drive, and what is left of the step in which it ends.
+    turning = np.abs(turns) / (speeds.turn * robot.control_period)
+    driving = lengths / (speeds.drive * robot.control_period)
+    waiting = np.ceil(turning + driving - 1e-6) - turning - driving
+    times = np.append(0.0, np.cumsum(np.column_stack((turning, driving, waiting))))
+    steps = np.arange(round(times[-1]) + 1)
+    x, y = (np.interp(steps, times, np.repeat(points[:, axis], 3)[1:-1]) for axis in (0, 1))
+    return np.column_stack((x, y, np.interp(steps, times, np.repeat(headings, 3)[2:])))
+
+
+def coverage_tour(
+    world: World,
+    robot: RobotSpec,
+    start: FloatArray,
+    *,
+    goal: float = GOAL,
+    speeds: Speeds | None = None,
+    seen: BoolArray | None = None,
+    evaluations: int = EVALUATIONS,
+) -> FloatArray:
+    """A quick tour from which the beams see everything: the limit that explorers can be measured by.
+
+    Parameters
+    ----------
+    world
+        The map.
+    robot
+        Body and beams.
+    start
+        Pose that the tour begins at (3,), m and rad.
+    goal
+        Share of the coverable cells (:mod:`limslam_env.simulation.coverage`) that is to be covered.
+    speeds
+        How fast it is driven; the top speeds if left out.
+    seen
+        Cells that have been covered already (rows, columns); none if left out.
+    evaluations
+        Changes that are tried to improve it.
+
+    Returns
+    -------
+    waypoints
+        (k, 2), m: the robot turns on the spot towards each and drives there straight, at least
+        ``roadmap.LEAST_GAP`` off every wall. Empty where nothing is left to see. Where beams can see
+        what this robot cannot drive to safely, the tour may end before the goal. The same for the same arguments.
+
+    Raises
+    ------
+    WorldError
+        If there is no room to drive at the start, or the building is too large.
+    """
+    speeds = speeds or top_speeds(robot)
+    if seen is None:
+        return _coverage_tour(world, robot, _tuple(start), goal, speeds, evaluations)
+    return Tours(world, robot, start, goal, speeds, seen).best(evaluations)
+
+
+@functools.lru_cache(maxsize=32)
+def _coverage_tour(
+    world: World, robot: RobotSpec, start: tuple[float, ...], goal: float, speeds: Speeds, evaluations: int
+) -> FloatArray:
+    way = Tours(world, robot, np.array(start), goal, speeds).best(evaluations)
+    way.setflags(write=False)
+    return way
+
+
+def closed_tour(
+    world: World, robot: RobotSpec, start: FloatArray, laps: int = 1, *, evaluations: int = EVALUATIONS
+) -> FloatArray:
+    """Waypoints (k, 2), m, of ``laps`` rounds: of the world's loop, or of a coverage tour that leads back to its start.
+
+    Raises
+    ------
+    WorldError
+        If there is no room to drive at the start or along the loop, or the building is too large.
+    """
+    if not len(world.loop):
+        return np.tile(_closed_coverage_tour(world, robot, _tuple(start), evaluations), (laps, 1))
+    place = np.asarray(start, dtype=float)[:2]
+    first = (int(np.argmin(np.hypot(*(world.loop - place).T))) + 1) % len(world.loop)
+    corners = np.tile(np.roll(world.loop, -first, axis=0), (laps, 1))
+    roads = Roadmap(world, robot.radius, place)
+    ways = [roads.way(here, there) for here, there in zip((place, *corners[:-1]), corners, strict=True)]
+    if any(way is None for way in ways):
+        raise WorldError(f"world {world.name!r}: a robot of {robot.radius:g} m radius cannot drive along its loop")
+    return np.vstack([way for way in ways if way is not None])
+
+
+@functools.lru_cache(maxsize=32)
+def _closed_coverage_tour(
+    world: World, robot: RobotSpec, start: tuple[float, ...], evaluations: int
+) -> FloatArray:  # fmt: skip
+    return Tours(world, robot, np.array(start), GOAL, top_speeds(robot), is_closed=True).best(evaluations)
+
+
+def _tuple(start: FloatArray) -> tuple[float, ...]:
+    return tuple(np.asarray(start, dtype=float).tolist())
+
+
+class Tours:
+    """The tours of one robot from one start, and what they are worth.
+
+    Parameters
+    ----------
+    world, robot, start, goal, speeds, seen
+        As :func:`coverage_tour` takes them.
+    is_closed
+        Whether tours lead back to the start.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        robot: RobotSpec,
+        start: FloatArray,
+        goal: float,
+        speeds: Speeds,
+        seen: BoolArray | None = None,
+        *,
+        is_closed: bool = False,
+    ) -> None:
+        self._robot, self._speeds, self._is_closed = robot, speeds, is_closed
+        self.start = np.asarray(start, dtype=float)
+        self._grid = coverage_grid(world, robot, self.start[None])
+        if self._grid.total > MOST_CELLS:
+            raise WorldError(f"world {world.name!r}: {self._grid.total} cells are too many for a tour ({MOST_CELLS})")
+        self.roads = Roadmap(world, robot.radius, self.start[:2])
+        self._sweep = BeamSweep(world, robot, self._grid)
+        self._seen = np.zeros_like(self._grid.coverable) if seen is None else seen
+        wanted = math.ceil(goal * self._grid.total - 1e-9)
+        self._needed = max(wanted - int(np.count_nonzero(self._seen & self._grid.coverable)), 0)
+        self._views = np.array([self._view(place) for place in self.roads.places])
+
+    def best(self, evaluations: int) -> FloatArray:
+        """The best tour (k, 2) that is found, m."""
+        ways = [self._greedy(power) for power in _POWERS]
+        way = min(ways, key=lambda tour: self.worth(tour).cost)
+        if not len(way):
+            return way
+        # Large buildings have long tours, and fewer changes are tried.
+        length = len(poses_along(self.start, way, self._robot, self._speeds))
+        return self.whole(improved(self, way, min(evaluations, _MOST_POSES // length), np.random.default_rng(0)))
+
+    def worth(self, way: FloatArray) -> Worth:
+        """What a tour (k, 2), m, costs, s, and what it misses."""
+        seen = self._seen.copy()
+        way = self.whole(way)
+        covered = np.cumsum(self._sweep.mark(poses_along(self.start, way, self._robot, self._speeds), seen))
+        missing = max(self._needed - int(covered[-1]), 0)
+        # An open tour is over as soon as enough has been seen.
+        last = len(covered) - 1 if missing or self._is_closed else int(np.searchsorted(covered, self._needed))
+        left = np.flatnonzero((self._grid.coverable & ~seen).ravel())
+        return Worth(last * self._robot.control_period + _PRICE * missing, missing, left)
+
+    def whole(self, way: FloatArray) -> FloatArray:
+        """A tour (k, 2), m, with the way back to the start if it is to be closed."""
+        if not self._is_closed or not len(way):
+            return way
+        back = self.roads.way(way[-1], self.start[:2])
+        return way if back is None else np.vstack((way, back))
+
+    def places_that_see(self, cell: int) -> IntArray:
+        """Numbers of the places from which a cell, by its number in the coverage grid, can be seen."""
+        return np.flatnonzero(self._views[:, cell >> 3] >> (7 - (cell & 7)) & 1)
+
+    def _view(self, place: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
+        """The coverable cells that a robot sees that looks round, a bit each."""
+        headings = np.arange(0.0, 2.0 * math.pi, _VIEW)
+        seen = np.zeros_like(self._grid.coverable)
+        self._sweep.mark(np.column_stack((np.broadcast_to(place, (len(headings), 2)), headings)), seen)
+        return np.packbits(seen & self._grid.coverable)
+
+    def _greedy(self, power: float) -> FloatArray:
+        """Go again and again to where the most new cells are seen in the least time: nearest neighbours first."""
+        at, pose, seen, way = 0, self.start, self._seen.copy(), [no_rows(2)]
+        covered = int(self._sweep.mark(pose[None], seen).sum())
+        visits = np.zeros(len(self.roads.places), dtype=np.intp)
+        while covered < self._needed:
+            best, best_score = None, -1.0
+            for place in self._worth_a_visit(at, seen, visits, power):
+                leg = self.roads.way(self.roads.places[at], self.roads.places[place])
+                if leg is None:
+                    continue
+                poses, then = poses_along(pose, leg, self._robot, self._speeds), seen.copy()
+                new = int(self._sweep.mark(poses, then).sum())
+                # Where nobody sees anything new on the way, to the nearest.
+                score = (new**power + 1e-9) / len(poses)
+                if score > best_score:
+                    best, best_score = (int(place), leg, poses[-1], then, new), score
+            if best is None:
+                break
+            at, leg, pose, seen, new = best
+            covered += new
+            visits[at] += 1
+            way.append(leg)
+        return np.vstack(way)
+
+    def _worth_a_visit(self, at: int, seen: BoolArray, visits: IntArray, power: float) -> IntArray:
+        """Places with something new to see: the nearest, and those with the most of it for their distance."""
+        lengths = np.where(visits < _MOST_VISITS, self.roads.lengths_from(at), np.inf)
+        lengths[at] = np.inf
+        near, unseen = np.argsort(lengths, kind="stable"), np.packbits(~seen)
+        for some in (near[:_NEIGHBOURHOOD], near):
+            places = some[lengths[some] < np.inf]
+            new = np.bitwise_count(self._views[places] & unseen).sum(axis=1)
+            places, new = places[new > 0], new[new > 0]
+            if len(places):
+                rich = np.argsort(-(new**power) / (lengths[places] + 0.3), kind="stable")
+                return np.union1d(places[:_CANDIDATES], places[rich[:_CANDIDATES]])
+        return np.zeros(0, dtype=np.intp)

@@ -1,0 +1,1 @@
+"""The environments for Gymnasium and PettingZoo, single and batched, and their wrappers."""

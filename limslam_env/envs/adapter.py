@@ -1,0 +1,278 @@
+"""What the adapters share: spaces, actions, info, a simulation whose world a reset may change, and its pictures."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import Observation, RobotSpec
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.rendering.painter import Painter
+from limslam_env.simulation.coverage import CoverageGrid
+from limslam_env.simulation.simulation import Readings, Simulation, Truth
+from limslam_env.worlds.formats.loading import WorldSource, load_world
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+from limslam_env.worlds.world import World
+
+if TYPE_CHECKING:
+    from limslam_env.rendering.window import Window
+
+PlaceSource: TypeAlias = WorldSource | FloorPlanConfig
+"""A world, its name or its file; or what floor plans are drawn by at each reset, or ``"random"`` for the default."""
+
+Action: TypeAlias = NDArray[np.floating[Any]] | Sequence[float]
+
+MAX_ROBOTS = 8
+
+RESET_OPTIONS = frozenset({"start", "world"})
+
+# Seeds 0 to 3 are the simulation's: starts, ranges, wheels, settings.
+_TASK_SEED = 4
+
+
+def action_space() -> spaces.Box:
+    """Left and right wheel speed, shares of the maximum."""
+    return spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+def observation_space(robot: RobotSpec) -> spaces.Dict:
+    """Ranges and wheel travel of a robot, m."""
+    limit = np.full(2, robot.max_wheel_travel, dtype=np.float32)
+    ranges = spaces.Box(robot.min_ranges.astype(np.float32), robot.max_ranges.astype(np.float32))
+    return spaces.Dict({"ranges": ranges, "wheels": spaces.Box(-limit, limit)})
+
+
+def wheel_speeds(action: Action) -> tuple[float, float]:
+    """An action as two numbers.
+
+    Raises
+    ------
+    ValueError
+        If it is not two finite numbers.
+    """
+    try:
+        left, right = (action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)).tolist()
+        if math.isfinite(left) and math.isfinite(right):
+            return left, right
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"an action is two finite numbers, left and right wheel speed, not {action!r}")
+
+
+def observation_of(readings: Readings, robot: int) -> Observation:
+    """What one robot is told."""
+    return {"ranges": readings.ranges[robot], "wheels": readings.wheels[robot]}
+
+
+def info_of(truth: Truth, robot: int) -> dict[str, Any]:
+    """What is true of one robot, for scoring."""
+    return {
+        "pose": truth.poses[robot],
+        "time": truth.time,
+        "coverage": truth.coverage,
+        "collision": truth.contact[robot],
+        "wall_seen": truth.wall_seen[robot],
+    }
+
+
+class Stage:
+    """A simulation that is exchanged when a reset asks for another world.
+
+    Parameters
+    ----------
+    source
+        Where the robots are, unless a reset says otherwise.
+    robot, num_robots
+        What they are, and how many.
+    noise
+        Ranges in it are drawn from at each reset.
+
+    Raises
+    ------
+    WorldError
+        If the world cannot be used.
+    ValueError
+        If floor plans for such a robot cannot be drawn.
+    """
+
+    def __init__(self, source: PlaceSource, robot: RobotSpec, num_robots: int, noise: NoiseConfig) -> None:
+        self._source = FloorPlanConfig() if is_random(source) else source
+        self._robot, self._num_robots, self._noise = robot, num_robots, noise
+        self._home: Simulation | None = None
+        if isinstance(self._source, FloorPlanConfig):
+            # A plan that nobody sees: what is wrong with the settings shows at once.
+            floor_plan(self._source, np.random.default_rng(0), robot.radius)
+        else:
+            self._home = Simulation(load_world(self._source), robot, num_robots)
+        self._simulation = self._home
+        self._is_running = False
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If its world is drawn at the first reset.
+        """
+        if self._simulation is None:
+            raise gym.error.ResetNeeded("there is no floor plan before the first reset")
+        return self._simulation
+
+    @property
+    def running(self) -> Simulation:
+        """The simulation, once an episode has begun.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            Before that.
+        """
+        if not self._is_running:
+            raise gym.error.ResetNeeded("nothing has been seen before the first reset")
+        return self.simulation
+
+    def reset(self, generator: np.random.Generator, options: dict[str, Any] | None) -> tuple[Readings, Truth]:
+        """Begin an episode; a reset that is refused leaves the running one as it was.
+
+        Raises
+        ------
+        ValueError
+            If an option is unknown.
+        WorldError
+            If the world or the start cannot be used.
+        """
+        options = options or {}
+        unknown = sorted(set(options) - RESET_OPTIONS)
+        if unknown:
+            raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'world'")
+        entropy = int(generator.integers(2**63))
+        start = _starts(options.get("start"), self._num_robots)
+        simulation = self._simulation_for(options.get("world", self._source), entropy)
+        result = simulation.reset(np.random.SeedSequence(entropy), self._noise, start)
+        self._simulation, self._is_running = simulation, True
+        return result
+
+    def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
+        """Drive for one control period.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If there was no reset yet.
+        """
+        if not self._is_running:
+            raise gym.error.ResetNeeded("call reset before step")
+        return self.simulation.step(actions)
+
+    def _simulation_for(self, source: PlaceSource, entropy: int) -> Simulation:
+        if source is self._source and self._home is not None:
+            return self._home
+        if is_random(source):
+            source = FloorPlanConfig()
+        if isinstance(source, FloorPlanConfig):
+            task = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(_TASK_SEED,)))
+            return Simulation(floor_plan(source, task, self._robot.radius), self._robot, self._num_robots)
+        return Simulation(load_world(source), self._robot, self._num_robots)
+
+
+class Staged:
+    """What the environments have in common: a stage, a painter, and all that is asked of the two but reset and step.
+
+    Attributes
+    ----------
+    robot, noise, task
+        What each robot is, how noisy it is, and what is asked of it.
+    render_mode
+        As Gymnasium and PettingZoo name it.
+    """
+
+    render_mode: str | None
+
+    def _set_up(
+        self,
+        world: PlaceSource,
+        num_robots: int,
+        robot: RobotSpec | None,
+        sensor_noise: Setting | None,
+        noise: NoiseConfig | None,
+        coverage_goal: float | None,
+        rewards: RewardConfig | None,
+        render_mode: str | None,
+    ) -> None:
+        """Take an environment's arguments; see its class for what they mean, and what is refused."""
+        self.render_mode = render_mode
+        self._painter = Painter(render_mode)
+        self.robot = robot or RobotSpec()
+        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
+        noise = noise or NoiseConfig()
+        self.noise = noise if sensor_noise is None else replace(noise, sensor_noise=sensor_noise)
+        self._stage = Stage(world, self.robot, num_robots, self.noise)
+
+    @property
+    def world(self) -> World:
+        """Where the robots are."""
+        return self._stage.simulation.world
+
+    @property
+    def coverage_grid(self) -> CoverageGrid:
+        """The cells that count for coverage. Known after the first reset."""
+        return self._stage.running.coverage_grid
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
+        return self._stage.running.seen
+
+    @property
+    def overlay(self) -> Sequence[Overlay]:
+        """What agents believe, drawn over later pictures, the first in the colour of the first robot.
+
+        Set it at any time, to one or to several; an empty one draws nothing.
+        """
+        return self._painter.overlay
+
+    @overlay.setter
+    def overlay(self, overlay: Overlay | Sequence[Overlay]) -> None:
+        self._painter.overlay = (overlay,) if isinstance(overlay, Overlay) else tuple(overlay)
+
+    @property
+    def window(self) -> "Window | None":
+        """The window of the human mode, once it is open."""
+        return self._painter.window
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture (height, width, 3) of world, robots, beams and paths; None without a render mode or in a window."""
+        if self.render_mode is None:
+            return None
+        return self._painter.paint(self._stage.simulation)
+
+    def close(self) -> None:
+        """Close the window, if there is one. May be called again."""
+        self._painter.close()
+
+
+def is_random(source: object) -> TypeGuard[str]:
+    """Whether a world is to be drawn by the default settings."""
+    return isinstance(source, str) and source == "random"
+
+
+def _starts(option: Any, num_robots: int) -> FloatArray | None:
+    if option is None:
+        return None
+    try:
+        starts = np.atleast_2d(np.asarray(option, dtype=float))
+    except (TypeError, ValueError):
+        starts = np.zeros((0, 0))
+    if starts.ndim != 2 or starts.shape[1] != 3 or not 1 <= len(starts) <= num_robots:
+        wanted = "(x, y, theta)" if num_robots == 1 else f"up to {num_robots} rows (x, y, theta)"
+        raise ValueError(f"the start is {wanted}, not {option!r}")
+    return starts

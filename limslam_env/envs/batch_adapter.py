@@ -1,0 +1,244 @@
+"""What the batched adapters share: arguments, actions, seeds, info in Gymnasium's vector form."""
+
+from typing import Any, NamedTuple, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from limslam_env.batch.batch import BatchReadings, BatchSimulation, BatchTruth
+from limslam_env.batch.places import Places
+from limslam_env.config import RewardConfig, TaskConfig
+from limslam_env.envs.arguments import (
+    BatchSource,
+    NoiseSource,
+    Plans,
+    SensorNoise,
+    noise_of_each,
+    one_line,
+    seeds_of,
+    whole,
+    worlds_of,
+)
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.simulation.task import is_done, reward
+
+BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
+"""The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
+
+OPTIONS = frozenset({"start", "reset_mask"})
+
+
+class Outcome(NamedTuple):
+    """What comes of a step.
+
+    Attributes
+    ----------
+    readings, truth
+        Of the episodes that run now, new ones among them.
+    rewards
+        (n, m).
+    terminated, truncated
+        (n,).
+    last
+        Readings and truth of the episodes that ended in this step, and in which environments (n,) they did, if new
+        ones have begun already.
+    """
+
+    readings: BatchReadings
+    truth: BatchTruth
+    rewards: FloatArray
+    terminated: BoolArray
+    truncated: BoolArray
+    last: tuple[BatchReadings, BatchTruth, BoolArray] | None
+
+
+class Batched:
+    """What the batched environments have in common.
+
+    Attributes
+    ----------
+    num_envs
+        How many there are.
+    robot, task
+        What each robot is, and what is asked of it.
+    noise
+        The noise of each environment, or one for all.
+    autoreset_mode
+        As Gymnasium names it.
+    """
+
+    def _set_up(
+        self,
+        world: BatchSource,
+        num_envs: int,
+        num_robots: int,
+        robot: RobotSpec | None,
+        sensor_noise: SensorNoise,
+        noise: NoiseSource,
+        coverage_goal: float | None,
+        rewards: RewardConfig | None,
+        max_steps: int | None,
+        plans: Plans,
+        num_threads: int | None,
+        autoreset_mode: AutoresetMode | str,
+    ) -> None:
+        """Take an environment's arguments; see its class for what they mean, and what is refused."""
+        num_envs = whole("num_envs", num_envs)
+        max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
+        num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
+        self.robot = robot or RobotSpec()
+        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
+        self.noise = noise_of_each(noise, sensor_noise, num_envs)
+        self._max_steps, self._num_robots, self.num_envs = max_steps, num_robots, num_envs
+        places = Places(worlds_of(world, num_envs), self.robot, num_robots, num_envs, seeds_of(plans, world))
+        self._simulation = BatchSimulation(places, self.robot, self.noise, num_threads)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._lengths, self._is_over = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
+        self._is_running = False
+
+    def seen(self, env: int) -> BoolArray:
+        """Which cells of an environment's coverage grid have truly been seen (rows, columns), of those that count."""
+        return self._simulation.seen(env)
+
+    def _begin(
+        self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
+    ) -> tuple[BatchReadings, BatchTruth, BoolArray]:
+        """Begin new episodes; which environments (n,) they are of comes last. See the adapters' ``reset``."""
+        mask, start = self._asked(options)
+        seeds = None
+        if seed is not None or not self._is_running:
+            seeds = np.random.SeedSequence(int(generator.integers(2**63)))
+        readings, truth = self._simulation.reset(mask, start, seeds)
+        self._is_running = True
+        self._is_over[mask], self._lengths[mask] = False, 0
+        return readings, truth, mask
+
+    def _drive(self, actions: FloatArray) -> Outcome:
+        """Drive all robots with actions (n, m, 2), and reset where the mode says so."""
+        fresh = self._is_over if self._is_over.any() else None
+        if fresh is not None:
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                raise gym.error.ResetNeeded(f"the episode of environment {int(np.argmax(fresh))} is over")
+            self._simulation.begin(fresh)
+        readings, truth = self._simulation.step(actions, fresh)
+        self._lengths += 1
+        rewards = np.asarray(reward(self.task.reward, truth.new_area, truth.contact))
+        if fresh is not None:
+            self._lengths[fresh], rewards[fresh] = 0, 0.0
+        terminated, truncated = self._ends(truth)
+        if fresh is not None:
+            terminated[fresh] = truncated[fresh] = False
+        over = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            last = readings, truth, over
+            readings, truth = self._simulation.reset(over)
+            self._lengths[over] = 0
+            return Outcome(readings, truth, rewards, terminated, truncated, last)
+        self._is_over = over
+        return Outcome(readings, truth, rewards, terminated, truncated, None)
+
+    def _asked(self, options: dict[str, Any] | None) -> tuple[BoolArray, FloatArray | None]:
+        """Which environments a reset is for (n,), and where robots are to start (n, s, 3)."""
+        if not (options is None or isinstance(options, dict)):
+            raise ValueError(f"reset options are a dictionary, not {one_line(options)}")
+        options = options or {}
+        unknown = [name for name in options if name not in OPTIONS]
+        if unknown:
+            raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'reset_mask'")
+        return self._mask(options.get("reset_mask")), self._start(options.get("start"))
+
+    def _mask(self, option: Any) -> BoolArray:
+        if option is None:
+            return np.ones(self.num_envs, dtype=bool)
+        mask = np.asarray(option)
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise ValueError(f"the reset_mask must be {self.num_envs} booleans, one of them true at least")
+        if not (self._is_running or mask.all()):
+            raise gym.error.ResetNeeded("the first reset is of all environments")
+        return mask
+
+    def _start(self, option: Any) -> FloatArray | None:
+        if option is None:
+            return None
+        try:
+            start = np.asarray(option, dtype=float)
+        except (TypeError, ValueError):
+            start = np.zeros(0)
+        if start.ndim < 3 and start.shape[-1:] == (3,):
+            # One pose for all, or as many as there are robots or, with one robot, environments.
+            start = start.reshape(-1, 1, 3) if self._num_robots == 1 else start.reshape(1, -1, 3)
+        is_fitting = start.ndim == 3 and start.shape[2] == 3 and start.shape[0] in {1, self.num_envs}
+        if not is_fitting or not 1 <= start.shape[1] <= self._num_robots:
+            raise ValueError(
+                "the start is a pose (x, y, theta) for all environments, or an array of poses "
+                f"({self.num_envs}, {self._num_robots}, 3), not {one_line(option)}"
+            )
+        return np.broadcast_to(start, (self.num_envs, *start.shape[1:]))
+
+    def _ends(self, truth: BatchTruth) -> tuple[BoolArray, BoolArray]:
+        """Which environments (n,) have reached the goal, and which have run out of steps."""
+        terminated = np.zeros(self.num_envs, dtype=bool) | is_done(self.task, truth.coverage)
+        late = np.zeros(self.num_envs, dtype=bool) if self._max_steps is None else self._lengths >= self._max_steps
+        return terminated, late
+
+
+def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> FloatArray:
+    """Actions as an array (n, 2).
+
+    Raises
+    ------
+    ValueError
+        If they are not n rows of two finite numbers.
+    """
+    try:
+        array = np.asarray(actions, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (num_envs, 2):
+        raise ValueError(
+            f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel, not shape {array.shape}"
+        )
+    if not np.isfinite(array).all():
+        row = int(np.argwhere(~np.isfinite(array))[0, 0])
+        raise ValueError(f"actions{whose} must be finite numbers; those of environment {row} are {array[row].tolist()}")
+    return array
+
+
+def observation_of(readings: BatchReadings, robot: int) -> BatchObservation:
+    """What one robot of each environment is told."""
+    return {"ranges": readings.ranges[:, robot], "wheels": readings.wheels[:, robot]}
+
+
+def infos_of(outcome: Outcome, robot: int) -> dict[str, Any]:
+    """What is true of one robot of each environment after a step; and what was last of the episodes that ended in it.
+
+    As Gymnasium's own vector environments give it, each key with a mask (n,) beside it.
+    """
+    info = info_of(outcome.truth, robot, np.ones(len(outcome.terminated), dtype=bool))
+    if outcome.last is None:
+        return info
+    readings, truth, over = outcome.last
+    observation, final = observation_of(readings, robot), np.full(len(over), None, dtype=object)
+    for env in np.flatnonzero(over):
+        final[env] = {key: value[env].copy() for key, value in observation.items()}
+    info |= {"final_obs": final, "_final_obs": over.copy()}
+    return info | {"final_info": info_of(truth, robot, over), "_final_info": over.copy()}
+
+
+def info_of(truth: BatchTruth, robot: int, mask: BoolArray) -> dict[str, Any]:
+    """What is true of one robot of each environment, with a mask (n,) for each key."""
+    info: dict[str, Any] = {
+        "pose": truth.poses[:, robot],
+        "time": truth.time,
+        "coverage": truth.coverage,
+        "collision": truth.contact[:, robot],
+        "wall_seen": truth.wall_seen[:, robot],
+    }
+    # In one step the values of all are known; a reset of some leaves zeros for the others, as Gymnasium has it.
+    if not mask.all():
+        info = {key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0) for key, value in info.items()}
+        info["collision"] = info["collision"].astype(bool)
+    return info | {f"_{key}": mask.copy() for key in info}

@@ -1,0 +1,178 @@
+"""The environment of PettingZoo for several robots in one building: a thin adapter over the simulation."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec
+
+from limslam_env.config import NoiseConfig, RewardConfig, Setting
+from limslam_env.envs.adapter import (
+    MAX_ROBOTS,
+    RESET_OPTIONS,
+    Action,
+    PlaceSource,
+    Staged,
+    action_space,
+    info_of,
+    observation_of,
+    observation_space,
+    wheel_speeds,
+)
+from limslam_env.interface import Observation, RobotSpec
+from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
+from limslam_env.simulation.task import is_done, reward
+
+
+class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
+    """Explore an unknown building with several robots, each with a few range beams and wheel encoders.
+
+    Robots are called `robot_0`, `robot_1`, ...; they see and push each other's bodies, and all act at once.
+    Action and observation space of each are those of :class:`limslam_env.envs.env.LimSlamEnv`, and so are the pieces
+    of `info`; `wall_seen` is -2 where a beam hits another robot, and nothing else tells.
+
+    ## Rewards
+    `new_area` times the square metres that a robot was the first to see, plus `step`, plus `collision` while
+    it touches something. With `shared_reward` each gets the mean over all.
+
+    ## Starting State
+    The world's starts in order, then places drawn by seed in the region of the first robot, which starts where it
+    would start alone. `reset(options={"start": [(x, y, theta), ...]})` sets the first ones.
+
+    ## Episode End
+    All terminate when the coverage by all together reaches `coverage_goal`; all are truncated after `max_cycles`.
+
+    ## Arguments
+    | Argument      | Default           | Meaning                                                     |
+    |---------------|-------------------|-------------------------------------------------------------|
+    | world         | the id's world    | as for `LimSlamEnv`                                         |
+    | num_robots    | 2                 | 1 to 8                                                      |
+    | robot         | `RobotSpec()`     | body, wheels and beams of each                              |
+    | sensor_noise  | None              | as for `LimSlamEnv`                                         |
+    | noise         | `NoiseConfig()`   | all the noise there is; one draw of its ranges for all      |
+    | coverage_goal | 0.99              | see Episode End                                             |
+    | rewards       | `RewardConfig()`  | see Rewards                                                 |
+    | shared_reward | False             | see Rewards                                                 |
+    | max_cycles    | 18000             | see Episode End; None never truncates                       |
+    | render_mode   | None              | `"rgb_array"` or `"human"`                                  |
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of bounds.
+    WorldError
+        If the world cannot be used.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)
+        "name": "limslam_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        world: PlaceSource,
+        *,
+        num_robots: int = 2,
+        robot: RobotSpec | None = None,
+        sensor_noise: Setting | None = None,
+        noise: NoiseConfig | None = None,
+        coverage_goal: float | None = 0.99,
+        rewards: RewardConfig | None = None,
+        shared_reward: bool = False,
+        max_cycles: int | None = 18_000,
+        render_mode: str | None = None,
+    ) -> None:
+        if not 1 <= num_robots <= MAX_ROBOTS:
+            raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {num_robots}")
+        if max_cycles is not None and max_cycles < 1:
+            raise ValueError(f"max_cycles must be 1 or more, or None, not {max_cycles}")
+        self._set_up(world, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)
+        self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
+        self._generator: np.random.Generator | None = None
+        self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
+        self.agents: list[str] = []
+        self.observation_spaces = {name: observation_space(self.robot) for name in self.possible_agents}
+        self.action_spaces = {name: action_space() for name in self.possible_agents}
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """The observation space of a robot: the same object at each call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The action space of a robot: the same object at each call."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Start a new episode; options: `start`, one pose or a list of them, and `world`. Others are ignored.
+
+        Raises
+        ------
+        ValueError
+            If the start is no list of poses.
+        WorldError
+            If the world or a start cannot be used, or has no room for all.
+        """
+        if seed is not None or self._generator is None:
+            self._generator, _ = seeding.np_random(seed)
+        # PettingZoo's own test hands over options that no environment knows.
+        known = {key: value for key, value in (options or {}).items() if key in RESET_OPTIONS}
+        readings, truth = self._stage.reset(self._generator, known)
+        self._painter.follow(self._stage.simulation, readings, truth)
+        self.agents, self._cycles = list(self.possible_agents), 0
+        robots = list(enumerate(self.agents))
+        observations = {name: observation_of(readings, number) for number, name in robots}
+        return observations, {name: info_of(truth, number) for number, name in robots}
+
+    def step(
+        self, actions: dict[str, Action]
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Drive all robots for one control period.
+
+        Raises
+        ------
+        ValueError
+            If there is not one action of two finite numbers for each robot.
+        gymnasium.error.ResetNeeded
+            If there was no reset yet, or the episode is over.
+        """
+        if not self.agents:
+            raise gym.error.ResetNeeded("call reset before step, and after an episode's end")
+        if set(actions) != set(self.agents):
+            raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {list(actions)}")
+        readings, truth = self._stage.step([wheel_speeds(actions[name]) for name in self.agents])
+        self._painter.follow(self._stage.simulation, readings, truth)
+        self._cycles += 1
+        is_over = is_done(self.task, truth.coverage)
+        is_late = self._max_cycles is not None and self._cycles >= self._max_cycles
+        robots = list(enumerate(self.agents))
+        if is_over or is_late:
+            self.agents = []
+        return (
+            {name: observation_of(readings, number) for number, name in robots},
+            dict(zip(self.possible_agents, self._rewards(truth.new_area, truth.contact), strict=True)),
+            {name: is_over for _, name in robots},
+            {name: is_late for _, name in robots},
+            {name: info_of(truth, number) for number, name in robots},
+        )
+
+    def _rewards(self, new_area: list[float], contact: list[bool]) -> list[float]:
+        each = [reward(self.task.reward, area, touches) for area, touches in zip(new_area, contact, strict=True)]
+        return [sum(each) / len(each)] * len(each) if self._shares_reward else each
+
+
+def parallel_env(world: PlaceSource = "env1", **arguments: Any) -> LimSlamParallelEnv:
+    """PettingZoo's parallel environment; ``arguments`` are those of :class:`LimSlamParallelEnv`."""
+    return LimSlamParallelEnv(world, **arguments)
+
+
+def aec_env(world: PlaceSource = "env1", **arguments: Any) -> AECEnv[str, Observation, Action]:
+    """The same, one robot acting after the other, as PettingZoo's AEC interface has it."""
+    return parallel_to_aec(LimSlamParallelEnv(world, **arguments))

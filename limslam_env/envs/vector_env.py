@@ -1,0 +1,147 @@
+"""The batched environment of Gymnasium: a thin adapter over the batched simulation."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from limslam_env.config import RewardConfig
+from limslam_env.envs.adapter import action_space, observation_space
+from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.envs.batch_adapter import (
+    Batched,
+    BatchObservation,
+    checked_actions,
+    info_of,
+    infos_of,
+    observation_of,
+)
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+
+
+class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[np.floating[Any]], NDArray[Any]]):
+    """Many environments like :class:`limslam_env.envs.env.LimSlamEnv`, driven together by compiled code.
+
+    ## Description
+    `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes one. It is the same environment: without noise the single one
+    and this one say the same, with noise the same distributions. No loop over environments runs in Python, and
+    from 1024 on several threads share the work. The same seed and number of environments give the same bits, whatever
+    the number of threads.
+
+    ## Spaces
+    `single_action_space` and `single_observation_space` are those of the single environment; actions are (n, 2), and
+    an observation is a dict of new arrays, `ranges` (n, n_beams) and `wheels` (n, 2), float32, m. Actions outside of
+    -1 to 1 are clipped.
+
+    ## Info
+    `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,), `wall_seen` (n, n_beams), each with a mask
+    `_pose` ... (n,) of where it is known.
+
+    ## Episode End
+    As in the single environment: terminated at `coverage_goal`, truncated after `max_episode_steps`. What follows is
+    `autoreset_mode`, which is in `metadata` too:
+
+    | Mode      | Meaning                                                                                    |
+    |-----------|--------------------------------------------------------------------------------------------|
+    | NEXT_STEP | the next step ignores that environment's action and gives the first observation, reward 0   |
+    | SAME_STEP | the step gives the new episode's first observation; the last one is in `info["final_obs"]`, an array of dicts, its info in `info["final_info"]` |
+    | DISABLED  | `reset(options={"reset_mask": mask})` is called before the next step                         |
+
+    ## Arguments
+    | Argument          | Default          | Meaning                                                              |
+    |-------------------|------------------|----------------------------------------------------------------------|
+    | world             | the id's world   | as in the single environment, or a sequence of worlds, one for each  |
+    | num_envs          | 1                | how many                                                             |
+    | robot             | `RobotSpec()`    | body, wheels and beams of all                                        |
+    | sensor_noise      | None             | as in the single environment, or one for each; an array (n,) or (n, 2) |
+    | noise             | `NoiseConfig()`  | for all, or one for each; ranges are drawn from for each at each reset |
+    | coverage_goal     | 0.99             | see Episode End                                                      |
+    | rewards           | `RewardConfig()` | as in the single environment                                         |
+    | max_episode_steps | 18000            | see Episode End; None never truncates                                |
+    | autoreset_mode    | NEXT_STEP        | see Episode End                                                      |
+    | plans             | None             | floor plans made beforehand, a number or seeds, which environments draw from; None draws each environment a plan of its own at each reset, which takes some 60 ms |
+    | num_threads       | None             | threads at most; None for one a core                                 |
+
+    ## Version History
+    * v0: first release.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        world: BatchSource,
+        num_envs: int = 1,
+        *,
+        robot: RobotSpec | None = None,
+        sensor_noise: SensorNoise = None,
+        noise: NoiseSource = None,
+        coverage_goal: float | None = 0.99,
+        rewards: RewardConfig | None = None,
+        max_episode_steps: int | None = 18_000,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        plans: Plans = None,
+        num_threads: int | None = None,
+        render_mode: None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"a batch draws no pictures: render_mode must be None, not {render_mode!r}")
+        self._set_up(
+            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans,
+            num_threads, autoreset_mode,
+        )  # fmt: skip
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[BatchObservation, dict[str, Any]]:
+        """Start new episodes.
+
+        Parameters
+        ----------
+        seed
+            Of all random numbers from now on; without it they go on.
+        options
+            ``start``: a pose (3,), m and rad, or one for each environment (n, 3). ``reset_mask`` (n,): which
+            environments are reset; the others stay as they are.
+
+        Raises
+        ------
+        ValueError
+            If an option is unknown or has another shape.
+        WorldError
+            If a start cannot be used. Then episodes go on as if nothing had been asked.
+        """
+        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+        readings, truth, mask = self._begin(generator, seed, options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = generator, seed
+        return observation_of(readings, 0), info_of(truth, 0, mask)
+
+    def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Drive for one control period; ``actions`` (n, 2) are left and right wheel speeds, -1 to 1.
+
+        Raises
+        ------
+        ValueError
+            If the actions are not n rows of two finite numbers.
+        gymnasium.error.ResetNeeded
+            If there was no reset yet, or an episode is over and there is no autoreset.
+        """
+        if not self._is_running:
+            raise gym.error.ResetNeeded("call reset before step")
+        outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
+        rewards = outcome.rewards[:, 0]
+        return observation_of(outcome.readings, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        self._simulation.close()

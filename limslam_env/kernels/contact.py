@@ -1,0 +1,171 @@
+"""What discs touch, and how they are put back: what ``physics`` does with pymunk, compiled.
+
+Walls are given as to :func:`limslam_env.kernels.rays.first_wall`.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.kernels.rays import compiled, merged
+
+TOUCH = 1e-5
+"""Gap up to which things touch, m."""
+
+MAX_PUSHES = 24
+"""How often robots are pushed in a step, before those that are still deep in something go back."""
+
+DEEPEST = 5e-4
+"""How deep a robot may stay in something, m."""
+
+LONGEST_MOVE = 0.5
+"""Longest move without a look at what is touched, in radii."""
+
+# How far is looked for things that could be touched in later steps, m.
+_OUTLOOK = 0.3
+
+
+@merged
+def nearest_wall(
+    x: float,
+    y: float,
+    outlook: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    low_x: float,
+    low_y: float,
+    side: float,
+    columns: int,
+    rows: int,
+    first_cell: int,
+) -> tuple[float, float, float]:
+    """Distance (m) of the nearest wall, and the unit vector from it; ``outlook`` (m) and 0 if there is none as near.
+
+    The walls are given as to :func:`limslam_env.kernels.rays.first_wall`.
+    """
+    best, best_x, best_y, normal_x, normal_y = outlook * outlook, 0.0, 0.0, 0.0, 0.0
+    first = max(math.floor((x - outlook - low_x) / side), 0)
+    last = min(math.floor((x + outlook - low_x) / side), columns - 1)
+    for row in range(
+        max(math.floor((y - outlook - low_y) / side), 0),
+        min(math.floor((y + outlook - low_y) / side), rows - 1) + 1,
+    ):
+        cell = first_cell + row * columns
+        # Cells of a row lie side by side, and so do their walls.
+        for item in range(cell_starts[cell + first], cell_starts[cell + last + 1]):
+            edge = cell_edges[item]
+            ax, ay = x - edges[edge, 0], y - edges[edge, 1]
+            ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
+            fraction = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
+            dx, dy = ax - fraction * ex, ay - fraction * ey
+            squared = dx * dx + dy * dy
+            if squared < best:
+                best, best_x, best_y, normal_x, normal_y = squared, dx, dy, ey, -ex
+    distance = math.sqrt(best)
+    if distance >= outlook:
+        return outlook, 0.0, 0.0
+    if distance <= TOUCH:
+        # The centre is on the wall: either side is as good.
+        best_x, best_y = normal_x, normal_y
+    size = math.sqrt(best_x * best_x + best_y * best_y)
+    return distance, best_x / size, best_y / size
+
+
+@merged
+def nearest_thing(
+    robot: int,
+    places: FloatArray,
+    radius: float,
+    outlook: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    low_x: float,
+    low_y: float,
+    side: float,
+    columns: int,
+    rows: int,
+    first_cell: int,
+) -> tuple[float, float, float, int]:
+    """As :func:`nearest_wall`, for walls and other robots around one robot; and which robot it is, or -1."""
+    x, y = places[robot, 0], places[robot, 1]
+    distance, away_x, away_y = nearest_wall(
+        x, y, outlook, edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell
+    )
+    which = -1
+    for other in range(len(places)):
+        dx, dy = x - places[other, 0], y - places[other, 1]
+        between = math.hypot(dx, dy)
+        if other != robot and between - radius < distance:
+            distance, which = between - radius, other
+            away_x, away_y = (dx / between, dy / between) if between > 0.0 else (1.0, 0.0)
+    return distance, away_x, away_y, which
+
+
+@compiled
+def separate(  # noqa: C901 (walls, robots, and who is wedged)
+    places: FloatArray,
+    before: FloatArray,
+    radius: float,
+    contact: BoolArray,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    low_x: float,
+    low_y: float,
+    side: float,
+    columns: int,
+    rows: int,
+    first_cell: int,
+) -> float:
+    """Push robots at ``places`` (m, 2 or more) out of what they overlap, along the shortest way.
+
+    As ``simulation.physics.Physics`` does: a few times where walls meet; who is wedged all the same goes back
+    to where it was ``before``. Sets ``contact`` (m,). Returns how far the robots can get before one may touch
+    something, m.
+    """
+    gap = _OUTLOOK
+    for robot in range(len(places)):
+        distance, _, _, _ = nearest_thing(
+            robot, places, radius, radius + _OUTLOOK,
+            edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
+        )  # fmt: skip
+        gap = min(gap, distance - radius)
+    if gap > TOUCH:
+        return gap - TOUCH
+    for _ in range(MAX_PUSHES):
+        is_pushed = False
+        for robot in range(len(places)):
+            distance, away_x, away_y, other = nearest_thing(
+                robot, places, radius, radius + TOUCH,
+                edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
+            )  # fmt: skip
+            if distance >= radius + TOUCH:
+                continue
+            contact[robot] = True
+            depth = radius - distance
+            if depth <= 0.0:
+                continue
+            share = depth if other < 0 else 0.5 * depth
+            places[robot, 0] += away_x * share
+            places[robot, 1] += away_y * share
+            if other >= 0:
+                places[other, 0] -= away_x * share
+                places[other, 1] -= away_y * share
+            is_pushed |= depth > TOUCH
+        if not is_pushed:
+            return 0.0
+    deep = np.zeros(len(places), dtype=np.bool_)
+    for _ in range(len(places)):
+        for robot in range(len(places)):
+            distance, _, _, _ = nearest_thing(
+                robot, places, radius, radius + TOUCH,
+                edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
+            )  # fmt: skip
+            deep[robot] = distance < radius - DEEPEST
+        for robot in range(len(places)):
+            if deep[robot]:
+                places[robot, 0], places[robot, 1] = before[robot, 0], before[robot, 1]
+    return 0.0

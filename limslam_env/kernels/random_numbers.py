@@ -1,0 +1,153 @@
+"""Random numbers for many environments at once: each a function of its environment's key and of its number.
+
+Nothing is stored and nothing is drawn in vain: a number that no noise needs is not made, and the others stay the same.
+"""
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.kernels.rays import compiled, inlined, merged
+
+Words: TypeAlias = NDArray[np.uint64]
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+"""What lies between two states of the sequence."""
+
+_MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+_ONE, _LAYER = np.uint64(1), np.uint64(127)
+_UNIT = 2.0**-53
+
+# The ziggurat: where its layers and its tail begin, and the area of each.
+_NUM_LAYERS = 128
+_TAIL, _VOLUME = 3.442619855899, 9.91256303526217e-3
+
+
+def _layer_edges() -> FloatArray:
+    edges = np.zeros(_NUM_LAYERS + 1)
+    density = math.exp(-0.5 * _TAIL * _TAIL)
+    edges[0], edges[1] = _VOLUME / density, _TAIL
+    for layer in range(2, _NUM_LAYERS):
+        density += _VOLUME / edges[layer - 1]
+        edges[layer] = math.sqrt(-2.0 * math.log(density))
+    return edges
+
+
+_EDGES = _layer_edges()
+_RATIOS = _EDGES[1:] / _EDGES[:-1]
+
+
+@inlined
+def mixed(state: np.uint64) -> np.uint64:
+    """64 random bits from a number of a sequence: splitmix64 (Steele, Lea and Flood, 2014)."""
+    state = (state ^ (state >> _S30)) * _MIX_1
+    state = (state ^ (state >> _S27)) * _MIX_2
+    return state ^ (state >> _S31)
+
+
+@inlined
+def unit(bits: np.uint64) -> float:
+    """A number from U(0, 1) of random bits; 1 is left out."""
+    number: float = float(bits >> _S11) * _UNIT
+    return number
+
+
+@merged
+def normal(bits: np.uint64) -> float:
+    """A number from N(0, 1) of random bits, exactly.
+
+    The ziggurat of 128 layers, after Doornik, "An improved ziggurat method to generate normal random samples" (2005).
+    """
+    layer = bits & _LAYER
+    share = 2.0 * unit(bits) - 1.0
+    if abs(share) < _RATIOS[layer]:
+        place: float = share * _EDGES[layer]
+        return place
+    return _rare_normal(bits)
+
+
+@compiled
+def _rare_normal(bits: np.uint64) -> float:
+    """:func:`normal`, for one number in eighty; further bits that it needs are mixed from the first."""
+    while True:
+        layer = bits & _LAYER
+        share = 2.0 * unit(bits) - 1.0
+        place: float = share * _EDGES[layer]
+        if abs(share) < _RATIOS[layer]:
+            return place
+        bits = mixed(bits + GOLDEN)
+        if layer == 0:
+            break
+        outer = math.exp(-0.5 * (_EDGES[layer] * _EDGES[layer] - place * place))
+        inner = math.exp(-0.5 * (_EDGES[layer + _ONE] * _EDGES[layer + _ONE] - place * place))
+        if inner + unit(bits) * (outer - inner) < 1.0:
+            return place
+        bits = mixed(bits + GOLDEN)
+    while True:
+        beyond = -math.log(1.0 - unit(bits)) / _TAIL
+        bits = mixed(bits + GOLDEN)
+        height = -math.log(1.0 - unit(bits))
+        bits = mixed(bits + GOLDEN)
+        if 2.0 * height > beyond * beyond:
+            return math.copysign(_TAIL + beyond, share)
+
+
+@compiled
+def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
+    """Keys (n,) of random numbers for one purpose in episodes (n,) of environments with keys ``homes`` (n,)."""
+    keys = np.empty_like(homes)
+    for row in range(len(homes)):
+        keys[row] = mixed(mixed(homes[row] + np.uint64(episodes[row]) * GOLDEN) + np.uint64(purpose) * GOLDEN)
+    return keys
+
+
+@compiled
+def fill_units(keys: Words, numbers: FloatArray) -> None:
+    """Set ``numbers`` (n, k) to numbers from U(0, 1), each row by its key (n,)."""
+    for row in range(len(keys)):
+        for place in range(numbers.shape[1]):
+            numbers[row, place] = unit(mixed(keys[row] + np.uint64(place + 1) * GOLDEN))
+
+
+@compiled
+def draw_starts(
+    keys: Words, num_given: int, places: IntArray, space: FloatArray, apart: float, poses: FloatArray, tries: int
+) -> bool:
+    """Put robots from the ``num_given``-th on at free places; whether there was room.
+
+    Parameters
+    ----------
+    keys
+        (n,), of random numbers.
+    places
+        Numbers of free cells, row by row, in a grid ``space``: lower left corner x, y, cell side (m) and columns.
+    apart
+        Least distance of two robots, m.
+    poses
+        (n, m, 3), those that are given set already, m and rad.
+    tries
+        How many places are tried for all robots of one environment.
+    """
+    columns = int(space[3])
+    for env in range(len(keys)):
+        state, placed = keys[env], num_given
+        for _ in range(tries):
+            if placed == poses.shape[1] or len(places) == 0:
+                break
+            cell = places[int(unit(mixed(state + GOLDEN)) * len(places))]
+            heading = (2.0 * unit(mixed(state + GOLDEN + GOLDEN)) - 1.0) * math.pi
+            state = state + GOLDEN + GOLDEN
+            x, y = space[0] + (cell % columns + 0.5) * space[2], space[1] + (cell // columns + 0.5) * space[2]
+            is_free = True
+            for other in range(placed):
+                is_free &= math.hypot(poses[env, other, 0] - x, poses[env, other, 1] - y) > apart
+            if is_free:
+                poses[env, placed, 0], poses[env, placed, 1], poses[env, placed, 2] = x, y, heading
+                placed += 1
+        if placed < poses.shape[1]:
+            return False
+    return True

@@ -1,0 +1,131 @@
+"""What is left to see in many environments: coverage grids of one bit a cell.
+
+A *tile*, a word of 64 bits, stands for 8 x 8 cells, row by row from the lower left; the tiles of a grid follow each
+other in the same order. A set bit is a cell that counts and has not been seen. Most rays cross none of them, and a look
+at a few words tells.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_env.kernels.random_numbers import Words
+from limslam_env.kernels.rays import crossings, inlined, is_touched, merged
+
+TILE = 8
+"""Cells of a tile's side."""
+
+_NONE, _ONE, _EIGHT, _SIXTEEN = np.uint64(0), np.uint64(1), np.uint64(8), np.uint64(16)
+_FULL, _BYTE, _EACH_ROW = np.uint64(0xFFFFFF), np.uint64(0xFF), np.uint64(0x0101010101010101)
+
+# Whole rows of a tile, for each set of rows as bits.
+_ROW_MASKS = np.array([sum(0xFF << 8 * row for row in range(8) if rows >> row & 1) for rows in range(256)], np.uint64)
+
+
+@merged
+def is_any_left(
+    left: Words,
+    env: int,
+    tile_columns: int,
+    tile_rows: int,
+    low_x: float,
+    low_y: float,
+    high_x: float,
+    high_y: float,
+) -> bool:
+    """Whether a cell that is left to see touches a rectangle, given in cells."""
+    column0, column1 = max(math.floor(low_x), 0), min(math.floor(high_x), tile_columns * TILE - 1)
+    row0, row1 = max(math.floor(low_y), 0), min(math.floor(high_y), tile_rows * TILE - 1)
+    if column0 > column1 or row0 > row1:
+        return False
+    found = _NONE
+    # Three by three tiles at a time and no branches: mostly that is all. What lies beyond the grid is masked.
+    row = row0 & ~7
+    while row <= row1:
+        rows = _stretch(row0 - row, row1 - row)
+        column = column0 & ~7
+        while column <= column1:
+            columns = _stretch(column0 - column, column1 - column)
+            tile = (row >> 3) * tile_columns + (column >> 3)
+            left_columns = (columns & _BYTE) * _EACH_ROW
+            middle_columns = ((columns >> _EIGHT) & _BYTE) * _EACH_ROW
+            right_columns = ((columns >> _SIXTEEN) & _BYTE) * _EACH_ROW
+            for line in range(3):
+                mask = _ROW_MASKS[(rows >> np.uint64(8 * line)) & _BYTE]
+                words = (left[env, tile] & left_columns) | (left[env, tile + 1] & middle_columns)
+                found |= mask & (words | (left[env, tile + 2] & right_columns))
+                tile += tile_columns
+            column += 3 * TILE
+        row += 3 * TILE
+    return bool(found != _NONE)
+
+
+@inlined
+def _stretch(low: int, high: int) -> np.uint64:
+    """Bits ``low`` to ``high`` of the first 24."""
+    return (_FULL >> np.uint64(23 - min(high, 23))) & (_FULL << np.uint64(max(low, 0)))
+
+
+@inlined
+def take(left: Words, env: int, tile_columns: int, column: int, row: int) -> int:
+    """Take a cell out of those that are left to see: 1 if it was there."""
+    tile = (row >> 3) * tile_columns + (column >> 3)
+    bit = _ONE << np.uint64((row & 7) * 8 + (column & 7))
+    word = left[env, tile]
+    new = 1 if word & bit else 0
+    left[env, tile] = word & ~bit
+    return new
+
+
+@merged
+def take_ray(
+    left: Words,
+    env: int,
+    tile_columns: int,
+    tile_rows: int,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    end: float,
+) -> int:
+    """Take every cell that a ray crosses out of those that are left, as :func:`limslam_env.kernels.rays.mark_ray` does.
+
+    In cells, and for rays within the grid.
+    """
+    far_x, far_y = x + dx * end, y + dy * end
+    low_x, low_y, high_x, high_y = min(x, far_x), min(y, far_y), max(x, far_x), max(y, far_y)
+    if not is_any_left(left, env, tile_columns, tile_rows, low_x, low_y, high_x, high_y):
+        return 0
+    columns, rows = tile_columns * TILE, tile_rows * TILE
+    column, column_step, next_column, per_column = crossings(x, dx, 1.0)
+    row, row_step, next_row, per_row = crossings(y, dy, 1.0)
+    travelled, new = 0.0, 0
+    while travelled <= end:
+        if 0 <= row < rows and 0 <= column < columns:
+            new += take(left, env, tile_columns, column, row)
+        # Which way is a toss-up: numbers are chosen, where a branch would be mispredicted.
+        is_column = next_column < next_row
+        travelled = next_column if is_column else next_row
+        column += column_step if is_column else 0
+        row += 0 if is_column else row_step
+        next_column = next_column + per_column if is_column else next_column
+        next_row = next_row if is_column else next_row + per_row
+    return new
+
+
+@merged
+def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
+    """Take every cell that a body touches out of those that are left, as ``rays.mark_disc`` does.
+
+    In cells.
+    """
+    if not is_any_left(left, env, tile_columns, tile_rows, x - radius, y - radius, x + radius, y + radius):
+        return 0
+    columns, rows = tile_columns * TILE, tile_rows * TILE
+    new = 0
+    for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius), rows - 1) + 1):
+        for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius), columns - 1) + 1):
+            if is_touched(column, row, x, y, radius):
+                new += take(left, env, tile_columns, column, row)
+    return new

@@ -1,0 +1,1 @@
+"""Pictures of a simulation, and the window of the render mode `human`."""

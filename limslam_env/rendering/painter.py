@@ -1,0 +1,101 @@
+"""Pictures of a running simulation, for the adapters."""
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+from numpy.typing import NDArray
+
+from limslam_env.geometry import FloatArray
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.simulation.simulation import Readings, Simulation, Truth
+
+if TYPE_CHECKING:
+    from limslam_env.rendering.window import Window
+
+# What this installation can do: a window needs the extra `play`.
+RENDER_MODES = ("rgb_array", "human") if find_spec("pygame") else ("rgb_array",)
+RENDER_FPS = 10
+
+
+class Painter:
+    """Pictures of a running simulation, in an array or in a window. Costs nothing while no mode is set.
+
+    Parameters
+    ----------
+    mode
+        ``"rgb_array"``, ``"human"`` or None.
+
+    Attributes
+    ----------
+    window
+        The window of the human mode, once it is open.
+    overlay
+        What agents believe, drawn on top; theirs to set.
+
+    Raises
+    ------
+    ValueError
+        If there is no such mode.
+    gymnasium.error.DependencyNotInstalled
+        If the mode needs what is not installed.
+    """
+
+    def __init__(self, mode: str | None) -> None:
+        if mode == "human" and mode not in RENDER_MODES:
+            raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'")
+        if mode is not None and mode not in RENDER_MODES:
+            raise ValueError(f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}")
+        self.mode = mode
+        self.window: Window | None = None
+        self._last: tuple[Readings, Truth] | None = None
+        self._paths: list[list[FloatArray]] = []
+        self.overlay: Sequence[Overlay] = ()
+
+    def follow(self, simulation: Simulation, readings: Readings, truth: Truth) -> None:
+        """Remember what a later picture shows; with a window, show it now."""
+        if self.mode is None:
+            return
+        if truth.time == 0.0:
+            self._paths = [[] for _ in truth.poses]
+        # What the caller gets may be written to; what is drawn may not.
+        self._last = (
+            Readings(readings.ranges.copy(), readings.wheels),
+            truth._replace(poses=truth.poses.copy(), wall_seen=truth.wall_seen.copy()),
+        )
+        for path, pose in zip(self._paths, self._last[1].poses, strict=True):
+            path.append(pose[:2])
+        if self.mode == "human":
+            self.paint(simulation)
+
+    def paint(self, simulation: Simulation) -> NDArray[np.uint8] | None:
+        """The picture (height, width, 3); None before a reset, and when it is shown in the window."""
+        if self._last is None:
+            return None
+        from limslam_env.rendering.rendering import RenderState, render
+
+        readings, truth = self._last
+        grid = simulation.coverage_grid
+        picture = render(
+            RenderState(
+                simulation.world, simulation.robot, truth.poses, truth.wall_seen, readings.ranges,
+                [np.array(path) for path in self._paths], truth.time, truth.coverage,
+                simulation.seen & grid.coverable, grid.low, overlay=self.overlay,
+            )
+        )  # fmt: skip
+        if self.mode == "rgb_array":
+            return picture
+        if self.window is None:
+            from limslam_env.rendering.window import Window
+
+            self.window = Window(f"LimSLAM: {simulation.world.name}", RENDER_FPS)
+        self.window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self.window is not None:
+            self.window.close()
+            self.window = None

@@ -1,0 +1,311 @@
+"""Pictures of a world and of what goes on in it, drawn with OpenCV: no display is needed."""
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.shapes import ellipse, thinned
+from limslam_env.interface import RobotSpec
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.worlds.world import World
+
+HEIGHT = 640
+"""Height of a picture in pixels; the width follows the world."""
+
+_MARGIN = 30
+_NARROWEST, _WIDEST = 420, 1600
+_SHIFT = 4  # OpenCV draws at 1/16 pixel
+_FAR = 100_000  # pixels
+_OUTSIDE_GAP = 0.30  # m; what is narrower does not let the outside in
+_TRAIL_POINTS = 2000
+
+Image: TypeAlias = NDArray[np.uint8]
+Colour: TypeAlias = tuple[int, int, int]
+
+_PAPER, _UNSEEN, _SEEN = (250, 250, 249), (222, 227, 233), (252, 248, 238)
+_WALL, _OBSTACLE, _DOOR = (47, 55, 69), (174, 183, 195), (120, 186, 176)
+_WALL_HIT, _ROBOT_HIT, _NO_HIT = (226, 138, 40), (190, 40, 140), (158, 184, 212)
+_BELIEF, _FRONTIER, _TEXT, _BAR = (205, 48, 66), (20, 150, 140), (86, 94, 108), (208, 213, 220)
+_ROBOTS = ((38, 103, 178), (40, 140, 92), (132, 84, 170), (176, 88, 60), (20, 128, 142), (168, 62, 110))
+
+_SHARPER = np.clip((np.arange(256) - 96) * 4, 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderState:
+    """Everything that a picture shows.
+
+    Attributes
+    ----------
+    world, robot
+        What is drawn.
+    poses
+        (n, 3), m and rad.
+    hits
+        (n, n_beams), the wall that a beam hit, -1 for nothing and -2 for a robot.
+    ranges
+        (n, n_beams), the readings, m.
+    paths
+        For each robot its past positions (k, 2), m.
+    time, coverage
+        s, and 0 to 1.
+    seen
+        (rows, columns), which cells have been seen, row 0 at the bottom. None shades nothing.
+    seen_low
+        Lower left corner of those cells (2,), m.
+    seen_cell
+        Their side, m.
+    overlay
+        What agents believe; the colours of the first are those of the first robot, and so on.
+
+    Raises
+    ------
+    ValueError
+        If there is ``seen`` without ``seen_low``.
+    """
+
+    world: World
+    robot: RobotSpec
+    poses: FloatArray
+    hits: IntArray
+    ranges: NDArray[np.floating]
+    paths: Sequence[FloatArray]
+    time: float
+    coverage: float
+    seen: BoolArray | None = None
+    seen_low: FloatArray | None = None
+    seen_cell: float = 0.10
+    overlay: Sequence[Overlay] = ()
+
+    def __post_init__(self) -> None:
+        if self.seen is not None and self.seen_low is None:
+            raise ValueError("seen cells need seen_low, their lower left corner")
+
+
+@dataclass(frozen=True, eq=False)
+class _Canvas:
+    """A picture with the world's coordinates: x right, y up, metres.
+
+    ``origin`` (2,) is the pixel that the world's lower left corner ``low`` (2,) falls on, ``scale`` is in pixels
+    per metre.
+    """
+
+    image: Image
+    low: FloatArray
+    origin: FloatArray
+    scale: float
+
+    def on(self, image: Image) -> "_Canvas":
+        return _Canvas(image, self.low, self.origin, self.scale)
+
+    def width(self, metres: float, most: int) -> int:
+        """Width of a line in pixels: at least one, however large the world."""
+        return min(max(round(metres * self.scale), 1), most)
+
+    def pixels(self, points: FloatArray) -> NDArray[np.int32]:
+        scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + self.origin
+        # What an agent believes may lie anywhere; OpenCV counts in 32 bits.
+        return np.asarray(np.round(np.clip(scaled, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32)
+
+    def lines(self, segments: FloatArray, colour: Colour, width: int) -> None:
+        chains = self.pixels(segments.reshape(-1, 2)).reshape(-1, 2, 2)
+        cv2.polylines(self.image, list(chains), False, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def path(self, points: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
+        cv2.polylines(self.image, [self.pixels(points)], closed, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def polygon(self, points: FloatArray, colour: Colour) -> None:
+        cv2.fillPoly(self.image, [self.pixels(points)], colour, cv2.LINE_AA, _SHIFT)
+
+    def disc(self, centre: FloatArray, radius: float, colour: Colour, width: int = -1) -> None:
+        """A disc, or a ring of a width in pixels; radius in pixels too."""
+        (x, y), size = self.pixels(centre[None])[0].tolist(), round(radius * (1 << _SHIFT))
+        cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def arrow(self, pose: FloatArray, length: float, colour: Colour) -> None:
+        """A small arrow head around a pose (3,), as long as a number of pixels."""
+        corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (length / self.scale)
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        self.polygon(pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]), colour)
+
+
+@dataclass(frozen=True, eq=False)
+class _Background:
+    """What of a picture does not change: a canvas with the unseen world, and how much lighter it is where seen."""
+
+    canvas: _Canvas
+    light: Image
+
+
+def render(state: RenderState) -> Image:
+    """The state as a picture (height, width, 3), RGB. The same state gives the same picture."""
+    background = _background(state.world)
+    canvas = background.canvas.on(background.canvas.image.copy())
+    if state.seen is not None and state.seen_low is not None:
+        mask = _seen_mask(canvas, state.seen, state.seen_low, state.seen_cell)
+        cv2.add(
+            canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image
+        )
+    for number, path in enumerate(state.paths):
+        if len(path) > 1:
+            canvas.path(thinned(path, _TRAIL_POINTS), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
+    for number in range(len(state.poses)):
+        _draw_beams(canvas, state, number)
+    for number, pose in enumerate(state.poses):
+        _draw_robot(canvas, pose, state.robot.radius, _robot_colour(number))
+    for number, overlay in enumerate(state.overlay):
+        _draw_overlay(canvas, overlay, state.robot.radius, _mixed(_robot_colour(number), _WALL, 0.3))
+    _draw_caption(canvas.image, state.time, state.coverage)
+    return canvas.image
+
+
+def thumbnail(world: World, height: int = 240) -> Image:
+    """A world alone as a small picture (height, width, 3), RGB, with its doors and starts."""
+    canvas = _new_canvas(world, height, 10, height // 2)
+    _draw_floor(canvas, world, _SEEN)
+    canvas.lines(world.doors, _DOOR, 1)
+    _draw_walls(canvas, world)
+    for start in world.starts:
+        canvas.arrow(start, 13.0, _ROBOTS[0])
+    return canvas.image
+
+
+@functools.lru_cache(maxsize=8)
+def _background(world: World) -> _Background:
+    canvas = _new_canvas(world, HEIGHT, _MARGIN, _NARROWEST)
+    everything_seen = canvas.on(canvas.image.copy())
+    for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
+        _draw_floor(layer, world, floor)
+        _draw_walls(layer, world)
+        _draw_scale(layer)
+    light = np.asarray(cv2.subtract(everything_seen.image, canvas.image), dtype=np.uint8)
+    return _Background(canvas, light)
+
+
+def _new_canvas(world: World, height: int, margin: int, narrowest: int) -> _Canvas:
+    corners = world.edges.reshape(-1, 2)
+    low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
+    scale = float(((_WIDEST - 2 * margin, height - 2 * margin) / extent).min())
+    columns, rows = np.ceil(extent * scale).astype(int) + 2 * margin
+    # Video codecs want even sides.
+    columns, rows = max(columns + columns % 2, narrowest + narrowest % 2), rows + rows % 2
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - margin])
+    return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
+
+
+def _draw_floor(canvas: _Canvas, world: World, colour: Colour) -> None:
+    """Colour all that the outside does not get to: walls are a drawing, and need not be a closed outline."""
+    gap = max(round(_OUTSIDE_GAP * canvas.scale), 1)
+    walls = canvas.on(np.zeros(canvas.image.shape[:2], dtype=np.uint8))
+    walls.lines(np.vstack((world.edges, world.doors)), (1, 1, 1), gap)
+    outside = np.pad(np.where(walls.image, 1, 0).astype(np.uint8), 1)
+    cv2.floodFill(outside, None, (0, 0), (2, 2, 2))
+    grown = cv2.dilate((outside == 2).astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
+    canvas.image[grown[1:-1, 1:-1] == 0] = colour
+
+
+def _draw_walls(canvas: _Canvas, world: World) -> None:
+    for polygon in world.obstacles:
+        canvas.polygon(polygon, _OBSTACLE)
+    canvas.lines(world.edges, _WALL, canvas.width(0.035, 3))
+
+
+def _draw_scale(canvas: _Canvas) -> None:
+    """A bar of a round length at the upper right."""
+    right, most = canvas.image.shape[1] - _MARGIN, 0.2 * canvas.image.shape[1] / canvas.scale
+    length = max(size for size in (0.01, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if size <= most)
+    left = right - round(length * canvas.scale)
+    cv2.line(canvas.image, (left, 20), (right, 20), _TEXT, 2)
+    words = f"{length:g} m"
+    (width, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
+    _text(canvas.image, words, left - width - 8, 24)
+
+
+def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray, cell: float) -> Image:
+    """How far each pixel has been seen, 0 to 255: the corners of the cells are rounded off, and their edges soft."""
+    # From the centre of a pixel to a column and a row; a cell's centre has a whole number.
+    step = 1.0 / (canvas.scale * cell)
+    column, row = (canvas.low - low) / cell - 0.5
+    x, y = canvas.origin
+    to_cells = np.array([[step, 0.0, column - x * step], [0.0, -step, row + y * step]])
+    size = (canvas.image.shape[1], canvas.image.shape[0])
+    cells = np.ascontiguousarray(seen).view(np.uint8) * np.uint8(255)
+    smooth = cv2.warpAffine(cells, to_cells, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return np.asarray(cv2.LUT(smooth, _SHARPER), dtype=np.uint8)
+
+
+def _draw_beams(canvas: _Canvas, state: RenderState, number: int) -> None:
+    x, y, theta = state.poses[number]
+    cos, sin = math.cos(theta), math.sin(theta)
+    to_world = np.array([[cos, sin], [-sin, cos]])
+    origins = state.robot.beam_origins @ to_world + (x, y)
+    ends = origins + state.ranges[number][:, None] * (state.robot.beam_directions @ to_world)
+    hits = np.asarray(state.hits[number])
+    for chosen, colour in ((hits == -1, _NO_HIT), (hits >= 0, _WALL_HIT), (hits == -2, _ROBOT_HIT)):
+        if chosen.any():
+            canvas.lines(np.hstack((origins[chosen], ends[chosen])), colour, 1)
+            for end in ends[chosen & (hits != -1)]:
+                canvas.disc(end, max(0.03 * canvas.scale, 1.5), colour)
+
+
+def _draw_robot(canvas: _Canvas, pose: FloatArray, radius: float, colour: Colour) -> None:
+    size = max(radius * canvas.scale, 4.0)
+    canvas.disc(pose[:2], size, colour)
+    canvas.disc(pose[:2], size, _mixed(colour, _WALL, 0.4), 1)
+    canvas.arrow(pose, 1.25 * size, _PAPER)
+
+
+def _draw_overlay(canvas: _Canvas, overlay: Overlay, radius: float, colour: Colour) -> None:
+    for place in overlay.frontier:
+        canvas.disc(place, max(0.03 * canvas.scale, 1.5), _FRONTIER)
+    if len(overlay.segments):
+        canvas.lines(overlay.segments, _BELIEF, canvas.width(0.025, 2))
+        for end in overlay.segments.reshape(-1, 2):
+            canvas.disc(end, max(0.03 * canvas.scale, 1.5), _BELIEF)
+    if len(overlay.plan):
+        canvas.path(overlay.plan, colour, 1)
+        goal = overlay.plan[-1]
+        canvas.disc(goal, max(0.07 * canvas.scale, 4.0), colour, 1)
+        canvas.disc(goal, max(0.03 * canvas.scale, 1.5), colour)
+    if overlay.pose is not None:
+        _draw_ghost(canvas, overlay.pose, overlay.covariance, radius)
+
+
+def _draw_ghost(canvas: _Canvas, pose: FloatArray, covariance: FloatArray | None, radius: float) -> None:
+    size = max(radius * canvas.scale, 4.0)
+    nose = pose[:2] + 1.6 * size / canvas.scale * np.array([math.cos(pose[2]), math.sin(pose[2])])
+    canvas.disc(pose[:2], size, _BELIEF, 1)
+    canvas.path(np.vstack((pose[:2], nose)), _BELIEF, 1)
+    if covariance is not None:
+        canvas.path(pose[:2] + ellipse(covariance[:2, :2], 48), _BELIEF, 1, closed=True)
+
+
+def _draw_caption(image: Image, time: float, coverage: float) -> None:
+    """Time, and the share that is covered as a bar and as a number, above the world."""
+    _text(image, f"{time:.1f} s", _MARGIN, 24)
+    left, right = _MARGIN + 76, _MARGIN + 146
+    cv2.rectangle(image, (left, 18), (right, 22), _BAR, -1)
+    if coverage > 0.0:
+        cv2.rectangle(image, (left, 18), (left + round((right - left) * min(coverage, 1.0)), 22), _ROBOTS[1], -1)
+    _text(image, f"{100.0 * coverage:.1f} %", right + 8, 24)
+
+
+def _text(image: Image, words: str, x: int, y: int) -> None:
+    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _TEXT, 1, cv2.LINE_AA)
+
+
+def _robot_colour(number: int) -> Colour:
+    return _ROBOTS[number % len(_ROBOTS)]
+
+
+def _mixed(first: Colour, second: Colour, share: float) -> Colour:
+    """A colour between two; ``share`` is that of the second."""
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, second, strict=True))
+    return red, green, blue

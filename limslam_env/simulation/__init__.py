@@ -1,0 +1,1 @@
+"""The simulation of one world: physics, sensors, odometry, coverage, starts and the task."""

@@ -1,0 +1,126 @@
+"""What could be seen of a world, and what has been: the true coverage."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import RobotSpec
+from limslam_env.kernels.rays import look_out, sweep
+from limslam_env.simulation.sensors import beam_table, build_wall_index
+from limslam_env.worlds.free_space import FreeSpace
+from limslam_env.worlds.world import World
+
+CELL = 0.10
+"""Side of a cell of the coverage grid, m."""
+
+_VIEWS = 240
+
+
+@dataclass(frozen=True, eq=False)
+class CoverageGrid:
+    """The cells that some beam could ever see from a place that a robot can reach.
+
+    Attributes
+    ----------
+    low
+        Lower left corner of the grid (2,), m.
+    coverable
+        (rows, columns), row 0 at the bottom.
+    """
+
+    low: FloatArray
+    coverable: BoolArray
+
+    @property
+    def area(self) -> FloatArray:
+        """Corner and cell side (3,), m, as the kernels take them."""
+        return np.array([*self.low, CELL])
+
+    @functools.cached_property
+    def total(self) -> int:
+        """How many cells are coverable."""
+        return int(np.count_nonzero(self.coverable))
+
+
+@functools.lru_cache(maxsize=16)
+def _coverage_grid(
+    world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
+) -> CoverageGrid:
+    edges, reach = world.edges, robot.reach
+    low = np.floor(np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0) / CELL) * CELL
+    high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
+    columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)
+    coverable = np.zeros((rows, columns), dtype=bool)
+    space = world.free_space(robot.radius)
+    reachable = np.isin(space.labels, list(regions))
+    # Whoever stands in a cell has seen it. Found by row and by column: in a large building places are millions.
+    standing_columns, standing_rows = (
+        np.floor((space.origin[axis] + (np.arange(count) + 0.5) * space.cell - low[axis]) / CELL).astype(int)
+        for axis, count in enumerate(reachable.shape[::-1])
+    )
+    at_rows, at_columns = np.nonzero(reachable)
+    coverable[standing_rows[at_rows], standing_columns[at_columns]] = True
+    angles = np.arange(_VIEWS) * (2.0 * np.pi / _VIEWS)
+    views = np.column_stack((np.cos(angles), np.sin(angles)))
+    index = build_wall_index(edges)
+    lookouts = np.vstack((_lookouts(space, reachable), np.array(loose).reshape(-1, 2)))
+    grid = CoverageGrid(low, coverable)
+    space_area = np.array([*space.origin, space.cell])
+    look_out(lookouts, views, reach, *index.scene, coverable, grid.area, reachable, space_area)
+    return grid
+
+
+def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> CoverageGrid:
+    """What robots (all alike) that start at poses (n, 3) could cover; remembered for later calls."""
+    space = world.free_space(robot.radius)
+    labels = [space.label_of(start[:2]) for start in starts]
+    # A robot may stand where the grid of free space is too coarse to hold it.
+    loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)
+    return _coverage_grid(world, robot, frozenset(labels) - {0}, loose)
+
+
+def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
+    """Places (n, 2), m, from which all that can be seen of what cannot be reached is seen.
+
+    Whoever sees such a cell sees it across the border of where the robot can get to, and from there even better.
+    """
+    inner = ndimage.binary_erosion(reachable, np.ones((3, 3), dtype=bool))
+    places = space.centres(reachable & ~inner)
+    # One place a coverage cell is enough.
+    _, first = np.unique(np.floor(places / CELL).astype(int), axis=0, return_index=True)
+    return places[np.sort(first)]
+
+
+class BeamSweep:
+    """What a robot's true beams and body cover along a path, as a simulation would count it.
+
+    Parameters
+    ----------
+    world, robot
+        Whose walls and whose beams.
+    grid
+        The cells that count.
+    """
+
+    def __init__(self, world: World, robot: RobotSpec, grid: CoverageGrid) -> None:
+        self.grid = grid
+        self._scene, self._beams = build_wall_index(world.edges).scene, beam_table(robot)
+        self._radius = robot.radius
+
+    def mark(self, poses: FloatArray, seen: BoolArray, step: int = 0) -> IntArray:
+        """Set in ``seen`` (rows, columns) the cells covered at poses (n, 3), m and rad, the first of them at ``step``.
+
+        Returns
+        -------
+        new_cells
+            (n,), how many coverable cells each pose was the first to cover.
+        """
+        new_cells = np.zeros(len(poses), dtype=np.int64)
+        sweep(
+            np.ascontiguousarray(poses), step, self._radius, self._beams, *self._scene,
+            seen, self.grid.coverable, self.grid.area, new_cells,
+        )  # fmt: skip
+        return new_cells

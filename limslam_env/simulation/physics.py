@@ -1,0 +1,182 @@
+"""Bodies in a pymunk space: the only module that knows pymunk.
+
+Where a robot may touch something, pymunk moves the bodies and says what they touch; elsewhere the
+end of the wheels' arc is the new place. pymunk's contact solver is switched off: one
+step of 0.1 s would let a robot sink 3 cm into a wall before the solver first sees it, and the
+wheels set the velocity anew at each step anyway. Instead a robot that overlaps something is
+put back along the shortest way, which is frictionless sliding, and turns freely.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import pymunk
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import arc_end, wrap_angle
+from limslam_env.kernels.contact import DEEPEST, LONGEST_MOVE, MAX_PUSHES, TOUCH
+
+_WALL, _ROBOT, _QUERY = 1, 2, 4
+
+# How far is looked for things that could be touched in later steps, m.
+_OUTLOOK = 0.5
+
+_Pose: TypeAlias = tuple[float, float, float]
+
+
+class Physics:
+    """Round robots among walls.
+
+    Parameters
+    ----------
+    edges
+        Walls (k, 4), m.
+    radius
+        Of every robot, m.
+    num_robots
+        How many there are; :meth:`place` them before the first step.
+    """
+
+    def __init__(self, edges: FloatArray, radius: float, num_robots: int) -> None:
+        self._edges, self._radius = edges, radius
+        self._longest_move = LONGEST_MOVE * radius
+        self._space = pymunk.Space()
+        self._space.iterations = 1
+        for x1, y1, x2, y2 in edges.tolist():
+            wall = pymunk.Segment(self._space.static_body, (x1, y1), (x2, y2), 0.0)
+            # A shape's mask names who may notice it: queries only, so the solver has no pairs.
+            wall.filter = pymunk.ShapeFilter(categories=_WALL, mask=_QUERY)
+            self._space.add(wall)
+        self._bodies = [self._add_robot(number) for number in range(num_robots)]
+        self._filters = [
+            pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT) for number in range(num_robots)
+        ]
+        # A disc is the same from all sides: pymunk need not know which way it looks.
+        self._poses: list[_Pose] = [(0.0, 0.0, 0.0)] * num_robots
+        # How far robots can get, all told, before one of them may touch something, m.
+        self._room = 0.0
+        self._axle = 1.0
+
+    def place(self, poses: FloatArray, axle: float) -> None:
+        """Put the robots at poses (n, 3); their wheels are ``axle`` (m) apart."""
+        self._axle = axle
+        self._poses = [(x, y, wrap_angle(theta)) for x, y, theta in poses.tolist()]
+        self._room = 0.0
+
+    @property
+    def poses(self) -> FloatArray:
+        """Where the robots are (n, 3); headings wrapped."""
+        return np.array(self._poses)
+
+    def step(self, travel: Sequence[tuple[float, float]], period: float) -> list[bool]:
+        """Carry each robot's left and right wheel on by ``travel``, m, in ``period`` s.
+
+        Without contact the new pose is the end of the exact arc of constant wheel speeds:
+        a body that pymunk moves gets the velocity of the arc's chord.
+
+        Returns
+        -------
+        contact
+            Whether each robot touched something.
+        """
+        farthest = 0.5 * max([abs(left + right) for left, right in travel])
+        if farthest <= self._longest_move:
+            return self._move(travel, period, farthest)
+        # A move of more than the radius could end beyond a wall; an arc in pieces is the same arc.
+        parts = math.ceil(farthest / self._longest_move)
+        pieces = [(left / parts, right / parts) for left, right in travel]
+        contacts = [self._move(pieces, period / parts, farthest / parts) for _ in range(parts)]
+        return [any(robot) for robot in zip(*contacts, strict=True)]
+
+    def _move(self, travel: Sequence[tuple[float, float]], period: float, farthest: float) -> list[bool]:
+        # Others may come one's way.
+        approach = farthest if len(travel) == 1 else 2.0 * farthest
+        self._room -= approach
+        goals = [arc_end(*pose, *wheels, self._axle) for pose, wheels in zip(self._poses, travel, strict=True)]
+        if self._room <= 0.0:
+            return self._move_bodies(goals, period)
+        # Nobody can touch anything: pymunk need not be asked.
+        self._poses = goals
+        return [False] * len(goals)
+
+    def _move_bodies(self, goals: list[_Pose], period: float) -> list[bool]:
+        for body, (x, y, _), (goal_x, goal_y, _) in zip(self._bodies, self._poses, goals, strict=True):
+            self._put(body, (x, y))
+            body.velocity = (goal_x - x) / period, (goal_y - y) / period
+        self._space.step(period)
+        contact = self._separate() if self._touches_or_looks_ahead() else [False] * len(goals)
+        self._poses = [(*body.position, heading) for body, (_, _, heading) in zip(self._bodies, goals, strict=True)]
+        return contact
+
+    def _touches_or_looks_ahead(self) -> bool:
+        """Whether a robot touches something; if none does, ``_room`` says for how long none can."""
+        nearest = [self._nearest(number, _OUTLOOK) for number in range(len(self._bodies))]
+        gaps = [_OUTLOOK if found is None else found.distance - self._radius for found in nearest]
+        self._room = min(gaps) - TOUCH
+        return self._room <= 0.0
+
+    def _add_robot(self, number: int) -> pymunk.Body:
+        body = pymunk.Body(mass=1.0, moment=1.0)
+        disc = pymunk.Circle(body, self._radius)
+        disc.filter = pymunk.ShapeFilter(group=number + 1, categories=_ROBOT, mask=_QUERY)
+        self._space.add(body, disc)
+        return body
+
+    def _separate(self) -> list[bool]:
+        contact = [False] * len(self._bodies)
+        self._room = 0.0
+        for _ in range(MAX_PUSHES):
+            pushed = [self._push_out(number, contact) for number in range(len(self._bodies))]
+            if not any(pushed):
+                return contact
+        # Wedged: between walls that meet in a sharp corner the pushes go on for ever. Who is put back
+        # may meet one who came after him, who then has to go back as well.
+        for _ in self._bodies:
+            deep = [number for number in range(len(self._bodies)) if self._is_deep(number)]
+            for number in deep:
+                self._put(self._bodies[number], self._poses[number][:2])
+        return contact
+
+    def _is_deep(self, number: int) -> bool:
+        nearest = self._nearest(number, TOUCH)
+        return nearest is not None and nearest.distance < self._radius - DEEPEST
+
+    def _push_out(self, number: int, contact: list[bool]) -> bool:
+        nearest = self._nearest(number, TOUCH)
+        if nearest is None or nearest.shape is None:
+            return False
+        depth = self._radius - nearest.distance
+        contact[number] = True
+        if depth <= 0.0:
+            return False
+        body, other = self._bodies[number], nearest.shape.body
+        is_robot = other is not None and other.body_type == pymunk.Body.DYNAMIC
+        share = 0.5 if is_robot else 1.0
+        self._put(body, body.position + nearest.gradient * (depth * share))
+        if is_robot and other is not None:
+            self._put(other, other.position - nearest.gradient * (depth * share))
+        return depth > TOUCH
+
+    def _nearest(self, number: int, outlook: float) -> pymunk.PointQueryInfo | None:
+        position = self._bodies[number].position
+        return self._space.point_query_nearest(position, self._radius + outlook, self._filters[number])
+
+    def _put(self, body: pymunk.Body, place: tuple[float, float]) -> None:
+        body.position = place
+        self._space.reindex_shapes_for_body(body)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            "edges": self._edges,
+            "radius": self._radius,
+            "axle": self._axle,
+            "poses": self._poses,
+            "room": self._room,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
+        self.place(np.array(state["poses"]), state["axle"])
+        self._room = state["room"]

@@ -1,0 +1,167 @@
+"""N robots in one world, step by step: physics, sensors, odometry, and the truth beside them."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_env.interface import RobotSpec
+from limslam_env.kernels.rays import observe
+from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
+from limslam_env.simulation.draws import StepDraws
+from limslam_env.simulation.odometry import carried_travel, wheel_noise
+from limslam_env.simulation.physics import Physics
+from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
+from limslam_env.simulation.starts import drawn_starts, starting_places
+from limslam_env.worlds.world import World
+
+
+class Readings(NamedTuple):
+    """What the robots' sensors say after a step: new arrays.
+
+    Attributes
+    ----------
+    ranges
+        (n, n_beams), float32, m.
+    wheels
+        (n, 2), float32: left and right wheel travel, m.
+    """
+
+    ranges: ReadingArray
+    wheels: ReadingArray
+
+
+class Truth(NamedTuple):
+    """What is really so after a step. For scoring, never for an agent.
+
+    Attributes
+    ----------
+    poses
+        (n, 3), m and rad.
+    time
+        Since the reset, s.
+    coverage
+        Share of the coverable cells that have been seen by any robot, 0 to 1.
+    new_area
+        Coverable area that each robot was the first to see in this step, m^2. What two see at once counts
+        for the first of them.
+    contact
+        Which robots touched something.
+    wall_seen
+        (n, n_beams): index of the wall that each beam's latest measurement hit, -1 nothing, -2 a robot.
+    """
+
+    poses: FloatArray
+    time: float
+    coverage: float
+    new_area: list[float]
+    contact: list[bool]
+    wall_seen: IntArray
+
+
+class Simulation:
+    """Robots of one kind in a world.
+
+    Parameters
+    ----------
+    world
+        Where they are.
+    robot
+        What each of them is.
+    num_robots
+        How many there are.
+
+    Raises
+    ------
+    WorldError
+        If a robot cannot start in the world or could leave it.
+    """
+
+    def __init__(self, world: World, robot: RobotSpec, num_robots: int = 1) -> None:
+        world.check(robot.radius)
+        self.world, self.robot, self.num_robots = world, robot, num_robots
+        self._scene = build_wall_index(world.edges).scene
+        self._physics = Physics(world.edges, robot.radius, num_robots)
+        self._beams = beam_table(robot)
+        self._farthest = robot.max_wheel_speed * robot.control_period
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which cells of the coverage grid have truly been seen (rows, columns); a copy."""
+        return self._seen.copy()
+
+    @property
+    def coverage_grid(self) -> CoverageGrid:
+        """The cells that count for coverage, and where they lie."""
+        return self._grid
+
+    def reset(
+        self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
+    ) -> tuple[Readings, Truth]:
+        """Begin again.
+
+        Parameters
+        ----------
+        seeds
+            Start, ranges, wheels and settings get a generator each from it, so that runs with
+            other noise share their starts and their draws.
+        noise
+            Ranges in it are drawn from now.
+        start
+            Pose (3,) of robot 0, or poses (num_robots, 3); the world's starts otherwise.
+
+        Raises
+        ------
+        WorldError
+            If a given start collides, lies outside, or there is no room for all robots.
+        """
+        starts, ranges, wheels, settings = (np.random.default_rng(part) for part in seeds.spawn(4))
+        robot, count = self.robot, self.num_robots
+        places = starting_places(self.world, robot, count, start)
+        poses = drawn_starts(places, self.world, robot, count, starts)
+        self._noise = noise.drawn(settings)
+        limits = wheel_noise(self._noise, robot.max_wheel_travel)
+        self._noise_table = np.concatenate((range_noise(self._noise), limits))
+        self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
+        self._physics.place(poses, robot.axle * (1.0 + self._noise.axle_mismatch))
+        self._grid = coverage_grid(self.world, robot, poses)
+        self._area, self._total = self._grid.area, max(self._grid.total, 1)
+        self._coverable, self._seen = self._grid.coverable, np.zeros_like(self._grid.coverable)
+        self._covered = self._steps = 0
+        shape = (count, len(robot.beams))
+        self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
+        self._told, self._untold = np.zeros((count, 2), dtype=np.float32), np.zeros((count, 2))
+        self._new_cells = np.zeros(count, dtype=np.int64)
+        return self._observe(np.zeros((count, 2)), self._draws.next(), [False] * count)
+
+    def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
+        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
+        self._steps += 1
+        draws = self._draws.next()
+        turned = [(_clipped(left) * self._farthest, _clipped(right) * self._farthest) for left, right in actions]
+        travel = np.array(turned)
+        if self._noise.slip_rate:
+            turned = carried_travel(travel, self._noise, draws[:, -2:, 1]).tolist()
+        contact = self._physics.step(turned, self.robot.control_period)
+        return self._observe(travel, draws, contact)
+
+    def _observe(self, travel: FloatArray, draws: FloatArray, contact: list[bool]) -> tuple[Readings, Truth]:
+        poses = self._physics.poses
+        observe(
+            poses, travel, self._steps, self.robot.radius, self._beams, self._noise_table, draws,
+            *self._scene, self._seen, self._coverable, self._area,
+            self._untold, self._hits, self._ranges, self._told, self._new_cells,
+        )  # fmt: skip
+        new_cells = self._new_cells.tolist()
+        self._covered += sum(new_cells)
+        time, coverage = self._steps * self.robot.control_period, self._covered / self._total
+        new_area = [cells * CELL**2 for cells in new_cells]
+        truth = Truth(poses, time, coverage, new_area, contact, self._hits.copy())
+        return Readings(self._ranges.copy(), self._told.copy()), truth
+
+
+def _clipped(speed: float) -> float:
+    return speed if -1.0 <= speed <= 1.0 else math.copysign(1.0, speed)

@@ -1,0 +1,110 @@
+"""Where robots start: at given poses, at the world's own, or at free places."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.world import World, WorldError
+
+TRIES = 10_000
+"""Places that are tried for robots without a start, before the world is said to have no room."""
+
+
+@dataclass(frozen=True, eq=False)
+class StartingPlaces:
+    """Who starts where, as far as it is known, and where the others may.
+
+    Attributes
+    ----------
+    given
+        Poses (g, 3) of the first robots, m and rad.
+    cells
+        (k,), numbers of the free cells, row by row, that the others may stand on; empty if there are no others.
+    space
+        (4,): lower left corner x, y and side of the cells, m, and columns.
+    """
+
+    given: FloatArray
+    cells: IntArray
+    space: FloatArray
+
+    @property
+    def known(self) -> FloatArray:
+        """Poses (n, 3), one at least, m and rad: the regions that robots will start in are those of these."""
+        if len(self.given):
+            return self.given
+        return np.array([[*self.centre(int(self.cells[0])), 0.0]])
+
+    def centre(self, cell: int) -> FloatArray:
+        """Centre (2,) of a cell, m."""
+        row, column = divmod(cell, int(self.space[3]))
+        return np.asarray(self.space[:2] + (np.array([column, row]) + 0.5) * self.space[2])
+
+
+def least_distance(robot: RobotSpec) -> float:
+    """How far apart (m) robots are to start at least."""
+    return 2.5 * robot.radius
+
+
+def starting_places(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None) -> StartingPlaces:
+    """Find the places that robots may start at: ``start``, pose (3,) or poses (n, 3), then the world's, then free ones.
+
+    Raises
+    ------
+    WorldError
+        If a given start collides or lies outside, if two start in one place, or if there is no room at all.
+    """
+    given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
+    if len(given) > num_robots:
+        raise WorldError(f"{len(given)} starts for {num_robots} robots")
+    poses: list[FloatArray] = []
+    for pose in given:
+        world.check_pose(pose, robot.radius)
+        if not is_apart(pose, poses, robot):
+            raise WorldError(f"world {world.name!r}: two robots are to start in one place")
+        poses.append(pose)
+    for pose in world.starts:
+        if len(poses) < num_robots and is_apart(pose, poses, robot):
+            poses.append(pose)
+    cells, space = np.zeros(0, dtype=np.int64), np.array([0.0, 0.0, 1.0, 1.0])
+    if len(poses) < num_robots:
+        grid = world.free_space(robot.radius)
+        region = grid.region_of(poses[0][:2]) if poses else grid.largest_closed_region()
+        cells, space = np.flatnonzero(region), np.array([*grid.origin, grid.cell, region.shape[1]])
+        if not len(cells):
+            raise no_room(world, num_robots)
+    return StartingPlaces(np.array(poses).reshape(-1, 3), cells, space)
+
+
+def drawn_starts(
+    places: StartingPlaces, world: World, robot: RobotSpec, num_robots: int, generator: np.random.Generator
+) -> FloatArray:
+    """Poses (num_robots, 3) of all robots, m and rad; who has none is put at a free place, away from the others.
+
+    Raises
+    ------
+    WorldError
+        If there is no room for all.
+    """
+    poses = list(places.given)
+    if len(poses) == num_robots:
+        return places.given
+    for cell in generator.choice(places.cells, TRIES):
+        pose = np.array([*places.centre(int(cell)), generator.uniform(-np.pi, np.pi)])
+        if is_apart(pose, poses, robot):
+            poses.append(pose)
+        if len(poses) == num_robots:
+            return np.array(poses)
+    raise no_room(world, num_robots)
+
+
+def no_room(world: World, num_robots: int) -> WorldError:
+    """What is said of a world that is too small."""
+    return WorldError(f"world {world.name!r}: no room for {num_robots} robots")
+
+
+def is_apart(pose: FloatArray, poses: list[FloatArray], robot: RobotSpec) -> bool:
+    """Whether a pose is far enough from all of some others for a robot to start at."""
+    return all(np.hypot(*(pose[:2] - other[:2])) > least_distance(robot) for other in poses)

@@ -1,0 +1,1 @@
+"""File formats of worlds, in and out: map_server, wall lists, HouseExpo."""

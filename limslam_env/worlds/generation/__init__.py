@@ -1,0 +1,1 @@
+"""Random floor plans: the layout of the rooms, their furniture, and the finished world."""

@@ -1,0 +1,343 @@
+"""The command line as a user meets it: exit codes, one line, and whole folders or none."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from support.bags import odometry, scan, write_bag
+
+RUN_FILES = {
+    "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
+}  # fmt: skip
+
+# One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
+SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
+
+
+def limslam(*arguments, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-m", "limslam_agent.cli.main", *map(str, arguments)],
+        capture_output=True, text=True, check=False, cwd=cwd,
+    )  # fmt: skip
+
+
+def carmen_line(x, time):
+    return f"{SCAN} {x} 0 0 {x} 0 0 {time} host {time}"
+
+
+@pytest.fixture
+def carmen_log(tmp_path):
+    path = tmp_path / "corridor.log"
+    path.write_text("\n".join(carmen_line(0.05 * step, 100.0 + 0.1 * step) for step in range(80)) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "short"
+    result = limslam("run", "--noise", "0.02", "--max-time", "12", "--seed", "300", "--out", folder)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+def test_a_run_writes_its_whole_folder_and_nothing_beside_it(short_run):
+    assert {path.name for path in short_run.iterdir()} == RUN_FILES
+    assert [path.name for path in short_run.parent.iterdir()] == ["short"]
+
+
+def test_result_has_the_promised_parts_and_metrics(short_run):
+    result = json.loads((short_run / "result.json").read_text())
+    assert {"metrics", "cost", "config", "versions", "seed"} <= set(result)
+    promised = {
+        "ate_m", "ate_aligned_m", "heading_rmse_deg", "final_error_m", "rpe_m_per_m", "anees", "nees_in_95",
+        "wall_recall", "wall_precision", "wall_f1", "wall_f1_5cm", "wall_f1_aligned", "spurious_walls", "spurious_m",
+        "duplicate_m", "doors_open", "coverage_true", "coverage_claimed", "coverage_correct", "time_to_50_s",
+        "time_to_90_s", "time_to_95_s", "exploration_time_s", "path_m", "collisions", "stop_reason",
+    }  # fmt: skip
+    assert promised <= set(result["metrics"])
+    assert {"slam_ms_median", "slam_ms_p99", "speed_x_real_time", "peak_rss_mb"} <= set(result["cost"])
+    assert result["seed"] == 300
+    # Twelve seconds are not enough, and the run says so.
+    assert result["metrics"]["stop_reason"].startswith("time")
+    assert result["metrics"]["exploration_time_s"] is None
+
+
+def test_files_agree_with_each_other(short_run):
+    with np.load(short_run / "log.npz", allow_pickle=False) as log:
+        arrays = {name: log[name] for name in log.files}
+    rows = 121
+    assert arrays["time"].shape == (rows,)
+    assert arrays["ranges"].shape == arrays["wall_seen"].shape == (rows, 6)
+    for name in ("true", "est"):
+        table = np.loadtxt(short_run / f"trajectory_{name}.tum")
+        assert table.shape == (rows, 8)
+        np.testing.assert_allclose(np.linalg.norm(table[:, 4:], axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(
+        np.loadtxt(short_run / "trajectory_true.tum")[:, 1:3], arrays["true_pose"][:, :2], atol=1e-6
+    )
+    content = json.loads((short_run / "map.json").read_text())
+    assert len(content["segments"]) == len(content["landmarks"]) > 0
+    assert set(content["landmarks"][0]) == {"r", "theta", "cov", "ends", "observations"}
+    header, size, depth = (short_run / "map.pgm").read_bytes().split(b"\n", 3)[:3]
+    assert (header, depth) == (b"P5", b"255")
+    columns, height = map(int, size.split())
+    assert len((short_run / "map.pgm").read_bytes().split(b"\n", 3)[3]) == columns * height
+    assert "free_thresh: 0.196" in (short_run / "map.yaml").read_text()
+
+
+def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
+    result = limslam(
+        "replay", short_run / "log.npz", "--noise", "0.02", "--preset", "consistent", "--out", tmp_path / "again"
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    again = np.loadtxt(tmp_path / "again" / "trajectory_est.tum")
+    np.testing.assert_array_equal(again, np.loadtxt(short_run / "trajectory_est.tum"))
+    metrics = json.loads((tmp_path / "again" / "result.json").read_text())["metrics"]
+    assert metrics["ate_m"] == pytest.approx(json.loads((short_run / "result.json").read_text())["metrics"]["ate_m"])
+
+
+def test_results_are_only_replaced_by_force(tmp_path):
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    (folder / "result.json").write_text("old")
+    refused = limslam("run", "--max-time", "1", "--out", folder)
+    assert refused.returncode == 2
+    assert "--force" in refused.stderr
+    assert (folder / "result.json").read_text() == "old"
+    assert limslam("run", "--max-time", "1", "--out", folder, "--force").returncode == 0
+    assert {path.name for path in folder.iterdir()} == RUN_FILES
+
+
+def test_force_never_replaces_what_is_no_run(tmp_path):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    result = limslam("run", "--max-time", "1", "--out", tmp_path, "--force")
+    assert_refused(result, "holds no run's results")
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+
+
+def test_without_a_folder_runs_get_names_of_their_own(tmp_path):
+    for _ in range(2):
+        assert limslam("run", "--max-time", "1", cwd=tmp_path).returncode == 0
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == [
+        "env1-2cm-consistent-seed0", "env1-2cm-consistent-seed0-2",
+    ]  # fmt: skip
+
+
+def test_laps_drive_round_the_square(tmp_path):
+    result = limslam("run", "--world", "square", "--laps", "1", "--noise", "0", "--out", tmp_path / "lap")
+    assert result.returncode == 0, result.stderr
+    metrics = json.loads((tmp_path / "lap" / "result.json").read_text())["metrics"]
+    assert metrics["stop_reason"] == "all laps driven"
+    assert 18.0 < metrics["path_m"] < 22.0  # a lap is 20 m
+    assert metrics["exploration_time_s"] is None
+
+
+def test_the_odometry_preset_does_not_correct(tmp_path):
+    assert limslam("run", "--preset", "odometry", "--max-time", "15", "--out", tmp_path / "odo").returncode == 0
+    metrics = json.loads((tmp_path / "odo" / "result.json").read_text())["metrics"]
+    assert metrics["ate_m"] == pytest.approx(metrics["odometry_ate_m"], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "--noise", "-0.01"), "-0.01"),
+        (("run", "--noise", "nan"), "nan"),
+        (("run", "--noise", "much"), "--noise"),
+        (("run", "--world", "atlantis"), "atlantis"),
+        (("run", "--world", "missing.toml"), "missing.toml"),
+        (("run", "--preset", "magic"), "magic"),
+        (("run", "--max-time", "0"), "0 s"),
+        (("run", "--laps", "-1"), "-1"),
+        (("run", "--seed", "-3"), "-3"),
+        (("run", "--policy", "magic"), "no policy is called 'magic'"),
+        (("run", "--policy", "random", "--laps", "2"), "laps"),
+        (("run", "--policy", "oracle", "--robots", "2"), "for one robot"),
+        (("run", "--warp"), "--warp"),
+        (("fly",), "fly"),
+        (("replay", "missing.log"), "missing.log"),
+        (("replay", "{log}", "--beams", "90,120"), "120"),
+        (("replay", "{log}", "--beams", "left"), "left"),
+        (("replay", "{log}", "--max-range", "-1"), "-1"),
+        (("replay", "{log}", "--noise", "-1"), "-1"),
+        (("replay", "{log}", "--odometry-noise", "1,2"), "--odometry-noise"),
+        (("replay", "{log}", "--odometry-noise", "1,2,-3"), "--odometry-noise"),
+        (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
+        (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
+        (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
+        (("replay", "{log}", "--calibrate", "{log}", "--calibrate-until", "nan"), "--calibrate-until"),
+        (("replay", "{log}", "--odometry-topic", "/odom"), "is no ROS bag"),
+        (("replay", "{log}", "--range-topics", "/left:somewhere"), "'somewhere' is no direction"),
+    ],
+)
+def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
+    before = sorted(tmp_path.rglob("*"))
+    arguments = [part.replace("{log}", str(carmen_log)) for part in arguments]
+    assert_refused(limslam(*arguments, cwd=tmp_path), words)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda text: text[:-400], "line 80"),
+        (lambda text: text.replace("2.00", "nan", 5), "line 1"),
+        (lambda text: text.replace("FLASER", "RAWLASER"), "FLASER"),
+        (lambda _: "", "corridor.log"),
+        (lambda text: "\n".join(line.rsplit(" ", 9)[0] for line in text.splitlines()), "odometry"),
+    ],
+    ids=["truncated", "nan", "no scans", "empty", "no odometry"],
+)
+def test_bad_logs_get_one_line_and_leave_nothing(damage, words, carmen_log, tmp_path):
+    carmen_log.write_text(damage(carmen_log.read_text()))
+    assert_refused(limslam("replay", carmen_log, "--out", tmp_path / "out"), words)
+    assert [path.name for path in tmp_path.iterdir()] == ["corridor.log"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
+    tmp_path.chmod(0o500)
+    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "run"), "cannot be written")
+
+
+def test_a_file_in_the_way_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "file" / "run"), "cannot be written")
+    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "file"), "not a folder")
+
+
+def test_replay_of_a_corridor_finds_its_walls_and_is_scored(carmen_log, tmp_path):
+    relations = tmp_path / "known.relations"
+    relations.write_text("100.0 107.0 3.5 0 0 0 0 0\n")
+    result = limslam(
+        "replay", carmen_log, "--beams", "-90,-45,0,45,90", "--relations", relations, "--out", tmp_path / "out"
+    )
+    assert result.returncode == 0, result.stderr
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"trajectory_est.tum", "map.json", "map.png", "map.pgm", "map.yaml", "result.json"} <= files
+    table = np.loadtxt(tmp_path / "out" / "trajectory_est.tum")
+    np.testing.assert_allclose(table[:, 0], 100.0 + 0.1 * np.arange(80), atol=1e-6)  # the log's own times
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert metrics["relation_error_m"] < 0.1
+    assert metrics["raw_odometry_relation_error_m"] == pytest.approx(0.0, abs=1e-9)
+
+
+def known_motions(path, seconds, metres):
+    """Relations of the corridor's robot, each over one second: what it truly drove, 0.5 m by its own account."""
+    path.write_text("".join(f"{100 + at} {101 + at} {metres} 0 0 0 0 0.01\n" for at in range(seconds)))
+    return path
+
+
+def test_the_bias_comes_from_a_calibration_run_that_is_not_scored(carmen_log, tmp_path):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.525)
+    result = limslam(
+        "replay", carmen_log, "--calibrate", relations, "--calibrate-until", "4.05", "--relations", relations,
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "calibrated  1.146 +- " in result.stdout
+    assert "scale 1.0500 +- " in result.stdout
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    metrics, config = content["metrics"], content["config"]
+    assert metrics["calibration_turn_deg_per_m"] == pytest.approx(np.degrees(0.02), abs=1e-6)
+    assert (metrics["calibration_relations"], metrics["relations"]) == (4, 3)
+    assert metrics["odometry_relation_error_m"] < 0.01 < metrics["raw_odometry_relation_error_m"]
+    assert config["agent"]["odometry"]["distance_scale"] == pytest.approx(1.05, abs=1e-4)
+    assert config["calibration"] == "known.relations"
+    assert config["calibration_until"] == "4.05 s"
+
+
+def test_the_calibration_run_may_be_another_log(carmen_log, tmp_path):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.4)
+    other = tmp_path / "calibration.csv"
+    rows = [f"{100 + 0.1 * step},{0.025 * step},0,0,1,1" for step in range(80)]
+    other.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
+    result = limslam(
+        "replay", carmen_log, "--beams", "-90,90", "--calibrate", relations, "--calibrate-log", other,
+        "--relations", relations, "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "scale 1.6000 +- " in result.stdout
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert metrics["relations"] == 7
+
+
+def test_a_calibration_leaves_something_to_score(carmen_log, tmp_path):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.525)
+    result = limslam("replay", carmen_log, "--calibrate", relations, "--relations", relations, "--out", tmp_path / "no")
+    assert_refused(result, "none of its relations is left to score")
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_table_and_a_bag_are_replayed_like_any_log(tmp_path):
+    places = [0.05 * step for step in range(80)]
+    table = tmp_path / "corridor.csv"
+    rows = [f"{100 + 0.1 * step},{x},0,0,2,,2" for step, x in enumerate(places)]
+    table.write_text("\n".join(["t,x,y,theta,r_-90,r_0,r_90", *rows]) + "\n")
+    messages = []
+    for step, x in enumerate(places):
+        at = 100 + 0.1 * step
+        messages += [odometry(at, x), odometry(at, 0.0, topic="/other"), scan(at, [2.0, np.inf, 2.0])]
+    bag = write_bag(tmp_path, messages, "mcap", "corridor")
+    for log, options in ((table, ()), (bag, ("--odometry-topic", "/odom"))):
+        out = tmp_path / f"out-{log.suffix}"
+        result = limslam("replay", log, *options, "--out", out)
+        assert result.returncode == 0, result.stderr
+        segments = np.array(json.loads((out / "map.json").read_text())["segments"])
+        assert len(segments) == 2
+        np.testing.assert_allclose(np.abs(segments[:, [1, 3]]), 2.0, atol=0.02)
+
+
+def assert_refused(result, words):
+    assert result.returncode == 2, (result.stdout, result.stderr)
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert result.stderr.startswith("limslam: ")
+    assert words in result.stderr
+
+
+def test_importing_the_command_line_is_light():
+    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags'}"
+    loaded = f"import sys, limslam_agent.cli.main; print(sorted({heavy} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("policy", ["wall_follower", "tour"])
+def test_who_drove_is_written_down_and_in_the_name_of_the_folder(tmp_path, policy):
+    result = limslam("run", "--world", "square", "--max-time", "3", "--policy", policy, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    folder = tmp_path / "runs" / f"square-2cm-consistent-seed0-{policy}"
+    assert json.loads((folder / "result.json").read_text())["config"]["policy"] == policy
+
+
+@pytest.mark.parametrize("ablation", ["no-ekf", "no-loop-closing", "no-end-gate", "only-best-line"])
+def test_every_ablation_can_be_run_and_is_written_down(tmp_path, ablation):
+    result = limslam("run", "--max-time", "4", "--preset", "paper", "--ablation", ablation, "--out", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    written = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert written["config"]["ablation"] == ablation
+
+
+def test_two_robots_write_a_trajectory_each_and_their_log_is_refused_with_the_reason(tmp_path):
+    result = limslam("run", "--max-time", "4", "--robots", "2", "--out", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"trajectory_true_0.tum", "trajectory_true_1.tum", "trajectory_est_0.tum", "trajectory_est_1.tum"} <= names
+    refused = limslam("replay", tmp_path / "run" / "log.npz", "--out", tmp_path / "replay")
+    assert refused.returncode == 2
+    assert "is the log of 2 robots" in refused.stderr
+
+
+def test_a_run_can_be_filmed(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    film = tmp_path / "run.mp4"
+    result = limslam("run", "--max-time", "3", "--video", film, "--out", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    assert film.stat().st_size > 10_000
+    refused = limslam("run", "--max-time", "3", "--video", tmp_path / "run.avi", "--out", tmp_path / "other")
+    assert refused.returncode == 2
+    assert ".mp4" in refused.stderr
+    assert not (tmp_path / "other").exists()

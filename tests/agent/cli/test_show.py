@@ -1,0 +1,322 @@
+"""``limslam show``: a finished run is read back, told in words and drawn."""
+
+import json
+import shutil
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import typer
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image as Pictures
+from typer.testing import CliRunner
+
+from limslam_agent.cli.show import show, true_edges
+from limslam_agent.output.export import write_json, write_tum
+from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
+from limslam_agent.output.summary import replay_summary, run_summary
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.results import write_episode
+from limslam_env.worlds.formats.loading import load_world
+
+app = typer.Typer()
+app.command()(show)
+
+WALLS = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]]
+METRICS = {
+    "stop_reason": "explored: no frontier is left", "exploration_time_s": 20.0, "path_m": 3.2, "coverage_true": 0.98,
+    "collisions": 1, "ate_m": 0.05, "odometry_ate_m": 0.21, "landmarks": 2, "wall_f1_aligned": 0.9,
+}  # fmt: skip
+
+
+def poses(count=30, *, offset=0.0):
+    turns = np.linspace(0.0, 3.0, count)
+    return np.column_stack((1.0 + np.cos(turns) + offset, 1.0 + np.sin(turns), turns + 1.5 + offset))
+
+
+def write_folder(folder, *, robots=1, truth=True, config=None, metrics=None, log=False):
+    """A small finished run, made by hand."""
+    folder.mkdir(parents=True, exist_ok=True)
+    time = 0.1 * np.arange(30)
+    for number in range(robots):
+        suffix = f"_{number}" if robots > 1 else ""
+        write_tum(folder / f"trajectory_est{suffix}.tum", time, poses(offset=0.1 * (number + 1)))
+        if truth:
+            write_tum(folder / f"trajectory_true{suffix}.tum", time, poses())
+    if log:
+        write_tum(folder / "trajectory_odometry.tum", time, poses(offset=0.3))
+    write_json(folder / "map.json", {"frame": "world", "segments": WALLS, "landmarks": []})
+    config = {"world": "hall", "noise": 0.02, "preset": "paper"} if config is None else config
+    result = {"metrics": METRICS if metrics is None else metrics, "cost": {"speed_x_real_time": 80.0}}
+    write_json(folder / "result.json", {**result, "config": config, "seed": 3, "versions": {}})
+    (folder / "map.png").write_bytes(b"")
+    return folder
+
+
+def run_show(*arguments):
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def assert_picture(path):
+    with Pictures.open(path) as picture:
+        picture.load()
+        assert picture.size == (1800, 1020)
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture(scope="module")
+def real_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    write_episode(folder, run_episode(RunConfig("env1", 0.02, max_time=4.0, seed=300)))
+    return folder
+
+
+def test_a_run_is_read_as_it_was_written(real_run):
+    run = read_run(real_run)
+    with np.load(real_run / "log.npz") as log:
+        true, wheels = log["true_pose"], log["wheels"]
+    assert len(run.time) == len(true) == 41
+    np.testing.assert_allclose(run.true[0], true, atol=2e-6)
+    assert run.segments.shape[1] == 4
+    assert not run.is_replay
+    assert run.title == "env1, range noise 2 cm, consistent, seed 300"
+    # Odometry comes from the wheels: it begins where the robot does, and goes as far as they say.
+    np.testing.assert_allclose(run.odometry[0][0], true[0], atol=2e-6)
+    travelled = np.hypot(*np.diff(run.odometry[0][:, :2], axis=0).T).sum()
+    assert travelled == pytest.approx(np.abs(wheels.mean(axis=1)).sum(), rel=0.01)
+
+
+def test_the_error_by_odometry_is_that_of_the_result(real_run):
+    run = read_run(real_run)
+    for kind, name in ((run.odometry, "odometry_ate_m"), (run.estimated, "ate_m")):
+        rms = np.sqrt(np.mean(position_error(kind[0], run.true[0]) ** 2))
+        assert rms == pytest.approx(run.result["metrics"][name], abs=1e-5)
+
+
+def test_the_true_walls_are_those_of_the_world_that_was_run_in(real_run):
+    run = read_run(real_run)
+    np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
+    run.result["config"]["world_digest"] = "another"
+    assert true_edges(run) is None
+    run.result["config"]["world"] = "../env1.toml"
+    assert true_edges(run) is None
+
+
+def test_a_real_run_is_told_and_drawn(real_run, tmp_path):
+    told = run_show(real_run, "--out", tmp_path / "deep" / "show.png")
+    assert "stopped     time" in told
+    assert "rms; by odometry alone" in told
+    assert_picture(tmp_path / "deep" / "show.png")
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["show.png"]
+
+
+def test_without_a_display_it_says_where_the_picture_is(tmp_path):
+    folder = write_folder(tmp_path / "run")
+    before = sorted(path.name for path in folder.iterdir())
+    told = run_show(folder)
+    assert str(folder / "map.png") in told
+    assert "--out" in told
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_with_a_display_but_no_toolkit_it_says_so_too(tmp_path, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(plt, "show", lambda: pytest.fail("there is nothing to show it on"))
+    plt.switch_backend("agg")
+    assert "--out" in run_show(write_folder(tmp_path / "run"))
+    assert plt.get_fignums() == []
+
+
+def test_with_a_display_a_window_opens(tmp_path, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":99")
+    plt.switch_backend("agg")
+    monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "something")
+    shown = []
+    monkeypatch.setattr(plt, "show", lambda: shown.append([len(plt.figure(n).axes) for n in plt.get_fignums()]))
+    assert "--out" not in run_show(write_folder(tmp_path / "run"))
+    assert shown == [[4]]
+    assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize(
+    ("config", "robots", "truth", "log"),
+    [
+        ({"log": "fr079.log", "agent": {"preset": "paper"}}, 1, False, True),
+        ({"log": "log.npz", "relations": None}, 1, True, True),
+        ({"world": "hall", "robots": 2}, 2, True, False),
+        ({}, 3, False, False),
+    ],
+)
+def test_replays_and_several_robots_are_drawn(tmp_path, config, robots, truth, log):
+    folder = write_folder(tmp_path / "run", robots=robots, truth=truth, config=config, log=log)
+    run_show(folder, "--out", tmp_path / "show.png")
+    assert_picture(tmp_path / "show.png")
+    run = read_run(folder)
+    assert len(run.estimated) == robots
+    assert run.is_replay == ("log" in config)
+
+
+def test_several_robots_wheels_become_a_path_each(tmp_path):
+    folder = write_folder(tmp_path / "run", robots=2, config={"world": "hall", "robot": {"axle": 0.16}})
+    wheels = np.zeros((30, 2, 2))
+    wheels[1:, 0], wheels[1:, 1] = 0.01, 0.02
+    np.savez(folder / "log.npz", wheels=wheels)
+    run = read_run(folder)
+    for odometry, length in zip(run.odometry, (0.29, 0.58), strict=True):
+        assert np.hypot(*(odometry[-1] - odometry[0])[:2]) == pytest.approx(length, rel=1e-6)
+    np.savez(folder / "log.npz", wheels=wheels[:-1])
+    with pytest.raises(FolderError, match="does not go with"):
+        read_run(folder)
+
+
+def test_errors_are_what_they_are_called():
+    first, second = poses(), poses(offset=0.25)
+    np.testing.assert_allclose(position_error(second, first), 0.25)
+    np.testing.assert_allclose(heading_error(second, first), 0.25)
+    across = np.array([[0.0, 0.0, 3.1]]), np.array([[0.0, 0.0, -3.1]])
+    assert heading_error(*across)[0] == pytest.approx(6.2 - 2 * np.pi)
+
+
+def test_a_summary_leaves_out_what_is_not_known():
+    full = run_summary(METRICS, {"speed_x_real_time": 80.0})
+    assert full == [
+        "stopped     explored: no frontier is left",
+        "            after 20.0 s and 3.2 m",
+        "covered     98.0% of what can be seen, 1 collision",
+        "error       0.050 m rms; by odometry alone 0.210 m",
+        "map         2 walls, F1 0.90 at 10 cm when aligned",
+        "speed       80 x real time",
+    ]
+    assert len(run_summary({**METRICS, "exploration_time_s": None}, {})) == 4
+    assert run_summary({}, {}) == ["stopped     nobody knows why"]
+    relations = {
+        f"{prefix}relation_error_{unit}": 0.5 for prefix in ("", "loop_", "odometry_") for unit in ("m", "deg")
+    }
+    told = replay_summary({**relations, "landmarks": 5})
+    assert len(told) == 3
+    assert "loops" in told[0]
+    assert "loops" not in told[1]
+    assert replay_summary({}) == []
+
+
+def spoil_json(folder):
+    (folder / "result.json").write_text('{"metrics": ')
+
+
+def drop_metrics(folder):
+    write_json(folder / "result.json", {"config": {}, "cost": {}})
+
+
+def list_instead(folder):
+    write_json(folder / "result.json", [1, 2])
+
+
+def drop(name):
+    return lambda folder: (folder / name).unlink()
+
+
+def write(name, words):
+    return lambda folder: (folder / name).write_text(words)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (drop("result.json"), "no result.json"),
+        (spoil_json, "is no JSON"),
+        (list_instead, "does not hold"),
+        (drop_metrics, "no metrics"),
+        (write("result.json", "[" * 100_000), "is no JSON"),
+        (lambda folder: (folder / "result.json").write_bytes(b"\xff\xfe{}"), "is no JSON"),
+        (drop("map.json"), "map.json"),
+        (write("map.json", '{"segments": [[1, 2, 3]]}'), "four numbers"),
+        (write("map.json", '{"segments": [[1, 2, 3, NaN]]}'), "four numbers"),
+        (write("map.json", '{"segments": "walls"}'), "four numbers"),
+        (write("map.json", "{}"), "four numbers"),
+        (drop("trajectory_est.tum"), "no trajectory_est.tum"),
+        (write("trajectory_est.tum", "# nothing\n"), "is empty"),
+        (write("trajectory_est.tum", "0 1 2 3\n"), "line 1 is not t x y z"),
+        (write("trajectory_est.tum", "0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 one\n"), "line 2 is not"),
+        (write("trajectory_est.tum", "0 inf 0 0 0 0 0 1\n"), "line 1 is not"),
+        (write("trajectory_true.tum", "0 0 0 0 0 0 0 1\n"), "not of the same robots"),
+        (lambda folder: (folder / "trajectory_est.tum").write_bytes(b"\xff\x00\xff"), "cannot be read"),
+    ],
+)
+def test_what_is_missing_or_damaged_is_said_in_one_line(tmp_path, spoil, words):
+    folder = write_folder(tmp_path / "run")
+    spoil(folder)
+    with pytest.raises(ValueError, match=words) as refused:
+        run_show(folder)
+    assert str(folder) in str(refused.value)
+    assert isinstance(refused.value, FolderError)
+
+
+def spoilt_in_the_middle(folder):
+    np.savez_compressed(folder / "log.npz", wheels=np.random.default_rng(0).normal(size=(30, 2)))
+    data = bytearray((folder / "log.npz").read_bytes())
+    data[200:260] = bytes(60)
+    return bytes(data)
+
+
+def another_array(folder):
+    np.save(folder / "log.npy", np.zeros(3))
+    return (folder / "log.npy").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda _: b"", lambda _: b"PK\x03\x04 and nothing more", lambda _: b"words", spoilt_in_the_middle, another_array],
+)
+def test_a_damaged_log_is_refused_and_a_missing_one_is_not(tmp_path, damage):
+    folder = write_folder(tmp_path / "run", config={"world": "hall", "robot": {"axle": 0.16}})
+    assert read_run(folder).odometry == []
+    (folder / "log.npz").write_bytes(damage(folder))
+    with pytest.raises(FolderError, match="is damaged"):
+        read_run(folder)
+
+
+def test_a_log_of_pickled_objects_is_not_opened(tmp_path):
+    folder = write_folder(tmp_path / "run", config={"world": "hall", "robot": {"axle": 0.16}})
+    np.savez(folder / "log.npz", wheels=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(FolderError, match="is damaged"):
+        read_run(folder)
+
+
+def test_a_folder_must_be_one(tmp_path):
+    with pytest.raises(FolderError, match="no such folder"):
+        run_show(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FolderError, match="is not a folder"):
+        run_show(tmp_path / "file")
+
+
+def test_a_picture_is_only_replaced_by_force_and_must_be_of_a_known_kind(tmp_path):
+    folder, out = write_folder(tmp_path / "run"), tmp_path / "show.svg"
+    out.write_text("mine")
+    with pytest.raises(ValueError, match="--force"):
+        run_show(folder, "--out", out)
+    assert out.read_text() == "mine"
+    run_show(folder, "--out", out, "--force")
+    assert "<svg" in out.read_text()
+    with pytest.raises(ValueError, match=r"\.png, \.pdf, \.svg"):
+        run_show(folder, "--out", tmp_path / "show.docx")
+    shutil.copytree(folder, tmp_path / "copy.png")
+    with pytest.raises(ValueError, match="is a folder"):
+        run_show(folder, "--out", tmp_path / "copy.png")
+
+
+def test_numbers_of_another_version_do_no_harm(tmp_path):
+    folder = write_folder(tmp_path / "run", metrics={"ate_m": "small", "landmarks": None, "new": [1]})
+    content = json.loads((folder / "result.json").read_text())
+    content["seed"], content["config"] = None, "none"
+    write_json(folder / "result.json", content)
+    assert "stopped" in run_show(folder)

@@ -1,0 +1,417 @@
+"""Frontiers worked out by hand, and Dijkstra against a plain one written down here."""
+
+import heapq
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limslam_agent.grid.frontier import frontier_cells, group_of, group_places, sight_begins
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.planner import routes, wall_distance
+from limslam_env.geometry import BoolArray, FloatArray
+
+LOW = np.array([-1.0, 2.0])
+CELL = 0.1
+# A comfort this short makes no cell dear that is not too near a wall anyway.
+NO_COMFORT = 1e-9
+
+
+def grid_of(*rows: str) -> GridView:
+    """A grid drawn with . for free, # for occupied and ? for unknown; the first row is row 0."""
+    meaning = {".": 2, "#": -4, "?": 0}
+    return GridView(LOW, CELL, np.array([[meaning[cell] for cell in row] for row in rows], dtype=np.int16))
+
+
+def drawn(mask: BoolArray) -> list[str]:
+    return ["".join("x" if cell else "-" for cell in row) for row in mask]
+
+
+def place(row: int, column: int) -> FloatArray:
+    """The middle of a cell, m."""
+    return LOW + CELL * np.array([column + 0.5, row + 0.5])
+
+
+def test_frontiers_are_free_cells_beside_unknown_ones() -> None:
+    grid = grid_of(
+        "#######",
+        "#....??",
+        "#..#...",
+        "?..#..?",
+        "#######",
+    )
+    # Above, below, left and right count; (2, 4) meets the unknown at a corner only.
+    assert drawn(frontier_cells(grid, 1)) == [
+        "-------",
+        "----x--",
+        "-----xx",
+        "-x---x-",
+        "-------",
+    ]
+
+
+def test_a_group_touches_at_corners_and_small_groups_are_left_out() -> None:
+    grid = grid_of(
+        "#######",
+        "#....??",
+        "#..#...",
+        "?..#..?",
+        "#######",
+    )
+    # (1, 4), (2, 5), (2, 6), (3, 5) hang together by corners; (3, 1) is alone.
+    alone = ["-------", "----x--", "-----xx", "-----x-", "-------"]
+    assert drawn(frontier_cells(grid, 2)) == alone
+    assert drawn(frontier_cells(grid, 4)) == alone
+    assert not frontier_cells(grid, 5).any()
+
+
+def test_a_closed_room_has_no_frontier() -> None:
+    grid = grid_of("?????", "?###?", "?#.#?", "?###?", "?????")
+    assert not frontier_cells(grid, 1).any()
+
+
+def test_occupied_and_unknown_cells_are_no_frontier() -> None:
+    assert not frontier_cells(grid_of("?#?", "#?#"), 1).any()
+
+
+def test_what_lies_past_the_grids_edge_is_unknown() -> None:
+    # The grid grows only when something falls outside of it: free space can reach its last row exactly.
+    assert drawn(frontier_cells(grid_of("#####", "#...#", "#...#"), 3)) == ["-----", "-----", "-xxx-"]
+    assert drawn(frontier_cells(grid_of("#...#", "#...#", "#####"), 3)) == ["-xxx-", "-----", "-----"]
+    assert drawn(frontier_cells(grid_of("..#", "..#", "..#"), 3)) == ["xx-", "x--", "xx-"]
+
+
+def test_ignored_cells_are_no_frontier_and_what_they_leave_counts_by_itself() -> None:
+    # A frontier of seven cells in a row; what is ignored parts it into three and two.
+    grid = grid_of("#########", "#.......#", "?????????")
+    ignored = np.zeros(grid.values.shape, dtype=bool)
+    assert drawn(frontier_cells(grid, 3, ignored)) == drawn(frontier_cells(grid, 3)) == ["-" * 9, "-xxxxxxx-", "-" * 9]
+    ignored[:, 4:6] = True
+    assert drawn(frontier_cells(grid, 1, ignored)) == ["-" * 9, "-xxx--xx-", "-" * 9]
+    assert drawn(frontier_cells(grid, 3, ignored)) == ["-" * 9, "-xxx-----", "-" * 9]
+    assert not frontier_cells(grid, 4, ignored).any()
+    assert not frontier_cells(grid, 1, np.ones_like(ignored)).any()
+
+
+def test_single_holes_in_a_wall_are_wall() -> None:
+    # Holes of one and of two cells in the lower wall, and one cell beside the corner.
+    grid = grid_of("####?######??#####", *["#" + "." * 16 + "#"] * 2, "#" * 16 + "?#")
+    every = frontier_cells(grid, 1)
+    assert drawn(every)[1] == "----x------xx-----"
+    assert drawn(frontier_cells(grid, 1, close_gaps=True))[1] == "-----------xx-----"
+    assert every[2, 16]
+    assert not frontier_cells(grid, 1, close_gaps=True)[2].any()
+    # A slanted wall has such holes as well.
+    slanted = grid_of("?.....", "#.....", "??....", "??#...", "????..", "????#.")
+    assert not frontier_cells(slanted, 1, close_gaps=True)[4, 4]
+    assert frontier_cells(slanted, 1)[4, 4]
+    # What is free stays free, however narrow.
+    slit = grid_of("###.###", "#.....#", "#######")
+    assert drawn(frontier_cells(slit, 1, close_gaps=True))[0] == "---x---"
+
+
+def test_pockets_that_hide_nothing_are_left_alone() -> None:
+    grid = grid_of("#" * 12, "#" + "." * 10 + "#", "#..?....??.#", "#.......??.#", "#" + "." * 10 + "#", "#" * 12)
+    assert frontier_cells(grid, 1)[:, :6].any()
+    assert not frontier_cells(grid, 1, pocket=3)[:, :6].any()
+    assert frontier_cells(grid, 1, pocket=4)[:, 6:].any()
+    assert not frontier_cells(grid, 1, pocket=5).any()
+
+
+def test_groups_have_cells_and_a_place_each() -> None:
+    grid = grid_of("#########", "#.......#", "??.???...")
+    frontier = np.zeros(grid.values.shape, dtype=bool)
+    frontier[1, 1:4] = frontier[2, 7:9] = True
+    assert group_of(frontier, np.array([1, 1])).tolist() == [[1, 1], [1, 2], [1, 3]]
+    assert group_of(frontier, np.array([2, 8])).tolist() == [[2, 7], [2, 8]]
+    np.testing.assert_allclose(group_places(grid, frontier), [place(1, 2), place(2, 7)])
+    assert group_places(grid, np.zeros_like(frontier)).shape == (0, 2)
+
+
+def test_the_end_of_a_way_is_seen_from_where_nothing_stands_between() -> None:
+    grid = grid_of("." * 12, "......#.....", "......#.....", "......#.....")
+    # Up in column 3, along row 0, and down in column 9.
+    cells = [(row, 3) for row in (3, 2, 1, 0)] + [(0, column) for column in range(4, 10)] + [(1, 9), (2, 9), (3, 9)]
+    path = np.array([place(*cell) for cell in cells])
+    assert cells[sight_begins(grid, path, 1.0)] == (0, 6)
+    assert cells[sight_begins(grid, path, 0.25)] == (1, 9)
+    assert sight_begins(grid, path[-1:], 1.0) == 0
+    # Along a straight way the distance decides.
+    straight = np.array([place(0, column) for column in range(12)])
+    assert sight_begins(grid, straight, 0.55) == 6
+    assert sight_begins(grid, straight, 5.0) == 0
+
+
+# A plain Dijkstra, cell by cell.
+
+
+def plain_distances(grid: GridView) -> FloatArray:
+    """Distance (m) of each cell's centre from the nearest edge of an occupied cell, straight on, by trying all."""
+    occupied = np.argwhere(grid.occupied)
+    distances = np.full(grid.values.shape, math.inf)
+    for row, column in np.ndindex(*grid.values.shape):
+        if len(occupied):
+            distances[row, column] = CELL * np.hypot(*(occupied - (row, column)).T).min() - 0.5 * CELL
+    return distances
+
+
+def plain_dijkstra(grid: GridView, start: tuple[int, int], radius: float) -> FloatArray:
+    """Costs (m) over free cells; a cell within the radius of an occupied one costs 22 m more a metre.
+
+    Of these, 20 are for the tightness, and two for all the comfort that it lacks.
+    """
+    distances = plain_distances(grid)
+    rows, columns = grid.values.shape
+
+    def passable(row: int, column: int) -> bool:
+        return (row, column) == start or bool(grid.free[row, column])
+
+    def toll(row: int, column: int) -> float:
+        return 23.0 if distances[row, column] < radius else 1.0
+
+    cost = np.full(grid.values.shape, math.inf)
+    queue = [(0.0, start)]
+    while queue:
+        so_far, cell = heapq.heappop(queue)
+        if so_far >= cost[cell]:
+            continue
+        cost[cell] = so_far
+        for down in (-1, 0, 1):
+            for right in (-1, 0, 1):
+                row, column = cell[0] + down, cell[1] + right
+                inside = (down or right) and 0 <= row < rows and 0 <= column < columns
+                # A diagonal step needs both cells beside it; for a straight one these are the step's own ends.
+                if inside and passable(row, column) and passable(cell[0], column) and passable(row, cell[1]):
+                    step = CELL * math.hypot(down, right) * 0.5 * (toll(*cell) + toll(row, column))
+                    heapq.heappush(queue, (so_far + step, (row, column)))
+    return cost
+
+
+def random_grid(seed: int, walls: float) -> tuple[GridView, tuple[int, int]]:
+    generator = np.random.default_rng(seed)
+    shape = tuple(generator.integers(4, 14, 2))
+    values = generator.choice([2, -4, 0], shape, p=[0.9 - walls, walls, 0.1]).astype(np.int16)
+    start = (int(generator.integers(shape[0])), int(generator.integers(shape[1])))
+    values[start] = 3
+    return GridView(LOW, CELL, values), start
+
+
+# No distance between cells equals one of these radii, so rounding decides nothing.
+@pytest.mark.parametrize(("radius", "walls"), [(0.0, 0.3), (0.07, 0.2), (0.12, 0.06), (0.19, 0.04)])
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 100_000))
+def test_costs_equal_a_plain_dijkstras(radius: float, walls: float, seed: int) -> None:
+    grid, start = random_grid(seed, walls)
+    ways = routes(grid, place(*start), radius, NO_COMFORT)
+    np.testing.assert_allclose(ways.cost, plain_dijkstra(grid, start, radius), rtol=1e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 100_000))
+def test_paths_lead_cell_by_cell_over_free_ground_and_cut_no_corners(seed: int) -> None:
+    radius = 0.12
+    grid, start = random_grid(seed, 0.06)
+    ways = routes(grid, place(*start), radius, 0.15)
+    for cell in np.argwhere(np.isfinite(ways.cost)).tolist():
+        path = ways.path_to((cell[0], cell[1]))
+        assert path[0].tolist() == list(start)
+        assert path[-1].tolist() == cell
+        assert (np.abs(np.diff(path, axis=0)).max(axis=1) == 1).all() if len(path) > 1 else cell == list(start)
+        assert grid.free[path[:, 0], path[:, 1]].all()
+        # The two cells that a diagonal step passes between are free as well.
+        assert grid.free[path[1:, 0], path[:-1, 1]].all()
+        assert grid.free[path[:-1, 0], path[1:, 1]].all()
+        # Costs add up along the path, and only ever grow.
+        assert (np.diff(ways.cost[path[:, 0], path[:, 1]]) > 0.0).all()
+
+
+def test_in_the_open_the_cost_is_the_length_of_the_way() -> None:
+    grid = grid_of(*["." * 9] * 5)
+    ways = routes(grid, place(0, 0), 0.15, 0.15)
+    assert ways.cost[0, 8] == pytest.approx(0.8)
+    assert ways.cost[4, 4] == pytest.approx(0.4 * math.sqrt(2.0))
+    assert ways.cost[2, 8] == pytest.approx(0.6 + 0.2 * math.sqrt(2.0))
+    assert ways.path_to((0, 3)).tolist() == [[0, 0], [0, 1], [0, 2], [0, 3]]
+    assert ways.path_to((0, 0)).tolist() == [[0, 0]]
+
+
+def test_what_cannot_be_reached_costs_infinity() -> None:
+    grid = grid_of(
+        "...#..",
+        "...#..",
+        "...#??",
+        "...#..",
+    )
+    cost = routes(grid, place(1, 0), 0.0, NO_COMFORT).cost
+    assert np.isfinite(cost[:, :3]).all()
+    assert np.isinf(cost[:, 3:]).all()
+
+
+def test_unknown_ground_is_not_driven_over() -> None:
+    cost = routes(grid_of("..?..", "..?.."), place(0, 0), 0.0, NO_COMFORT).cost
+    assert np.isinf(cost[:, 2:]).all()
+
+
+def walled(*openings: str) -> GridView:
+    """Two halves of a room with one wall between them, in row 5, that is drawn."""
+    return grid_of(*["." * len(openings[0])] * 5, *openings, *["." * len(openings[0])] * 5)
+
+
+def test_a_way_round_is_preferred_to_a_tight_passage() -> None:
+    # An opening of 3 cells leaves 0.15 m from the middle to the posts, one of 5 leaves 0.25 m.
+    grid = walled("##...############.....##")
+    path = routes(grid, place(1, 3), 0.18, NO_COMFORT).path_to((9, 3))
+    through = path[path[:, 0] == 5, 1]
+    assert ((through >= 17) & (through <= 21)).all()
+    # For a robot that fits, the near door is the shorter way.
+    path = routes(grid, place(1, 3), 0.1, NO_COMFORT).path_to((9, 3))
+    assert path[path[:, 0] == 5, 1].tolist() == [3]
+
+
+@pytest.mark.parametrize(("opening", "tight"), [(1, True), (3, True), (5, False)])
+def test_a_tight_passage_is_taken_when_there_is_no_other(opening: int, tight: bool) -> None:
+    side = (9 - opening) // 2
+    ways = routes(walled("#" * side + "." * opening + "#" * side), place(1, 4), 0.18, NO_COMFORT)
+    # Straight through the middle of the opening, as far from both posts as can be.
+    path = ways.path_to((9, 4))
+    assert path[path[:, 0] == 5].tolist() == [[5, 4]]
+    if tight:
+        assert ways.cost[9, 4] > 0.8 + 0.1 * 20.0
+    else:
+        assert ways.cost[9, 4] == pytest.approx(0.8)
+
+
+def test_each_metre_too_near_a_wall_costs_twenty_more_at_least() -> None:
+    # A corridor of one cell, 0.05 m to the wall on both sides.
+    grid = grid_of("#" * 12, "." * 12, "#" * 12)
+    assert routes(grid, place(1, 0), 0.0, NO_COMFORT).cost[1, 10] == pytest.approx(1.0)
+    assert routes(grid, place(1, 0), 0.12, NO_COMFORT).cost[1, 10] == pytest.approx(1.0 + 2.0 + 20.0)
+    # Comfort is two at most, and clipped: half of it is missing, and all of it within the radius.
+    assert routes(grid, place(1, 0), 0.0, 0.1).cost[1, 10] == pytest.approx(1.0 + 1.0)
+    assert routes(grid, place(1, 0), 0.12, 0.05).cost[1, 10] == pytest.approx(1.0 + 2.0 + 20.0)
+
+
+def test_a_hundred_tight_cells_are_still_open() -> None:
+    cost = routes(grid_of("#" * 101, "." * 101, "#" * 101), place(1, 0), 0.3, 0.15).cost
+    assert cost[1, 100] == pytest.approx(10.0 * 23.0)
+    assert np.isinf(cost[[0, 2]]).all()
+
+
+def test_corners_are_not_cut() -> None:
+    # Between two occupied cells that touch at a corner the wall goes on.
+    shut = routes(grid_of(".#", "#."), place(0, 0), 0.0, NO_COMFORT)
+    assert np.isinf(shut.cost[1, 1])
+    # Round one occupied or unknown cell the way is two straight steps.
+    for corner in ("#", "?"):
+        ways = routes(grid_of("..", corner + "."), place(0, 0), 0.0, NO_COMFORT)
+        assert ways.cost[1, 1] == pytest.approx(0.2)
+        assert ways.path_to((1, 1)).tolist() == [[0, 0], [0, 1], [1, 1]]
+        ways = routes(grid_of("." + corner, ".."), place(0, 0), 0.0, NO_COMFORT)
+        assert ways.path_to((1, 1)).tolist() == [[0, 0], [1, 0], [1, 1]]
+        # The other diagonal.
+        ways = routes(grid_of("..", "." + corner), place(0, 1), 0.0, NO_COMFORT)
+        assert ways.path_to((1, 0)).tolist() == [[0, 1], [0, 0], [1, 0]]
+    open_ways = routes(grid_of("..", ".."), place(0, 0), 0.0, NO_COMFORT)
+    assert open_ways.cost[1, 1] == pytest.approx(0.1 * math.sqrt(2.0))
+
+
+@pytest.mark.parametrize(("row", "column"), [(-1, 2), (5, 2), (2, -1), (2, 5), (-40, -40)])
+def test_from_outside_of_the_grid_nothing_can_be_reached(row: int, column: int) -> None:
+    ways = routes(grid_of(*["....."] * 5), place(row, column), 0.1, 0.1)
+    assert ways.cost.shape == (5, 5)
+    assert np.isinf(ways.cost).all()
+    assert (ways.predecessors < 0).all()
+
+
+@pytest.mark.parametrize("row", [1, 2])
+def test_a_robot_that_stands_too_near_a_wall_still_gets_out(row: int) -> None:
+    # The belief has drifted into the zone that is kept around the wall; all of it must not be a trap.
+    grid = grid_of("#########", *["." * 9] * 8)
+    ways = routes(grid, place(row, 4), 0.22, 0.15)
+    path = ways.path_to((7, 4))
+    assert np.isfinite(ways.cost[7, 4])
+    assert path[0].tolist() == [row, 4]
+    # It leaves the zone by the shortest way, and does not run along the wall to a cell that is near it too.
+    assert path[:4, 0].tolist() == [row, row + 1, row + 2, row + 3]
+    along = ways.path_to((1, 8))
+    assert along[:, 0].max() >= 3
+
+
+def test_a_robot_whose_own_cell_seems_occupied_still_gets_out() -> None:
+    grid = grid_of(".....", ".....", "..#..", ".....", ".....")
+    ways = routes(grid, place(2, 2), 0.15, 0.1)
+    assert np.isfinite(ways.cost[0, 0])
+    assert ways.path_to((0, 0))[0].tolist() == [2, 2]
+
+
+def test_comfort_keeps_the_way_off_the_walls_where_there_is_room() -> None:
+    # A corridor 9 cells wide: hugging its wall is as short, but dearer.
+    grid = grid_of("#" * 30, *["." * 30] * 9, "#" * 30)
+    near = routes(grid, place(2, 1), 0.12, NO_COMFORT).path_to((2, 28))
+    far = routes(grid, place(2, 1), 0.12, 0.3).path_to((2, 28))
+    assert set(near[:, 0].tolist()) == {2}
+    assert far[len(far) // 2, 0] >= 4
+    # A cell within the comfort costs up to three times its length, and never more.
+    cost = routes(grid, place(2, 1), 0.12, 0.3).cost[2, 2]
+    assert 0.1 < cost <= 0.3
+
+
+def test_comfort_gives_way_where_there_is_none() -> None:
+    # A passage in which no cell has all its comfort: dear, but open.
+    grid = grid_of("#" * 12, *["." * 12] * 3, "#" * 12)
+    cost = routes(grid, place(2, 0), 0.1, 0.5).cost[2, 11]
+    assert 1.1 < cost <= 3.3
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 100_000))
+def test_a_search_for_targets_finds_the_cheapest_at_its_cost(seed: int) -> None:
+    grid, start = random_grid(seed, 0.15)
+    everywhere = routes(grid, place(*start), 0.07, 0.1)
+    targets = np.random.default_rng(seed).random(grid.values.shape) < 0.1
+    found = routes(grid, place(*start), 0.07, 0.1, targets=targets)
+    assert np.where(targets, found.cost, np.inf).min() == np.where(targets, everywhere.cost, np.inf).min()
+    # What it reached at all, it reached at its least cost; when it found no target it went everywhere.
+    reached = np.isfinite(found.cost)
+    np.testing.assert_array_equal(found.cost[reached], everywhere.cost[reached])
+    if not np.isfinite(everywhere.cost[targets]).any():
+        np.testing.assert_array_equal(reached, np.isfinite(everywhere.cost))
+
+
+def test_a_near_target_is_found_without_going_everywhere() -> None:
+    grid = grid_of(*["." * 60] * 60)
+    targets = np.zeros(grid.values.shape, dtype=bool)
+    targets[30, 34] = targets[0, 59] = True
+    cost = routes(grid, place(30, 30), 0.1, 0.1, targets=targets).cost
+    assert cost[30, 34] == pytest.approx(0.4)
+    assert np.isfinite(cost).sum() < 400
+
+
+def test_closed_cells_are_driven_round_though_they_are_free() -> None:
+    grid = grid_of(*["." * 9] * 5)
+    closed = np.zeros(grid.values.shape, dtype=bool)
+    closed[:4, 4] = True
+    ways = routes(grid, place(0, 0), 0.1, 0.1, closed=closed)
+    assert ways.path_to((0, 8))[:, 0].max() == 4
+    assert np.isinf(ways.cost[:4, 4]).all()
+    closed[:, 4] = True
+    assert np.isinf(routes(grid, place(0, 0), 0.1, 0.1, closed=closed).cost[:, 5:]).all()
+    # Its own cell never is.
+    assert np.isfinite(routes(grid, place(0, 4), 0.1, 0.1, closed=closed).cost).all(axis=0)[5:].all()
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 100_000))
+def test_distances_from_walls_are_those_of_trying_all(seed: int) -> None:
+    grid, _ = random_grid(seed, 0.1)
+    np.testing.assert_allclose(wall_distance(grid), plain_distances(grid), atol=1e-6)
+
+
+def test_a_plan_does_not_change_its_grid() -> None:
+    grid = grid_of("..#..", ".....", "..#..")
+    grid.values.setflags(write=False)
+    before = grid.values.copy()
+    routes(grid, place(0, 2), 0.1, 0.1, targets=np.ones((3, 5), dtype=bool), closed=np.ones((3, 5), dtype=bool))
+    np.testing.assert_array_equal(grid.values, before)

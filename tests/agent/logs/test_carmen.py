@@ -1,0 +1,600 @@
+"""Recorded logs: CARMEN's rules and refusals, the project's own log.npz, and which reader takes which file."""
+
+import gzip
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.data import data_folder
+
+from limslam_agent.logs.carmen import MIN_RANGE, beam_angles_deg, read_carmen
+from limslam_agent.logs.log_reader import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE, read_log
+from limslam_agent.logs.recorded_log import LogError, RecordedLog, read_npz
+from limslam_env.geometry import se2
+from limslam_env.interface import RobotSpec, SensorSpec
+
+SIX = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
+
+
+def scan(
+    ranges: list[object] | int = 181,
+    odometry: tuple[object, object, object] = (0.0, 0.0, 0.0),
+    laser: tuple[object, object, object] | None = None,
+    at: object = 1.0,
+) -> str:
+    """A FLASER line; a number of ranges stands for as many readings of 2 m."""
+    values = [2.0] * ranges if isinstance(ranges, int) else ranges
+    words = ["FLASER", len(values), *values, *(laser or odometry), *odometry, at, "host", 0.5]
+    return " ".join(map(str, words)) + "\n"
+
+
+def odom(pose: tuple[object, object, object] = (0.0, 0.0, 0.0), at: object = 1.0) -> str:
+    return f"ODOM {pose[0]} {pose[1]} {pose[2]} 0 0 0 {at} host 0.5\n"
+
+
+def float32(*values: float) -> NDArray[np.float32]:
+    return np.array(values, dtype=np.float32)
+
+
+def changed(column: int, value: object, count: int = 181) -> list[object]:
+    values: list[object] = [2.0] * count
+    values[column] = value
+    return values
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Any:
+    def _write(*lines: str, name: str = "some.clf") -> Path:
+        path = tmp_path / name
+        path.write_text("".join(lines))
+        return path
+
+    return _write
+
+
+def refusal(path: Path, beams: tuple[float, ...] = SIX, max_range: float = 3.0) -> str:
+    """The message with which a log is refused: one line that begins with the file."""
+    with pytest.raises(LogError) as caught:
+        read_carmen(path, beams, max_range)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message
+
+
+# What is read
+
+
+def test_events_keep_the_order_of_the_file_and_use_ipc_time(write: Any) -> None:
+    path = write(
+        "# a comment\n",
+        "PARAM robot_length 0.5\n",
+        odom((0.0, 0.0, 0.0), at=10.0),
+        scan(odometry=(1.0, 0.5, 0.1), at=10.2),
+        "\n",
+        odom((1.5, 0.5, 3.0 + 2.0 * math.pi), at=10.1),
+        "RAWLASER1 0 1 2 3\n",
+        scan(odometry=(2.0, 0.5, -4.0), at=10.4),
+    )
+    log = read_carmen(path, SIX, 3.0)
+    np.testing.assert_array_equal(log.time, [10.0, 10.2, 10.1, 10.4])
+    np.testing.assert_array_equal(log.has_scan, [False, True, False, True])
+    assert log.odometry is not None
+    expected = np.array([[0.0, 0, 0], [1, 0.5, 0.1], [1.5, 0.5, 3], [2, 0.5, 2 * math.pi - 4]])
+    np.testing.assert_allclose(log.odometry, expected)
+    np.testing.assert_array_equal(log.ranges[:, 0], float32(3.0, 2.0, 3.0, 2.0))
+    assert log.ranges.dtype == np.float32
+    assert (log.wheels, log.true_pose) == (None, None)
+    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
+    assert len(log) == 4
+
+
+@pytest.mark.parametrize(
+    ("count", "first", "last", "spacing"),
+    [(180, -90.0, 89.0, 1.0), (181, -90.0, 90.0, 1.0), (360, -90.0, 89.5, 0.5), (361, -90.0, 90.0, 0.5)],
+)
+def test_beam_layout_follows_from_the_count(write: Any, count: int, first: float, last: float, spacing: float) -> None:
+    angles = beam_angles_deg(count)
+    assert (angles[0], angles[-1], len(angles)) == (first, last, count)
+    np.testing.assert_allclose(np.diff(angles), spacing)
+    # Readings that tell which beam they came from.
+    log = read_carmen(write(scan([0.5 + 0.001 * i for i in range(count)])), (-90.0, -45.2, 0.0, 45.0, 90.0), 3.0)
+    np.testing.assert_allclose(log.ranges[0], [0.5 + 0.001 * i for i in expected_beams(count)], rtol=1e-6)
+    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [-90.0, -45.0, 0.0, 45.0, last], atol=1e-9)
+
+
+def expected_beams(count: int) -> list[int]:
+    return {
+        180: [0, 45, 90, 135, 179],
+        181: [0, 45, 90, 135, 180],
+        360: [0, 90, 180, 270, 359],
+        361: [0, 90, 180, 270, 360],
+    }[count]
+
+
+def test_beams_keep_the_order_asked_for_and_fill_their_sides(write: Any) -> None:
+    values = changed(181 - 1, 1.0)
+    values[0] = 0.5
+    log = read_carmen(write(scan(values)), (90.0, 18.0, 19.0, 21.0, -54.0, -90.0), 5.0)
+    assert [beam.side for beam in log.robot.beams] == ["left", "none", "none", "left", "right", "right"]
+    np.testing.assert_array_equal(log.ranges[0], float32(1.0, 2.0, 2.0, 2.0, 2.0, 0.5))
+    assert {(beam.x, beam.y, beam.min_range, beam.max_range) for beam in log.robot.beams} == {(0.0, 0.0, 0.02, 5.0)}
+    assert log.robot.radius == 0.2
+
+
+@pytest.mark.parametrize("reading", [3.0, 3.0001, 29.99, 81.91, 1e6])
+def test_a_reading_at_or_past_the_cap_is_nothing_seen(write: Any, reading: float) -> None:
+    log = read_carmen(write(scan(changed(0, reading))), SIX, 3.0)
+    np.testing.assert_array_equal(log.ranges[0], float32(3.0, 2.0, 2.0, 2.0, 2.0, 2.0))
+
+
+@pytest.mark.parametrize(("top", "cap"), [(81.91, 100.0), (81.83, 100.0), (8.191, 20.0), (8.187, 8.19)])
+def test_a_lasers_own_maximum_is_nothing_seen_below_a_larger_cap(write: Any, top: float, cap: float) -> None:
+    log = read_carmen(write(scan(changed(0, top))), SIX, cap)
+    assert log.ranges[0, 0] == np.float32(cap)
+    assert log.ranges[0, 1] == 2.0
+
+
+def test_nine_metres_are_a_reading_where_the_laser_sees_further_than_eight(write: Any) -> None:
+    values = changed(0, 8.19)
+    values[45] = 9.0
+    log = read_carmen(write(scan(values)), SIX, 20.0)
+    np.testing.assert_array_equal(log.ranges[0, :2], float32(8.19, 9.0))
+
+
+@pytest.mark.parametrize("reading", [0, 0.0, 0.01, 0.0199])
+def test_readings_too_short_become_the_shortest_range(write: Any, reading: float) -> None:
+    assert read_carmen(write(scan(changed(0, reading))), SIX, 3.0).ranges[0, 0] == np.float32(MIN_RANGE)
+
+
+def test_only_the_chosen_beams_are_looked_at(write: Any) -> None:
+    log = read_carmen(write(scan(changed(7, "nan"))), SIX, 3.0)
+    np.testing.assert_array_equal(log.ranges[0], np.full(6, 2.0, dtype=np.float32))
+
+
+def test_gzip_is_told_by_its_bytes_not_by_its_name(write: Any, tmp_path: Path) -> None:
+    plain = write(scan(at=1.0), scan(at=2.0), name="plain.gz")
+    packed = tmp_path / "packed.clf"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    for path in (plain, packed):
+        np.testing.assert_array_equal(read_carmen(path, SIX, 3.0).time, [1.0, 2.0])
+
+
+def test_a_last_line_that_only_lacks_its_newline_is_whole(write: Any) -> None:
+    assert len(read_carmen(write(scan(), scan().rstrip("\n")), SIX, 3.0)) == 2
+
+
+def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write: Any) -> None:
+    mount = np.array([0.2, -0.05, math.radians(90.0)])
+    lines = []
+    for step in range(5):
+        pose = np.array([0.3 * step, -0.1 * step, 0.7 * step])
+        laser = tuple(se2.compose(pose, mount).tolist())
+        lines.append(scan(odometry=(pose[0], pose[1], pose[2]), laser=laser))
+    beams = read_carmen(write(*lines), (-90.0, 0.0), 3.0).robot.beams
+    np.testing.assert_allclose([(b.x, b.y) for b in beams], [[0.2, -0.05]] * 2, atol=1e-6)
+    np.testing.assert_allclose([b.angle for b in beams], [0.0, math.pi / 2], atol=1e-6)
+    assert [b.side for b in beams] == ["none", "left"]
+
+
+def test_laser_poses_that_a_mapper_corrected_are_no_mount(write: Any) -> None:
+    lines = [scan(odometry=(s, 0.0, 0.0), laser=(s, 0.1 * s, 0.01 * s)) for s in range(20)]
+    beams = read_carmen(write(*lines), SIX, 3.0).robot.beams
+    assert {(b.x, b.y) for b in beams} == {(0.0, 0.0)}
+    np.testing.assert_allclose(np.degrees([b.angle for b in beams]), SIX)
+
+
+def test_the_control_period_is_the_median_spacing(write: Any) -> None:
+    times = (1.0, 1.2, 1.1, 1.3, 1.5, 9.0)
+    assert read_carmen(write(*(scan(at=t) for t in times)), SIX, 3.0).robot.control_period == pytest.approx(0.2)
+    assert read_carmen(write(scan()), SIX, 3.0).robot.control_period == RobotSpec().control_period
+
+
+def test_observations_hold_the_motion_in_the_robots_own_frame(write: Any) -> None:
+    half = math.pi / 2
+    path = write(
+        odom((5.0, 5.0, half)),
+        scan(odometry=(5.0, 6.0, half)),
+        scan(odometry=(4.0, 6.0, -math.pi)),
+        odom((3.0, 6.0, 3.0)),
+    )
+    observations = list(read_carmen(path, SIX, 3.0).observations())
+    expected = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, half], [1, 0, 3 - math.pi]])
+    np.testing.assert_allclose(np.array([o["odometry"] for o in observations]), expected, atol=1e-12)
+    assert all("wheels" not in o for o in observations)
+    # Events without a scan measured nothing, which is not the same as having seen nothing.
+    assert ["ranges" in o for o in observations] == [False, True, True, False]
+    assert all(o["ranges"].dtype == np.float32 for o in observations[1:3])
+    np.testing.assert_array_equal([o["ranges"][0] for o in observations[1:3]], [2.0, 2.0])
+
+
+def test_observations_are_fresh_arrays(write: Any) -> None:
+    log = read_carmen(write(scan(), scan()), SIX, 3.0)
+    for observation in log.observations():
+        observation["ranges"][:] = -1.0
+    assert np.all(log.ranges == 2.0)
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (scan(changed(0, "nan")), "range 1 is nan"),
+        (scan(changed(180, "inf")), "range 181 is inf"),
+        (scan(changed(45, -0.5)), "range 46 is negative: -0.5"),
+        (scan(changed(45, "1.2.3")), "range 46 is not a number: '1.2.3'"),
+        (scan(odometry=(0.0, "nan", 0.0), laser=(0.0, 0.0, 0.0)), "odometry is nan"),
+        (scan(laser=(0.0, 0.0, "-inf")), "laser's pose is -inf"),
+        (scan(at="nan"), "time is nan"),
+        (scan(at="-1.0"), "time is negative"),
+        (odom((0.0, 0.0, "inf")), "odometry is inf"),
+        (odom(at="soon"), "time is not a number: 'soon'"),
+        (odom().replace(" host", ""), "ODOM has 9 fields where 10"),
+        (scan().replace(" host", ""), "FLASER has 191 fields where 192"),
+        (scan().replace(" host", " host host"), "FLASER has 193 fields where 192"),
+        ("FLASER 181 1.0 2.0\n", "FLASER has 4 fields where 192"),
+        ("FLASER\n", "not followed by the number of beams"),
+        ("FLASER many 1.0\n", "not followed by the number of beams"),
+        (scan(541), "541 beams"),
+        (scan(90), "90 beams"),
+        (scan(180), "180 beams after scans of 181"),
+    ],
+)
+def test_a_bad_line_is_refused_with_its_number(write: Any, line: str, words: str) -> None:
+    message = refusal(write("# first\n", scan(), odom(), line, scan()))
+    assert ": line 4: " in message
+    assert words in message
+
+
+def test_other_beam_counts_are_refused_in_the_first_scan(write: Any) -> None:
+    assert "line 2: a scan of 682 beams: only 180, 181, 360 and 361" in refusal(write("#\n", scan(682)))
+
+
+@pytest.mark.parametrize(
+    ("count", "angle", "fits"),
+    [
+        (360, 90.5, True),
+        (360, 90.6, False),
+        (180, 90.0, True),
+        (180, 90.1, False),
+        (361, 91.1, False),
+        (361, -91.0, True),
+    ],
+)
+def test_an_angle_must_have_a_beam_within_a_degree(write: Any, count: int, angle: float, fits: bool) -> None:
+    path = write(scan(count))
+    if fits:
+        assert len(read_carmen(path, (0.0, angle), 3.0).robot.beams) == 2
+    else:
+        assert f"line 1: no beam within 1 deg of {angle:g} deg" in refusal(path, (0.0, angle))
+
+
+def test_a_whole_turn_more_is_the_same_angle(write: Any) -> None:
+    assert read_carmen(write(scan()), (270.0,), 3.0).robot.beams[0].angle == pytest.approx(-math.pi / 2)
+
+
+def test_beams_that_make_no_sense_are_refused(write: Any) -> None:
+    path = write(scan())
+    assert "at least one beam" in refusal(path, ())
+    assert "finite number, not nan" in refusal(path, (0.0, math.nan))
+    assert "0 deg and 0.3 deg are the same beam, at 0 deg" in refusal(path, (0.0, 0.3))
+
+
+@pytest.mark.parametrize("max_range", [0.0, -1.0, MIN_RANGE, math.nan, math.inf])
+def test_a_largest_range_that_makes_no_sense_is_refused(write: Any, max_range: float) -> None:
+    assert "largest range must be above 0.02 m" in refusal(write(scan()), max_range=max_range)
+
+
+@pytest.mark.parametrize("kept", [3, 7, 40, 700, 740, -20, -9])
+def test_a_last_line_that_is_cut_is_refused(write: Any, kept: int) -> None:
+    message = refusal(write(odom(), scan(), scan()[:kept]))
+    assert ": line 3: cut short: " in message
+
+
+def test_an_odometry_line_that_is_cut_is_refused(write: Any) -> None:
+    assert ": line 2: cut short: ODOM has 5 fields" in refusal(write(scan(), "ODOM 1 2 3 0"))
+    assert ": line 2: cut short: " in refusal(write(scan(), "OD"))
+
+
+def test_a_gzip_stream_that_is_cut_is_refused_at_the_line(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1)
+    lines = [scan(list(noise.uniform(0.5, 3.0, 181).round(2)), at=1.0 + i) for i in range(200)]
+    whole = gzip.compress("".join(lines).encode())
+    path = tmp_path / "cut.clf.gz"
+    path.write_bytes(whole[: len(whole) // 2])
+    message = refusal(path)
+    line = int(message.split(": line ")[1].split(":")[0])
+    assert "cut short" in message
+    assert 80 < line < 120
+
+
+def test_a_damaged_gzip_stream_is_refused(tmp_path: Path) -> None:
+    packed = bytearray(gzip.compress("".join(scan(at=i) for i in range(50)).encode()))
+    packed[-6] ^= 0xFF
+    path = tmp_path / "bad.clf.gz"
+    path.write_bytes(packed)
+    assert "damaged" in refusal(path)
+
+
+def test_a_log_without_odometry_is_refused(write: Any) -> None:
+    ranges = " ".join(["2.0"] * 181)
+    for lines in (
+        ["RAWLASER1 0 -1.57 3.14 0.0174 80 0.01 0 3 1.0 1.0 1.0 0 1.0 host 0.5\n"],
+        [f"FLASER 181 {ranges}\n"],
+        [f"FLASER 181 {ranges} 1.0 host 0.5\n"],
+        [f"FLASER 181 {ranges} 0 0 0 1.0 host 0.5\n"],
+        ["# nothing else\n"],
+        [],
+    ):
+        assert "has no odometry" in refusal(write(*lines))
+    assert ": line 2: has no odometry" in refusal(write("#\n", f"FLASER 181 {ranges} 1.0 host 0.5\n"))
+
+
+def test_a_log_without_a_scan_is_refused(write: Any) -> None:
+    assert "has no scan: not one FLASER line" in refusal(write(odom(at=1.0), odom(at=2.0)))
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    assert "No such file" in refusal(tmp_path / "absent.clf")
+    assert "s a directory" in refusal(tmp_path)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "picture.clf"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    assert "line 3: this is not a text file" in refusal(path)
+    path.write_bytes(b"x" * (3 << 20))
+    assert "line 1: this is not a text file" in refusal(path)
+
+
+def test_a_message_is_one_line_whatever_the_file_is_called(tmp_path: Path) -> None:
+    with pytest.raises(LogError) as caught:
+        read_carmen(tmp_path / "two\nlines", SIX, 3.0)
+    assert "two lines: cannot be read" in str(caught.value)
+
+
+# The project's own log
+
+
+def own_log(count: int = 4) -> dict[str, Any]:
+    robot = RobotSpec()
+    generator = np.random.default_rng(3)
+    return {
+        "time": 0.1 * np.arange(count),
+        "ranges": generator.uniform(0.1, 1.5, (count, 6)).astype(np.float32),
+        "wheels": generator.uniform(-0.03, 0.03, (count, 2)).astype(np.float32),
+        "action": generator.uniform(-1.0, 1.0, (count, 2)).astype(np.float32),
+        "true_pose": generator.uniform(-1.0, 1.0, (count, 3)),
+        "wall_seen": generator.integers(-2, 9, (count, 6)),
+        "robot": np.array(robot.to_json()),
+        "start_pose": np.array([1.0, 2.0, 0.5]),
+    }
+
+
+def npz_refusal(path: Path) -> str:
+    with pytest.raises(LogError) as caught:
+        read_npz(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_our_own_log_comes_back_as_it_was(tmp_path: Path, save: Any) -> None:
+    arrays = own_log()
+    save(tmp_path / "log.npz", **arrays)
+    log = read_npz(tmp_path / "log.npz")
+    assert log.robot == RobotSpec()
+    assert log.odometry is None
+    assert log.has_scan.all()
+    for name in ("time", "ranges", "wheels", "true_pose", "start_pose"):
+        np.testing.assert_array_equal(getattr(log, name), arrays[name])
+    observations = list(log.observations())
+    assert all("odometry" not in o and o["wheels"].dtype == o["ranges"].dtype == np.float32 for o in observations)
+    np.testing.assert_array_equal([o["wheels"] for o in observations], arrays["wheels"])
+    np.testing.assert_array_equal([o["ranges"] for o in observations], arrays["ranges"])
+
+
+@pytest.mark.parametrize("name", sorted(own_log()))
+def test_our_own_log_without_one_of_its_arrays_is_refused(tmp_path: Path, name: str) -> None:
+    arrays = own_log()
+    del arrays[name]
+    np.savez(tmp_path / "log.npz", **arrays)
+    assert f"has no {name}" in npz_refusal(tmp_path / "log.npz")
+
+
+def with_nan(array: Any) -> Any:
+    array = np.array(array, dtype=float)
+    array[2] = np.nan
+    return array
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("time", lambda a: a[:-1], "shape"),
+        ("time", lambda a: a[0], "shape"),
+        ("time", lambda a: a[:0], "shape"),
+        ("ranges", lambda a: a[:, :5], "ranges has shape (4, 5), not (4, 6)"),
+        ("wheels", lambda a: a[:2], "wheels has shape (2, 2), not (4, 2)"),
+        ("action", lambda a: a[0], "action has shape (2,), not (4, 2)"),
+        ("true_pose", lambda a: a[:, :2], "true_pose has shape (4, 2), not (4, 3)"),
+        ("wall_seen", lambda a: a.T, "wall_seen has shape (6, 4), not (4, 6)"),
+        ("start_pose", lambda a: a[:2], "start_pose has shape (2,), not (3,)"),
+        ("time", with_nan, "time holds something that is not a finite number in row 2"),
+        ("ranges", with_nan, "ranges holds something that is not a finite number in row 2"),
+        ("wheels", with_nan, "wheels holds something that is not a finite number in row 2"),
+        ("action", with_nan, "action holds something that is not a finite number in row 2"),
+        ("true_pose", with_nan, "true_pose holds something that is not a finite number in row 2"),
+        ("start_pose", with_nan, "start_pose holds something"),
+        ("ranges", lambda a: -a, "ranges is negative in row 0"),
+        ("wheels", lambda a: a.astype(str), "wheels does not hold numbers"),
+        ("action", lambda a: a.astype(str), "action does not hold numbers"),
+        ("wheels", lambda a: a.astype(object), "cut short or damaged"),
+        ("robot", lambda _: np.array("{}"), "robot: not a robot"),
+        ("robot", lambda _: np.array("nonsense"), "robot: not a robot"),
+        ("robot", lambda _: np.zeros(3), "robot is not a text"),
+    ],
+)
+def test_our_own_log_with_something_wrong_in_it_is_refused(tmp_path: Path, name: str, change: Any, words: str) -> None:
+    arrays = own_log()
+    arrays[name] = change(arrays[name])
+    np.savez(tmp_path / "log.npz", **arrays)
+    assert words in npz_refusal(tmp_path / "log.npz")
+
+
+def test_our_own_log_cut_anywhere_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    np.savez_compressed(path, **own_log())
+    whole = path.read_bytes()
+    for kept in range(0, len(whole), 97):
+        path.write_bytes(whole[:kept])
+        assert "cut short or damaged" in (message := npz_refusal(path)) or "is not an .npz file" in message
+
+
+def test_our_own_log_with_a_wrong_byte_is_refused_or_reads_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    np.savez_compressed(path, **own_log())
+    whole, expected = path.read_bytes(), read_npz(path)
+    for position in range(0, len(whole), 13):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xA5
+        path.write_bytes(damaged)
+        try:
+            log = read_npz(path)
+        except LogError:
+            continue
+        np.testing.assert_array_equal(log.ranges, expected.ranges)
+
+
+def test_what_is_no_npz_is_refused(tmp_path: Path) -> None:
+    for name, content in (("empty.npz", b""), ("text.npz", b"ODOM 1 2 3\n")):
+        (tmp_path / name).write_bytes(content)
+        assert "is not an .npz file" in npz_refusal(tmp_path / name)
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    assert "is not an .npz file" in npz_refusal(tmp_path / "one.npy")
+    assert "No such file" in npz_refusal(tmp_path / "absent.npz")
+    assert "s a directory" in npz_refusal(tmp_path)
+
+
+def test_a_recorded_log_needs_wheels_or_odometry() -> None:
+    robot = RobotSpec(beams=(SensorSpec(0.0, 0.0, 0.0),))
+    zeros: dict[str, Any] = {
+        "time": np.zeros(1),
+        "ranges": np.zeros((1, 1), np.float32),
+        "has_scan": np.ones(1, np.bool_),
+    }
+    with pytest.raises(ValueError, match="either odometry or wheels"):
+        RecordedLog(robot=robot, start_pose=np.zeros(3), **zeros)
+    with pytest.raises(ValueError, match="either odometry or wheels"):
+        RecordedLog(robot=robot, start_pose=np.zeros(3), odometry=np.zeros((1, 3)), wheels=np.zeros((1, 2)), **zeros)
+    with pytest.raises(ValueError, match=r"odometry has shape \(1, 2\), not \(1, 3\)"):
+        RecordedLog(robot=robot, start_pose=np.zeros(3), odometry=np.zeros((1, 2)), **zeros)
+
+
+def one_beam_log(**columns: Any) -> RecordedLog:
+    count = len(columns["has_scan"])
+    return RecordedLog(
+        robot=RobotSpec(beams=(SensorSpec(0.0, 0.0, 0.0),)),
+        time=np.arange(count, dtype=float),
+        ranges=np.ones((count, 1), np.float32),
+        start_pose=np.zeros(3),
+        **columns,
+    )
+
+
+@pytest.mark.parametrize("motion", ["odometry", "wheels"])
+def test_an_event_without_a_scan_has_no_ranges(motion: str) -> None:
+    moves = np.zeros((3, 3 if motion == "odometry" else 2))
+    log = one_beam_log(has_scan=np.array([True, False, True]), **{motion: moves})
+    assert ["ranges" in each for each in log.observations()] == [True, False, True]
+    assert all(motion in each for each in log.observations())
+
+
+@pytest.mark.parametrize("jump", [(50.1, 0.0), (-36.0, 36.0), (0.0, 1e9)])
+def test_odometry_that_jumps_is_refused(jump: tuple[float, float]) -> None:
+    odometry = np.zeros((4, 3))
+    odometry[2:, :2] = jump
+    with pytest.raises(ValueError, match=r"odometry jumps by \S+ m in row 2"):
+        one_beam_log(has_scan=np.ones(4, np.bool_), odometry=odometry)
+
+
+def test_odometry_may_be_far_out_and_go_far_in_one_event() -> None:
+    odometry = np.zeros((4, 3))
+    odometry[:, 0] = [1e6, 1e6 + 49.9, 1e6 + 99.8, 1e6 + 99.8]
+    assert len(one_beam_log(has_scan=np.ones(4, np.bool_), odometry=odometry)) == 4
+
+
+# Which reader
+
+
+def test_a_log_is_opened_by_what_it_is(write: Any, tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **own_log())
+    ours = (tmp_path / "log.npz").rename(tmp_path / "ours.clf")
+    assert read_log(ours).wheels is not None
+    theirs = read_log(write(scan(), name="theirs.txt"))
+    assert theirs.odometry is not None
+    np.testing.assert_allclose(np.degrees(theirs.robot.beam_angles), DEFAULT_BEAMS_DEG)
+    assert set(theirs.robot.max_ranges) == {DEFAULT_MAX_RANGE}
+    chosen = read_log(write(scan()), (0.0, 30.0), 5.0).robot
+    np.testing.assert_allclose(np.degrees(chosen.beam_angles), [0.0, 30.0])
+    assert set(chosen.max_ranges) == {5.0}
+
+
+def test_our_own_log_has_its_beams_and_range(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **own_log())
+    with pytest.raises(LogError, match=r"log\.npz: the log fixes its beams"):
+        read_log(tmp_path / "log.npz", beams_deg=SIX)
+    with pytest.raises(LogError, match=r"log\.npz: the log fixes its largest range"):
+        read_log(tmp_path / "log.npz", max_range=3.0)
+
+
+def test_refusals_come_through_the_dispatch(write: Any, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"absent\.clf: cannot be read: No such file"):
+        read_log(tmp_path / "absent.clf")
+    with pytest.raises(LogError, match=r"fake\.npz: is not an \.npz file"):
+        read_log(write("ODOM\n", name="fake.npz"))
+    with pytest.raises(LogError, match=r"has no odometry"):
+        read_log(write("", name="empty.clf"))
+
+
+# Real logs
+
+
+@pytest.mark.parametrize(
+    ("name", "events", "scans", "seconds", "metres"),
+    [("fr079/fr079_raw.clf.gz", 4934, 4791, 1061.5, 392.9), ("csail/mit-csail.clf.gz", 1988, 1988, 424.0, 373.6)],
+)
+def test_a_real_log_is_read_whole_and_fast(name: str, events: int, scans: int, seconds: float, metres: float) -> None:
+    path = data_folder() / name
+    begin = time.perf_counter()
+    log = read_carmen(path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
+    taken = time.perf_counter() - begin
+    assert (len(log), int(log.has_scan.sum())) == (events, scans)
+    assert log.time[-1] - log.time[0] == pytest.approx(seconds, abs=0.1)
+    assert log.odometry is not None
+    assert np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum() == pytest.approx(metres, abs=0.1)
+    assert [beam.side for beam in log.robot.beams] == ["right", "right", "none", "none", "left", "left"]
+    assert np.all(log.ranges[~log.has_scan] == 5.0)
+    assert 0.02 < np.mean(log.ranges[log.has_scan] == 5.0) < 0.5
+    assert taken < 1.5
+
+
+def test_a_real_log_agrees_with_the_same_beams_taken_by_someone_else() -> None:
+    folder = data_folder() / "fr079"
+    angles = tuple(np.arange(-90.0, 91.0, 15.0).tolist())
+    log = read_carmen(folder / "fr079_raw.clf.gz", angles, 5.0)
+    with gzip.open(folder / "fr079_13beam.csv.gz", "rt") as file:
+        rows = [line.split() for line in file if not line.startswith("#")]
+    scans = np.array([row[4:] for row in rows if row[4] != "-"], dtype=float)
+    np.testing.assert_allclose(log.ranges[log.has_scan], np.minimum(scans, 5.0), atol=1e-6)
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.time, [float(row[0]) for row in rows], atol=1e-6)
+    np.testing.assert_allclose(log.odometry, np.array([row[1:4] for row in rows], dtype=float), atol=1e-5)

@@ -1,0 +1,277 @@
+"""Logs as text: the header and its variants, what means "nothing seen", and one line for every fault."""
+
+import gzip
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support.data import data_folder, refusal
+
+from limslam_agent.logs.csv_log import is_csv, read_csv
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.recorded_log import LogError
+
+HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text, name="some.csv"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return _write
+
+
+def degrees(log):
+    return np.degrees([beam.angle for beam in log.robot.beams])
+
+
+# What is read
+
+
+def test_a_row_is_an_event(write):
+    path = write(HEAD + "0.0,1.0,2.0,3.0,0.5,1.5,2.5\n0.2,1.5,2.0,3.5,0.6,1.6,2.6\n")
+    log = read_log(path)
+    np.testing.assert_array_equal(log.time, [0.0, 0.2])
+    np.testing.assert_allclose(log.odometry, [[1.0, 2.0, 3.0], [1.5, 2.0, 3.5 - 2 * math.pi]])
+    np.testing.assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, 2.6]]))
+    np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
+    assert [beam.side for beam in log.robot.beams] == ["right", "none", "left"]
+    assert {beam.max_range for beam in log.robot.beams} == {3.0}
+    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
+    assert log.robot.control_period == pytest.approx(0.2)
+    assert log.has_scan.all()
+
+
+@pytest.mark.parametrize("nothing", ["", " ", "nan", "NaN", "inf", "Inf", "3.0", "81.91", "1e9"])
+def test_what_means_that_nothing_was_seen(write, nothing):
+    log = read_log(write(f"{HEAD}0,0,0,0,1,{nothing},1\n"))
+    np.testing.assert_array_equal(log.ranges[0], [1.0, 3.0, 1.0])
+    assert log.has_scan[0]
+
+
+def test_a_last_column_may_be_empty_and_readings_too_near_become_the_shortest(write):
+    log = read_log(write(f"{HEAD}0,0,0,0,0,0.01,\n"))
+    np.testing.assert_array_equal(log.ranges[0], np.float32([0.02, 0.02, 3.0]))
+
+
+def test_a_dash_says_that_there_was_no_scan(write):
+    rows = "0,0,0,0,-,-,-\n0.1,0.1,0,0,1,1,1\n0.2,0.2,0,0,-\n"
+    log = read_log(write(HEAD + rows))
+    np.testing.assert_array_equal(log.has_scan, [False, True, False])
+    np.testing.assert_array_equal(log.ranges[0], [3.0, 3.0, 3.0])
+    assert ["ranges" in each for each in log.observations()] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "t,x,y,theta,r_-90,r_0,r_+90",
+        "T, X, Y, Yaw, R_-90, R_0, R_90.0",
+        "time;odom_x;odom_y;odom_yaw;r[-90];r[0];r[90]",
+        "# t x y yaw r_right r_front r_left  (s m m rad m; beams at -90, 0, 90 deg)",
+        "#t odom_x odom_y odom_theta r[-90] ... r[0] ... r[90]",
+        "t\tx\ty\ttheta\tr_270\tr_0\tr_90",
+        "# recorded on a Tuesday\n\nt,x,y,theta,r_-90,r_0,r_90",
+        "\ufefft,x,y,theta,r_-90,r_0,r_90",
+    ],
+)
+def test_headers_may_be_written_in_many_ways(write, head):
+    if head.count("...") == 2:
+        assert "'...' must stand between two ranges and the last one" in refusal(write(head + "\n"))
+        return
+    names = head.splitlines()[-1]
+    mark = next((each for each in ",;\t" if each in names.partition("(")[0]), " ")
+    path = write(head + "\n" + mark.join(["0", "0", "0", "0", "0.5", "1.0", "1.5"]) + "\n", "log.txt")
+    assert is_csv(path)
+    log = read_log(path)
+    np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
+    np.testing.assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
+
+
+def test_dots_stand_for_the_beams_between(write):
+    path = write("t x y theta r[-90] r[-60] ... r[90]\n0 0 0 0 1 2 3 4 5 6 7\n")
+    log = read_log(path, None, 10.0)
+    np.testing.assert_allclose(degrees(log), np.arange(-90.0, 91.0, 30.0))
+    np.testing.assert_array_equal(log.ranges[0], np.arange(1.0, 8.0))
+
+
+def test_beams_can_be_chosen_and_are_six_of_many(write):
+    angles = range(-90, 91, 5)
+    text = "t,x,y,theta," + ",".join(f"r_{angle}" for angle in angles) + "\n0,0,0,0," + ",".join("1" * 37) + "\n"
+    path = write(text)
+    np.testing.assert_allclose(degrees(read_log(path)), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0])
+    np.testing.assert_allclose(degrees(read_log(path, (30.5, -30.0))), [30.0, -30.0])
+    assert "no beam within 1 deg of 32 deg: the log's beams are from -90 to 90 deg" in refusal(path, (32.0,))
+    few = write(HEAD + "0,0,0,0,1,1,1\n", "few.csv")
+    assert "no beam within 1 deg of 45 deg: the log's beams are at -90, 0, 90 deg" in refusal(few, (45.0,))
+
+
+def test_the_largest_range_caps(write):
+    log = read_log(write(HEAD + "0,0,0,0,1.9,2.0,2.1\n"), None, 2.0)
+    np.testing.assert_array_equal(log.ranges[0], np.float32([1.9, 2.0, 2.0]))
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        assert "largest range must be above 0.02 m" in refusal(write(HEAD + "0,0,0,0,1,1,1\n"), None, wrong)
+
+
+def test_gzip_is_told_by_its_bytes(write):
+    packed = gzip.compress((HEAD + "0,0,0,0,1,1,1\n").encode())
+    assert len(read_log(write(packed, "packed.csv.gz"))) == len(read_log(write(packed, "packed.txt"))) == 1
+
+
+def test_blank_lines_and_comments_are_skipped_and_the_last_newline_may_lack(write):
+    assert len(read_log(write(HEAD + "\n# a note\n0,0,0,0,1,1,1\r\n   \n0.1,0,0,0,1,1,1"))) == 2
+
+
+def test_small_steps_back_in_time_stay_as_they_are(write):
+    log = read_log(write(HEAD + "".join(f"{at},0,0,0,1,1,1\n" for at in (0.0, 0.3, 0.2, 0.4))))
+    np.testing.assert_array_equal(log.time, [0.0, 0.3, 0.2, 0.4])
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7"),
+        ("0.2,0,0,0,1,1,1,1", "line 3: 8 columns where the header names 7"),
+        ("0.2", "line 3: 1 columns where the header names 7"),
+        ("0.2,0,0,0", "line 3: 4 columns where the header names 7"),
+        ("soon,0,0,0,1,1,1", "line 3: t is not a number: 'soon'"),
+        ("nan,0,0,0,1,1,1", "line 3: t is nan, not a finite number"),
+        (",0,0,0,1,1,1", "line 3: t is not a number: ''"),
+        ("0.2,inf,0,0,1,1,1", "line 3: x is inf"),
+        ("0.2,0,nan,0,1,1,1", "line 3: y is nan"),
+        ("0.2,0,0,nan,1,1,1", "line 3: theta is nan"),
+        ("0.2,0,0,0,1,far,1", "line 3: a range is not a number: 'far'"),
+        ("0.2,0,0,0,1,-0.1,1", "line 3: a range is negative: -0.1"),
+        ("0.2,0,0,0,1,-inf,1", "line 3: a range is -inf"),
+        ("0.2,0,0,0,1,-,1", "line 3: a range is not a number: '-'"),
+        ("-2.0,0,0,0,1,1,1", "line 3: the time steps back by 2.0 s"),
+        ("0.2,1e4,0,0,1,1,1", "odometry jumps by 1e+04 m in row 1"),
+        ("0.2,1e200,0,0,1,1,1", "the odometry in row 1 is no pose: 1e+200, 0, 0"),
+    ],
+)
+def test_a_bad_row_is_refused_with_its_line(write, row, words):
+    assert words in refusal(write(f"{HEAD}0,0,0,0,1,1,1\n{row}\n0.3,0,0,0,1,1,1\n"))
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        ("t,x,y,r_0", "line 1: the header must be t,x,y,theta,r_<deg>,..., not 't,x,y,r_0'"),
+        ("0,0,0,0,1,1,1", "line 1: the header must be"),
+        ("t,x,y,theta", "line 1: the header names no ranges"),
+        ("t,x,y,theta,r_0,battery", "line 1: the column 'battery' is not a range"),
+        ("t,x,y,theta,r_0,r_", "line 1: the column 'r_' is not a range"),
+        ("t,x,y,theta,r_0,r_somewhere", "line 1: the column 'r_somewhere' names no direction"),
+        ("t,x,y,theta,r_0,r_nan", "line 1: the column 'r_nan' is not within 360 deg"),
+        ("t,x,y,theta,r_0,r_999", "line 1: the column 'r_999' is not within 360 deg"),
+        ("t,x,y,theta,r_0,r_front", "line 1: the header names the beam at 0 deg twice"),
+        ("t,x,y,theta,r_180,r_-180", "line 1: the header names the beam at 180 deg twice"),
+        ("t,x,y,theta,...,r_90", "line 1: '...' must stand between"),
+        ("t,x,y,theta,r_0,r_20,...,r_90", "line 1: '...' cannot go from 20 to 90 deg in steps of 20"),
+        ("t,x,y,theta,r_0,r_0,...,r_90", "line 1: '...' cannot go from 0 to 90 deg in steps of 0"),
+        ("t,x,y,theta,r_0,r_0.0001,...,r_90", "line 1: '...' cannot go"),
+        ("t,x,y,theta,r_0,r_20,...,r_-90", "line 1: '...' cannot go from 20 to -90 deg"),
+    ],
+)
+def test_a_bad_header_is_refused(write, head, words):
+    assert words in refusal(write(f"{head}\n0,0,0,0,1,1,1\n"))
+
+
+def test_files_without_rows_are_refused(write):
+    assert "is empty: not even a header" in refusal(write(""))
+    assert "is empty: not even a header" in refusal(write("\n# nothing\n"))
+    assert "holds no ranges: not one row" in refusal(write(HEAD))
+    assert "holds no ranges: not one row" in refusal(write(HEAD + "0,0,0,0,-\n"))
+
+
+def test_files_that_cannot_be_read_are_refused(write, tmp_path):
+    assert "No such file" in refusal(tmp_path / "absent.csv")
+    assert "this is not a text file" in refusal(write(b"t,x\0y"))
+    with pytest.raises(LogError, match="No such file"):
+        is_csv(tmp_path / "absent.txt")
+
+
+@pytest.mark.parametrize("kept", [1, 4, 8, 11])
+def test_a_last_row_that_is_cut_is_refused(write, kept):
+    text = f"{HEAD}0.0,0,0,0,1,1,1\n0.1,0,0,0,1,1,1\n"
+    first = text.index("0.1,")
+    assert "line 3: cut short: " in refusal(write(text[: first + kept]))
+
+
+def test_a_gzip_stream_that_is_cut_is_refused(write):
+    packed = gzip.compress((HEAD + "".join(f"{at / 10},0,0,0,1,1,1\n" for at in range(500))).encode())
+    assert "cut short" in refusal(write(packed[:-30], "cut.csv.gz"))
+
+
+# Which reader
+
+
+def test_other_texts_are_no_tables(write):
+    for text in ("ODOM 1 2 3\n", "# t x y\nODOM 1\n", "FLASER 180\n", "", "t x y yaw\n"):
+        assert is_csv(write(text, "other.log")) == (text == "t x y yaw\n")
+    assert "has no odometry: not one ODOM or FLASER line" in refusal(write("# a note\n", "carmen.log"))
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_no_damage_leads_to_anything_but_a_refusal(tmp_path, data):
+    whole = f"{HEAD}0.0,0,0,0,1,,nan\n0.1,0.1,0,0.2,-\n0.2,0.2,0,0.2,2.5,1e2,0.3\n".encode()
+    content = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / "damaged.csv"
+    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    try:
+        log = read_log(path)
+    except LogError:
+        refusal(path)
+    else:
+        assert np.isfinite(log.ranges).all()
+        assert np.isfinite(log.odometry).all()
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(max_size=200))
+def test_no_text_leads_to_anything_but_a_refusal(tmp_path, text):
+    path = tmp_path / "any.csv"
+    path.write_bytes(text.encode("utf-8", "replace"))
+    try:
+        read_csv(path, None, 3.0)
+    except LogError:
+        refusal(path)
+
+
+# Real logs
+
+
+@pytest.mark.parametrize(
+    ("name", "events", "scans"), [("fr079/fr079_13beam", 4934, 4791), ("csail/csail_13beam", 1988, 1988)]
+)
+def test_the_text_of_a_real_log_agrees_with_the_log(name, events, scans):
+    folder = data_folder()
+    text = read_log(folder / f"{name}.csv.gz", None, 5.0)
+    raw = {"fr079/fr079_13beam": "fr079/fr079_raw.clf.gz", "csail/csail_13beam": "csail/mit-csail.clf.gz"}[name]
+    angles = tuple(np.arange(-90.0, 91.0, 15.0).tolist())
+    log = read_log(folder / raw, angles, 5.0)
+    assert (len(text), int(text.has_scan.sum())) == (events, scans)
+    np.testing.assert_allclose(degrees(text), angles)
+    np.testing.assert_array_equal(text.has_scan, log.has_scan)
+    np.testing.assert_allclose(text.ranges, log.ranges, atol=1e-6)
+    np.testing.assert_allclose(text.odometry[:, :2], log.odometry[:, :2], atol=1e-5)
+    np.testing.assert_allclose(text.time, log.time, atol=1e-6)
+
+
+def test_a_drones_text_is_read():
+    log = read_log(data_folder() / "crazyflie" / "olsson-demo.csv.gz", None, 2.0)
+    assert len(log) == 3431
+    np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0, 180.0])
+    assert [beam.side for beam in log.robot.beams] == ["right", "none", "left", "none"]
+    assert np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum() == pytest.approx(211.5, abs=0.1)

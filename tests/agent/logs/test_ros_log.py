@@ -1,0 +1,494 @@
+"""ROS bags: which topics are used, where beams point, how times meet, and how every fault is refused in one line."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support import bags
+from support.bags import KINDS, Message, distance, fixed, odometry, scan, storage_of, write_bag
+from support.data import data_folder, refusal
+
+from limslam_agent.logs.directions import direction_of, is_vertical
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.recorded_log import LogError
+from limslam_agent.logs.ros_messages import rotation_of, yaw_of
+from limslam_agent.logs.ros_topics import Topics
+
+FIVE = [1.0, 2.0, 2.5, 1.5, 0.5]
+
+
+def drive(scans=10, **changes):
+    """A robot that drives ahead at 1 m/s and looks about five times a turn's half."""
+    said = [odometry(10.0 + 0.1 * step, 0.1 * step) for step in range(scans + 1)]
+    seen = [scan(10.05 + 0.1 * step, FIVE, **changes) for step in range(scans)]
+    return sorted(said + seen, key=lambda message: message.at)
+
+
+def four_ranges(at, values=(0.5, 1.0, 1.5, 2.0), names=("front", "left", "back", "right")):
+    return [distance(at, value, f"/range/{name}") for value, name in zip(values, names, strict=True)]
+
+
+def read_or_refuse(path):
+    """The log, or None where it is refused as it should be."""
+    try:
+        return read_log(path)
+    except LogError:
+        refusal(path)
+        return None
+
+
+def degrees(log):
+    return np.degrees([each.angle for each in log.robot.beams])
+
+
+# What is read
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_scans_and_odometry_are_brought_together_in_every_kind_of_bag(tmp_path, kind):
+    log = read_log(write_bag(tmp_path, drive(), kind))
+    assert len(log) == 10
+    assert log.has_scan.all()
+    np.testing.assert_allclose(log.time, 10.05 + 0.1 * np.arange(10), atol=1e-6)
+    np.testing.assert_allclose(log.odometry[:, 0], 0.05 + 0.1 * np.arange(10), atol=1e-6)
+    np.testing.assert_allclose(log.ranges, np.tile(np.float32(FIVE), (10, 1)))
+    np.testing.assert_allclose(degrees(log), [-90.0, -45.0, 0.0, 45.0, 90.0], atol=1e-4)
+    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
+    assert log.robot.control_period == pytest.approx(0.1, abs=1e-6)
+    assert {each.max_range for each in log.robot.beams} == {3.0}
+    assert {each.min_range for each in log.robot.beams} == {0.05}
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "mcap"])
+def test_the_one_file_inside_a_ros_2_bag_reads_like_the_bag(tmp_path, kind):
+    bag = write_bag(tmp_path, drive(), kind)
+    whole, alone = read_log(bag), read_log(storage_of(bag))
+    np.testing.assert_array_equal(alone.time, whole.time)
+    np.testing.assert_array_equal(alone.ranges, whole.ranges)
+
+
+def test_readings_that_say_nothing(tmp_path):
+    readings = [math.nan, math.inf, -math.inf, 0.0, 7.9]
+    log = read_log(write_bag(tmp_path, [*drive(range_max=8.0), scan(10.9, readings)]), None, 9.0)
+    # Not a number, too far: nothing seen. Too near: something may be there, at the sensor's shortest range.
+    np.testing.assert_allclose(log.ranges[-2], np.float32([8.0, 8.0, 0.05, 0.05, 7.9]))
+    capped = read_log(write_bag(tmp_path, drive(), name="capped"), None, 1.2)
+    np.testing.assert_allclose(capped.ranges[0], np.float32([1.0, 1.2, 1.2, 1.2, 0.5]))
+
+
+def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
+    turn = {"angle_min": 0.0, "angle_increment": math.radians(1.0)}
+    ranges = [0.5 + 0.005 * index for index in range(360)]
+    messages = [
+        each for step in range(5) for each in (odometry(10 + step, 0.1 * step), scan(10 + step, ranges, **turn))
+    ]
+    path = write_bag(tmp_path, messages)
+    log = read_log(path)
+    np.testing.assert_allclose(degrees(log), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0], atol=1e-4)
+    expected = [0.5 + 0.005 * index for index in (270, 315, 345, 15, 45, 90)]
+    np.testing.assert_allclose(log.ranges[0], expected, rtol=1e-6)
+    asked = read_log(path, (180.0, 0.4))
+    np.testing.assert_allclose(asked.ranges[0], [1.4, 0.5], rtol=1e-6)
+    assert "0 deg and 0.3 deg are the same beam" in refusal(path, (0.0, 0.3))
+    assert "finite number, not nan" in refusal(path, (math.nan,))
+    assert "at least one beam" in refusal(path, ())
+
+
+def test_a_laser_that_counts_its_beams_anew_keeps_its_directions(tmp_path):
+    messages = drive(5)
+    messages += [odometry(11.0, 1.0), scan(10.8, [*FIVE, 0.4], angle_increment=math.radians(45.0))]
+    log = read_log(write_bag(tmp_path, messages))
+    np.testing.assert_allclose(log.ranges[-1], np.float32(FIVE))
+    other = [*drive(5), odometry(11.0, 1.0), scan(10.8, FIVE, angle_min=0.5)]
+    assert "/scan: message 6: the scan's beams have changed" in refusal(write_bag(tmp_path, other, name="other"))
+
+
+def test_where_the_laser_is_mounted_comes_from_tf_static(tmp_path):
+    mounts = fixed(("base_link", "plate", 0.1, 0.0, math.pi / 2, 0.0), ("plate", "laser", 0.2, 0.0, 0.0, 0.0))
+    log = read_log(write_bag(tmp_path, [mounts, *drive()]))
+    np.testing.assert_allclose([(b.x, b.y) for b in log.robot.beams], [[0.1, 0.2]] * 5, atol=1e-6)
+    turned = np.radians(degrees(log) - [0.0, 45.0, 90.0, 135.0, 180.0])
+    np.testing.assert_allclose(np.cos(turned), 1.0, atol=1e-9)
+
+
+def test_a_laser_on_its_head_sees_left_on_the_right(tmp_path):
+    mounts = fixed(("base_footprint", "base_link", 5.0, 5.0, 0.0, 0.0), ("base_link", "laser", 0.0, 0.0, 0.0, math.pi))
+    log = read_log(write_bag(tmp_path, [mounts, *drive()]))
+    np.testing.assert_allclose(degrees(log), [90.0, 45.0, 0.0, -45.0, -90.0], atol=1e-3)
+    # The frame that odometry speaks of is the body; what it stands on is not followed.
+    assert {(b.x, b.y) for b in log.robot.beams} == {(0.0, 0.0)}
+
+
+def test_a_circle_of_frames_tells_nothing(tmp_path):
+    mounts = fixed(("a", "laser", 1.0, 0.0, 0.0, 0.0), ("laser", "a", 1.0, 0.0, 0.0, 0.0))
+    log = read_log(write_bag(tmp_path, [mounts, *drive()]))
+    assert {(b.x, b.y) for b in log.robot.beams} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_range_topics_are_gathered_into_events(tmp_path, kind):
+    messages = [odometry(10.0 + 0.2 * step, 0.2 * step) for step in range(8)]
+    for step in range(10):
+        messages += four_ranges(10.1 + 0.1 * step)
+        messages += [distance(10.1 + 0.1 * step, 1.0, "/range/zrange"), distance(10.1, 2.0, "/range/up")]
+    log = read_log(write_bag(tmp_path, messages, kind))
+    np.testing.assert_allclose(sorted(degrees(log)), [-90.0, 0.0, 90.0, 180.0])
+    by_direction = dict(zip(degrees(log).round().tolist(), log.ranges[0].tolist(), strict=True))
+    assert by_direction == {0.0: 0.5, 90.0: 1.0, 180.0: 1.5, -90.0: 2.0}
+    assert len(log) == 10
+    assert {b.min_range for b in log.robot.beams} == {0.04}
+
+
+def test_range_topics_may_be_given_with_their_directions(tmp_path):
+    messages = [odometry(10.0 + step, 0.1 * step) for step in range(3)]
+    messages += [each for step in range(3) for each in four_ranges(10.0 + step, names=("a", "b", "c", "left"))]
+    path = write_bag(tmp_path, messages)
+    assert "where /range/a points is not known: say it as --range-topics /range/a:DEGREES" in refusal(path)
+    log = read_log(path, None, None, Topics(ranges={"/range/c": 30.0, "range/left": None}))
+    np.testing.assert_allclose(degrees(log), [30.0, 90.0])
+    np.testing.assert_allclose(log.ranges[0], [1.5, 2.0])
+
+
+def test_the_slowest_sensor_sets_the_pace_and_incomplete_events_are_left_out(tmp_path):
+    messages = [odometry(10.0 + 0.5 * step, 0.1 * step) for step in range(20)]
+    messages += [distance(10.0 + 0.1 * step, 1.0 + 0.01 * step, "/left") for step in range(50) if not 20 <= step < 28]
+    messages += [distance(10.02 + 0.4 * step, 2.0, "/right") for step in range(12)]
+    log = read_log(write_bag(tmp_path, messages))
+    kept = [step for step in range(12) if step != 6]  # at 12.42 s the left has been silent since 11.9
+    np.testing.assert_allclose(log.time, [10.02 + 0.4 * step for step in kept], atol=1e-6)
+    left = degrees(log).tolist().index(90.0)
+    np.testing.assert_allclose(log.ranges[1, left], 1.04, rtol=1e-6)
+
+
+def test_a_sensor_that_fell_silent_is_named(tmp_path):
+    messages = [odometry(10.0 + step, 0.1 * step) for step in range(20)]
+    messages += [distance(10.0 + step, 1.0, "/left") for step in range(20)]
+    messages += [distance(10.0 + 0.1 * step, 2.0, "/right") for step in range(25)]
+    assert "/right is silent most of the time" in refusal(write_bag(tmp_path, messages))
+
+
+def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
+    mounts = fixed(("base_link", "laser", 0.2, 0.0, 0.0, 0.0), ("base_link", "behind", -0.2, 0.0, math.pi, 0.0))
+    messages = drive() + [scan(10.06 + 0.1 * step, [0.3, 0.4, 0.6], "/rear", frame="behind") for step in range(10)]
+    path = write_bag(tmp_path, [mounts, *messages])
+    log = read_log(path, (0.0, 180.0, 45.0), None, Topics(scans=("/scan", "/rear")))
+    np.testing.assert_allclose(log.ranges[0], [2.5, 0.4, 1.5], rtol=1e-6)
+    np.testing.assert_allclose([b.x for b in log.robot.beams], [0.2, -0.2, 0.2], atol=1e-6)
+    assert "has 2 LaserScan topics, /rear, /scan: choose with --scan-topic" in refusal(path)
+
+
+POSES = {
+    "geometry_msgs/msg/PoseStamped": lambda x: {"pose": bags.pose(x, 0.0, 0.1 * x)},
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda x: {"pose": {"pose": bags.pose(x, 0.0, 0.1 * x)}},
+    "geometry_msgs/msg/TransformStamped": lambda x: {
+        "transform": {"translation": {"x": x}, "rotation": bags.rotation(0.1 * x)}
+    },
+}
+
+
+@pytest.mark.parametrize("kind", sorted(POSES))
+def test_poses_do_as_odometry_and_turn_the_short_way(tmp_path, kind):
+    messages = [
+        Message("/pose", kind, 10.0 + step, {"header": bags.header(10.0 + step), **POSES[kind](30.0 + step)})
+        for step in range(4)
+    ]
+    log = read_log(write_bag(tmp_path, messages + [scan(10.5 + step, FIVE) for step in range(3)]))
+    np.testing.assert_allclose(log.odometry[:, 0], [30.5, 31.5, 32.5])
+    # 3.05, 3.15 and 3.25 rad: over the half turn.
+    np.testing.assert_allclose(log.odometry[:, 2], [3.05, 3.15 - 2 * math.pi, 3.25 - 2 * math.pi], atol=1e-9)
+
+
+def test_odometry_goes_before_poses_and_two_of_a_kind_are_refused(tmp_path):
+    goal = Message("/goal", "geometry_msgs/msg/PoseStamped", 10.0, {"header": bags.header(10.0)})
+    path = write_bag(tmp_path, [goal, *drive()])
+    assert len(read_log(path)) == 10
+    second = write_bag(tmp_path, [*drive(), odometry(10.0, 0.0, topic="/wheel_odom")], name="second")
+    words = "has 2 topics with poses, /odom, /wheel_odom: choose with --odometry-topic"
+    assert words in refusal(second)
+    assert len(read_log(second, None, None, Topics(odometry="odom"))) == 10
+
+
+# Times
+
+
+def test_without_stamps_or_with_clocks_that_differ_the_bags_times_are_used(tmp_path):
+    bare = [odometry(50.0 + step, 0.1 * step, stamp=0.0) for step in range(4)]
+    bare += [scan(50.5 + step, FIVE, stamp=100.0 + step) for step in range(3)]
+    log = read_log(write_bag(tmp_path, bare))
+    np.testing.assert_allclose(log.time, [50.5, 51.5, 52.5])
+    apart = [odometry(50.0 + step, 0.1 * step, stamp=3.0 + step) for step in range(4)]
+    apart += [scan(50.5 + step, FIVE, stamp=1000.0 + step) for step in range(3)]
+    log = read_log(write_bag(tmp_path, apart, name="apart"))
+    np.testing.assert_allclose(log.odometry[:, 0], [0.05, 0.15, 0.25])
+
+
+def test_stamps_count_even_if_they_come_late_and_out_of_order(tmp_path):
+    messages = [odometry(20.0 + 0.1 * step, 0.1 * step, stamp=10.0 + 0.1 * step) for step in range(11)]
+    messages += [scan(20.0 + at, FIVE, stamp=10.0 + stamp) for at, stamp in ((0.2, 0.15), (0.3, 0.35), (0.4, 0.25))]
+    log = read_log(write_bag(tmp_path, messages))
+    np.testing.assert_allclose(log.time, [10.15, 10.25, 10.35], atol=1e-6)
+    np.testing.assert_allclose(log.odometry[:, 0], [0.15, 0.25, 0.35], atol=1e-6)
+
+
+def test_times_that_step_back_are_refused(tmp_path):
+    messages = [*drive(), scan(10.8, FIVE, stamp=8.5)]
+    assert "/scan: message 9: the time steps back by 2.2 s" in refusal(write_bag(tmp_path, messages))
+
+
+def test_scans_outside_of_the_odometrys_time_are_left_out(tmp_path):
+    early = [scan(9.0, FIVE), scan(9.9, FIVE), scan(12.0, FIVE)]
+    assert len(read_log(write_bag(tmp_path, drive() + early))) == 10
+    apart = [odometry(10.0, 0.0, stamp=0.0), odometry(11.0, 0.1, stamp=0.0), scan(12.0, FIVE), scan(13.0, FIVE)]
+    assert "do not meet in time: ranges from 12.000 to 13.000 s, odometry from 10.000 to 11.000 s" in refusal(
+        write_bag(tmp_path, apart, name="apart")
+    )
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (odometry(10.55, math.nan), "/odom: message 7: the position is nan, 0: not finite"),
+        (odometry(10.55, 0.0, 0.0, math.nan), "/odom: message 7: the quaternion is no rotation"),
+        (Message("/odom", "nav_msgs/msg/Odometry", 10.55, {"header": bags.header(10.55)}), "0, 0, 0, 0"),
+        (odometry(10.55, 1e12), "the odometry in row"),
+        (odometry(10.55, 1e5), "odometry jumps by"),
+        (scan(10.6, []), "/scan: message 7: the scan has no ranges"),
+        (scan(10.6, FIVE, angle_min=math.nan), "/scan: message 7: the scan's angles are no angles"),
+        (scan(10.6, FIVE, angle_increment=0.0), "/scan: message 7: the scan's angles are no angles"),
+    ],
+)
+def test_messages_that_make_no_sense_are_refused_with_their_number(tmp_path, bad, words):
+    messages = sorted([*drive(), bad], key=lambda message: message.at)
+    assert words in refusal(write_bag(tmp_path, messages))
+
+
+@pytest.mark.parametrize(
+    ("messages", "words"),
+    [
+        ([odometry(10.0, 0.0)], "has no LaserScan and no Range; it has /odom (nav_msgs/msg/Odometry)"),
+        ([scan(10.0, FIVE)], "has no Odometry and no pose; it has /scan (sensor_msgs/msg/LaserScan)"),
+        ([*drive(1), distance(10.0, 1.0, "/left")], "has LaserScan (/scan) and Range topics (/left): choose with"),
+        ([odometry(10.0, 0.0), distance(10.0, 1.0, "/r1", frame="up_link")], "all of /r1 look up or down: no beam"),
+        ([fixed(("base_link", "r", 0, 0, 0, 0)), *drive(2)], None),
+    ],
+)
+def test_bags_that_lack_or_offer_too_much_are_refused(tmp_path, messages, words):
+    path = write_bag(tmp_path, messages)
+    if words is None:
+        assert len(read_log(path)) == 2
+    else:
+        assert words in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("topics", "words"),
+    [
+        (Topics(scans=("/front",)), "has no topic /front; it has /odom (nav_msgs/msg/Odometry), /scan"),
+        (Topics(scans=("/odom",)), "/odom holds nav_msgs/msg/Odometry, where LaserScan is needed"),
+        (Topics(ranges={"/scan": 0.0}), "/scan holds sensor_msgs/msg/LaserScan, where Range is needed"),
+        (Topics(odometry="/scan"), "where Odometry or PoseStamped or PoseWithCovarianceStamped or TransformStamped is"),
+    ],
+)
+def test_topics_that_cannot_be_used_are_refused(tmp_path, topics, words):
+    assert words in refusal(write_bag(tmp_path, drive(2)), None, None, topics)
+
+
+def test_empty_topics_are_not_candidates(tmp_path):
+    path = tmp_path / "empty.bag"
+    with bags.Writer1(path) as writer:
+        bags._fill(writer, drive(2), 1)
+        for topic in ("/scan_2", "/odom_2"):
+            kind = "sensor_msgs/msg/LaserScan" if "scan" in topic else "nav_msgs/msg/Odometry"
+            writer.add_connection(topic, kind, typestore=bags._STORES[1])
+    assert len(read_log(path)) == 2
+    assert "the topic /scan_2 is empty" in refusal(path, None, None, Topics(scans=("/scan_2",)))
+    nothing = tmp_path / "nothing.bag"
+    with bags.Writer1(nothing):
+        pass
+    assert "has no topics at all" in refusal(nothing)
+
+
+def test_a_sensor_that_looks_up_is_no_beam(tmp_path):
+    upright = {"transform": {"rotation": {"y": -math.sin(math.pi / 4), "w": math.cos(math.pi / 4)}}}
+    content = {"transforms": [{"header": bags.header(1.0, "base_link"), "child_frame_id": "tower", **upright}]}
+    mounts = Message("/tf_static", "tf2_msgs/msg/TFMessage", 1.0, content)
+    messages = [mounts, odometry(10.0, 0.0), odometry(11.0, 0.0), distance(10.5, 1.0, "/left", frame="tower")]
+    assert "all of /left look up or down" in refusal(write_bag(tmp_path, messages))
+
+
+def test_topics_are_for_bags_alone(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,x,y,theta,r_0\n0,0,0,0,1\n")
+    assert "is no ROS bag, so no topics can be chosen" in refusal(path, None, None, Topics(odometry="/odom"))
+
+
+@pytest.mark.parametrize("max_range", [0.0, -1.0, math.nan, math.inf])
+def test_a_largest_range_that_makes_no_sense_is_refused(tmp_path, max_range):
+    assert "largest range must be above 0.02 m" in refusal(write_bag(tmp_path, drive(2)), None, max_range)
+
+
+# Files
+
+
+def test_an_ending_that_is_not_the_contents_is_refused(tmp_path):
+    bag = write_bag(tmp_path, drive(2))
+    renamed = bag.rename(tmp_path / "some.mcap")
+    assert "is a .bag file by its content: its name must end so" in refusal(renamed)
+    stored = storage_of(write_bag(tmp_path, drive(2), "mcap", "folder"))
+    assert "is a .mcap file by its content" in refusal(stored.rename(tmp_path / "log.txt"))
+    text = tmp_path / "text.bag"
+    text.write_text("ODOM 1 2 3\n")
+    assert "is no bag: it begins like neither of .bag, .mcap, .db3" in refusal(text)
+
+
+def test_folders_and_missing_files_are_refused(tmp_path):
+    assert "is a folder, but no ROS 2 bag: it has no metadata.yaml" in refusal(tmp_path)
+    assert "No such file" in refusal(tmp_path / "absent.bag")
+    bag = write_bag(tmp_path, drive(2), "sqlite")
+    storage_of(bag).unlink()
+    assert "Some database files are missing" in refusal(bag)
+
+
+def test_a_file_that_may_not_be_read_is_refused(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, drive(2))
+
+    def deny(*_arguments, **_keywords):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("rosbags.highlevel.AnyReader.open", deny)
+    assert "cannot be read: Permission denied" in refusal(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_cut_anywhere_is_refused_or_reads_in_part(tmp_path, kind):
+    bag = write_bag(tmp_path, drive(4), kind)
+    file = bag if kind == "ros1" else storage_of(bag)
+    whole = file.read_bytes()
+    for share in np.linspace(0.0, 0.97, 30):
+        file.write_bytes(whole[: int(share * len(whole))])
+        log = read_or_refuse(bag)
+        assert log is None or len(log) <= 4
+
+
+@pytest.fixture(scope="module")
+def whole_bags(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    return {kind: write_bag(folder, drive(4), kind, kind) for kind in KINDS}
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_damage_leads_to_anything_but_a_refusal(tmp_path, whole_bags, kind, data):
+    source = whole_bags[kind] if kind == "ros1" else storage_of(whole_bags[kind])
+    content = bytearray(source.read_bytes())
+    for _ in range(data.draw(st.integers(1, 6))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / f"damaged{source.suffix}"
+    path.write_bytes(content)
+    log = read_or_refuse(path)
+    assert log is None or np.isfinite(log.ranges).all()
+
+
+def test_without_rosbags_the_extra_is_named(tmp_path):
+    path = write_bag(tmp_path, drive(2))
+    code = (
+        "import sys; sys.modules['rosbags'] = None\n"
+        "from limslam_agent.logs.log_reader import read_log\n"
+        f"try: read_log({str(path)!r})\n"
+        "except ValueError as error: print(error)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "pip install 'limslam[ros]'" in shown
+    assert shown.count("\n") == 1
+
+
+def test_reading_other_logs_does_not_load_rosbags(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,x,y,theta,r_0\n0,0,0,0,1\n")
+    code = f"import sys; from limslam_agent.logs.log_reader import read_log; read_log({str(path)!r}); "
+    shown = subprocess.run(
+        [sys.executable, "-c", code + "print('rosbags' in sys.modules)"], capture_output=True, text=True, check=True
+    )
+    assert shown.stdout == "False\n"
+
+
+# Names and rotations
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("/range/front", 0.0), ("/tof_left", 90.0), ("rangeRight", -90.0), ("/ultrasound/rear", 180.0),
+        ("back_link", 180.0), ("front_left", 45.0), ("FrontRight", -45.0), ("rear_right_link", -135.0),
+        ("range_90deg", 90.0), ("ir_m45deg", -45.0), ("minus_30_deg", -30.0),
+        ("ir-22.5deg", -22.5), ("tof_l", 90.0), ("/sonar_3", None),
+        ("l_sensor", None), ("vl53l0x", None), ("/range", None), ("left_right", None), ("feedback", None), ("", None),
+    ],
+)  # fmt: skip
+def test_directions_in_names(name, expected):
+    assert direction_of(name) == (None if expected is None else pytest.approx(expected))
+
+
+def test_names_of_what_looks_up_or_down():
+    assert all(map(is_vertical, ("/cf/zrange", "range_up", "cliff_left", "ground")))
+    assert not any(map(is_vertical, ("/setup/left", "downtown_left", "front")))
+
+
+@given(st.floats(-3.1, 3.1), st.floats(0.01, 100.0))
+def test_heading_of_a_quaternion(yaw, length):
+    parts = [length * part for part in bags.rotation(yaw).values()]
+    assert yaw_of(parts) == pytest.approx(yaw, abs=1e-9)
+    np.testing.assert_allclose(rotation_of(parts) @ rotation_of(parts).T, np.eye(3), atol=1e-12)
+
+
+# Real bags
+
+
+@pytest.mark.parametrize(("name", "events"), [("olsson-3loop", 3816), ("olsson-demo", 3430)])
+def test_a_drones_bag_agrees_with_its_numbers_as_text(name, events):
+    folder = data_folder() / "crazyflie"
+    bag, text = read_log(folder / f"{name}.bag", None, 2.0), read_log(folder / f"{name}.csv.gz", None, 2.0)
+    assert len(bag) == events
+    np.testing.assert_allclose(degrees(bag), [-90.0, 0.0, 90.0, 180.0], atol=1e-9)
+    first = len(text) - events - 1  # the text begins before the first position
+    rows = slice(first, first + events)
+    np.testing.assert_array_equal(bag.ranges, text.ranges[rows])
+    # The text has the position last heard of, the bag the one at that time: a drone flies 10 cm in a tenth of a second.
+    assert np.hypot(*(bag.odometry - text.odometry[rows])[:, :2].T).max() < 0.15
+    assert np.abs(np.angle(np.exp(1j * (bag.odometry - text.odometry[rows])[:, 2]))).max() < 0.02
+
+
+def test_a_drones_arrays_are_told_by_their_topics(tmp_path):
+    ranger, position = "/cf/state_ranger_qxyzw", "/cf/state_xyzv"
+    messages = []
+    for step in range(5):
+        at = 10.0 + 0.1 * step
+        raw = [0.5, 1.0, 1.5, 2.0, 2.5, *bags.rotation(0.1 * step).values()]
+        messages += [
+            Message(ranger, bags.RAW_DATA, at, {"header": bags.header(at), "raw": raw}),
+            Message(position, bags.RAW_DATA, at, {"header": bags.header(at), "raw": [0.1 * step, 0.2, 0.3]}),
+        ]
+    path = write_bag(tmp_path, messages)
+    log = read_log(path)
+    np.testing.assert_allclose(log.odometry, [[0.1 * step, 0.2, 0.1 * step] for step in range(5)], atol=1e-6)
+    np.testing.assert_allclose(log.ranges[0], [0.5, 1.0, 1.5, 2.0])
+    chosen = read_log(path, (90.0, -90.0))
+    np.testing.assert_allclose(chosen.ranges[0], [1.5, 0.5])
+    short = [*messages, Message(ranger, bags.RAW_DATA, 10.45, {"header": bags.header(10.45), "raw": [1.0]})]
+    assert f"{ranger}: message 6: " in refusal(write_bag(tmp_path, short, name="short"))
+    other = [each for each in messages if each.topic == ranger]
+    assert "has no LaserScan and no Range" in refusal(write_bag(tmp_path, other, name="other"))
+
+
+def test_a_path_may_be_text_or_a_path(tmp_path):
+    path = write_bag(tmp_path, drive(2), "mcap")
+    assert len(read_log(str(path))) == len(read_log(Path(path))) == 2

@@ -1,0 +1,95 @@
+"""map.png, for one robot and for several."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image as Pictures
+
+from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map, path_colours
+
+WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
+NOTHING = np.zeros((0, 4))
+
+
+def path(y, *, drift=0.0):
+    along = np.linspace(0.5, 3.5, 40)
+    return np.column_stack((along, y + drift * along))
+
+
+def size_of(file):
+    with Pictures.open(file) as picture:
+        picture.load()
+        return picture.size
+
+
+def painted(picture):
+    axes = Figure().add_subplot()
+    paint_map(axes, picture)
+    return axes
+
+
+def labels(picture):
+    return [handle.get_label() for handle in legend(picture)]
+
+
+def test_one_robots_paths_may_be_arrays_or_lists_of_one():
+    single = MapPicture("hall", WALLS, path(1.0), path(1.0, drift=0.1), WALLS, path(1.1))
+    listed = MapPicture("hall", WALLS, [path(1.0)], [path(1.0, drift=0.1)], WALLS, [path(1.1)])
+    for picture in (single, listed):
+        assert [len(paths) for paths in (picture.estimates, picture.odometries, picture.true_paths)] == [1, 1, 1]
+    assert labels(single) == labels(listed)
+    lines = [[line.get_xydata().tolist() for line in painted(picture).lines] for picture in (single, listed)]
+    assert lines[0] == lines[1]
+
+
+def test_several_robots_have_a_colour_each():
+    picture = MapPicture(
+        "two", WALLS, [path(1.0), path(2.0)], [path(1.0, drift=0.1), path(2.0, drift=0.1)], WALLS,
+        [path(1.1), path(2.1)],
+    )  # fmt: skip
+    axes = painted(picture)
+    for estimated, (colour, _) in zip(picture.estimates, path_colours(2), strict=True):
+        (line,) = [line for line in axes.lines if np.array_equal(line.get_xydata(), estimated)]
+        assert line.get_color() == colour
+    assert len({colour for colour, _ in path_colours(6)}) == 6
+    assert len(path_colours(9)) == 9
+    assert {"robot 1", "robot 2", "true path"} <= set(labels(picture))
+
+
+def test_the_legend_names_what_is_there_and_nothing_else():
+    bare = MapPicture("bare", WALLS, path(1.0), [])
+    assert labels(bare) == ["walls of the map, end points", "estimated path"]
+    full = MapPicture("full", WALLS, path(1.0), path(1.2), WALLS, path(1.1))
+    assert labels(full)[1:] == ["estimated path", "path by odometry alone", "true path", "true walls"]
+
+
+def test_all_that_is_drawn_lies_within_the_picture():
+    picture = MapPicture("far", WALLS, [path(1.0), path(9.0)], [path(-7.0), path(2.0)], WALLS, [path(1.0), path(2.0)])
+    axes = painted(picture)
+    assert axes.get_ylim()[0] < -7.0
+    assert axes.get_ylim()[1] > 9.0
+
+
+@pytest.mark.parametrize("robots", [1, 2, 8])
+def test_a_map_is_a_png_that_can_be_looked_at(tmp_path, robots):
+    ways = [path(0.3 * number) for number in range(robots)]
+    title = "a $strange$ _title_, that is no mathematics"
+    draw_map(tmp_path / "map.png", MapPicture(title, WALLS, ways, ways, WALLS, ways))
+    width, height = size_of(tmp_path / "map.png")
+    assert 700 <= width <= 2000
+    assert 500 <= height <= 2000
+
+
+@pytest.mark.parametrize("place", [np.zeros((1, 2)), np.full((3, 2), 50.0)])
+def test_a_map_without_walls_of_a_robot_that_stood_still(tmp_path, place):
+    draw_map(tmp_path / "map.png", MapPicture("still", NOTHING, place, place))
+    assert min(size_of(tmp_path / "map.png")) > 100
+
+
+def test_paths_that_do_not_go_together_are_refused():
+    with pytest.raises(ValueError, match="2 estimated paths go with 1 odometry"):
+        MapPicture("two", WALLS, [path(1.0), path(2.0)], path(1.0))
+    with pytest.raises(ValueError, match="true"):
+        MapPicture("two", WALLS, path(1.0), path(1.0), WALLS, [path(1.0), path(2.0)])
+    with pytest.raises(ValueError, match="path of a robot"):
+        MapPicture("none", WALLS, [], [])

@@ -1,0 +1,209 @@
+"""The learned explorer: its weights, its network, and how it drives."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.presets import GridConfig, PolicyConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.policies.belief import Belief
+from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
+from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
+from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig, frontier_distance, observe
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_env.geometry.se2 import compose
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.world import World
+
+ROBOT = RobotSpec()
+VIEW = ViewConfig(directions=8, rings=4)
+SHIPPED = ("belief", "true_pose")
+
+
+def network(view=VIEW, width=6, seed=0):
+    generator = np.random.default_rng(seed)
+    inputs = CHANNELS * view.rings + 2
+    shapes = {"first": (width, inputs, 5), "state": (width, 8), "second": (width, width, 3), "third": (width, width, 3)}
+    weights = {}
+    for layer, shape in {**shapes, "score": (1, width, 1)}.items():
+        weights[f"{layer}.weight"] = generator.normal(size=shape).astype(np.float32)
+        weights[f"{layer}.bias"] = generator.normal(size=shape[0]).astype(np.float32)
+    return DirectionNetwork(weights, view)
+
+
+def grid_of(text, cell=0.1):
+    """A grid view of rows of text, the last one at the bottom: `.` free, `#` occupied, space unknown."""
+    view = OccupancyGrid(GridConfig(cell=cell)).view
+    rows = [[{".": 5, "#": -5, " ": 0}[sign] for sign in line] for line in reversed(text.strip("\n").split("\n"))]
+    return replace(view, low=np.zeros(2), values=np.array(rows, dtype=np.int16))
+
+
+HALL = grid_of(
+    """
+####################
+#...................
+#...................
+#...................
+#...................
+#...................
+####################
+"""
+)
+
+
+def belief(pose, grid=HALL, ranges=1.5):
+    return Belief(np.array(pose, dtype=float), np.eye(3) * 1e-6, np.full(6, ranges), np.zeros((0, 4)), grid)
+
+
+def test_weights_come_back_as_they_were(tmp_path):
+    saved = network()
+    save_network(tmp_path / "weights.npz", saved)
+    loaded = load_network(tmp_path / "weights.npz")
+    assert loaded.view == VIEW
+    assert set(loaded.weights) == {f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")}
+    told = np.random.default_rng(1).random(VIEW.size(6)).astype(np.float32)
+    np.testing.assert_array_equal(loaded.scores(told), saved.scores(told))
+
+
+class Trap:
+    """Runs when it is unpickled."""
+
+    def __reduce__(self):
+        return exec, ("raise SystemExit('executed')",)
+
+
+@pytest.mark.parametrize("kind", ["missing", "text", "pickle", "empty", "other", "misfit", "infinite"])
+def test_what_is_no_network_is_refused_and_executes_nothing(kind, tmp_path):
+    path, held = tmp_path / "weights.npz", network().weights
+    view = np.array([8, 4, 0.15, 1.45])
+    if kind == "text":
+        path.write_text("weights", encoding="utf-8")
+    elif kind == "pickle":
+        np.savez(path, view=np.array([Trap()], dtype=object))
+    elif kind == "empty":
+        np.savez(path)
+    elif kind == "other":
+        np.savez(path, view=view)
+    elif kind == "misfit":
+        np.savez(path, view=view, **{**held, "second.weight": held["second.weight"][:, :3]})
+    elif kind == "infinite":
+        np.savez(path, view=view, **{**held, "score.bias": np.array([np.inf], dtype=np.float32)})
+    with pytest.raises(ValueError, match="weights"):
+        load_network(path)
+
+
+def test_turning_what_is_seen_turns_the_scores_but_for_the_compass():
+    blind = network()
+    blind.weights["first.weight"][:, -2:] = 0.0
+    told = np.random.default_rng(2).random(VIEW.size(6)).astype(np.float32)
+    view, rest = told[:96].reshape(-1, 8), told[96:]
+    turned = np.concatenate((np.roll(view, 3, axis=1).ravel(), rest))
+    np.testing.assert_allclose(blind.scores(turned), np.roll(blind.scores(told), 3), atol=1e-4)
+
+
+def test_torch_trains_what_numpy_runs():
+    torch = pytest.importorskip("torch", reason="needs the extra rl")
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    from benchmarks.training.direction_policy import DirectionExtractor
+
+    twin = DirectionExtractor(ViewConfig(), 8)
+    told = np.random.default_rng(3).random((5, ViewConfig().size(6))).astype(np.float32)
+    with torch.no_grad():
+        scores, _ = twin(torch.as_tensor(told))
+    mine = np.stack([twin.to_numpy().scores(row) for row in told])
+    np.testing.assert_allclose(mine, scores.numpy(), atol=1e-5)
+
+
+def test_the_way_to_a_frontier_goes_round_walls_and_is_dear_beside_them():
+    away = frontier_distance(HALL)
+    middle = away[3]
+    assert middle[19] == 0.0
+    # Straight along the middle, a tenth of a metre a cell.
+    np.testing.assert_allclose(middle[3:17] - middle[4:18], 0.1)
+    assert away[1, 10] > middle[10]
+    assert np.isinf(away[0]).all()
+
+
+def test_a_map_without_frontiers_has_no_way():
+    closed = grid_of("######\n#....#\n#....#\n#....#\n######")
+    told = observe(closed, np.array([0.3, 0.25, 0.0]), np.full(6, 1.5), ROBOT.max_ranges, VIEW)
+    assert told[-2:].tolist() == [1.0, 0.0]
+    assert (told[2 * VIEW.rings * VIEW.directions : CHANNELS * VIEW.rings * VIEW.directions] == -1.0).all()
+
+
+def test_the_view_turns_with_the_robot():
+    pose = np.array([1.03, 0.35, 0.0])
+    size = VIEW.rings * VIEW.directions
+    looks = [
+        observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT.max_ranges, VIEW)
+        for turn in (0.0, math.pi / 2)
+    ]
+    first, second = (look[: CHANNELS * size].reshape(-1, VIEW.directions) for look in looks)
+    np.testing.assert_allclose(second, np.roll(first, -2, axis=1), atol=1e-5)
+    # Ahead lies the frontier: every ring gains there, until the unknown begins.
+    gain = first.reshape(CHANNELS, VIEW.rings, VIEW.directions)[2]
+    assert (gain[:, 0] > 0.5).all()
+    assert (gain[:3, 4] < 0.0).all()
+
+
+@pytest.mark.parametrize("turn", [0, 6, 18])
+def test_it_drives_where_the_network_says(turn):
+    class Fixed:
+        view = ViewConfig()
+
+        def scores(self, _):
+            return np.eye(24)[turn] * 50.0
+
+    policy, pose = LearnedPolicy(ROBOT, PolicyConfig(), Fixed()), np.array([1.0, 0.35, 0.0])
+    turned = 0.0
+    for _ in range(5):
+        left, right = 0.03 * policy.act(belief(pose, ranges=1.5))
+        turned += (right - left) / 0.16
+        pose = compose(pose, np.array([0.5 * (left + right), 0.0, (right - left) / 0.16]))
+    assert turned == pytest.approx({0: 0.0, 6: math.pi / 2, 18: -math.pi / 2}[turn], abs=0.35)
+    if turn == 0:
+        assert pose[0] == pytest.approx(1.15)
+
+
+def test_the_same_seed_draws_the_same_directions():
+    def actions(seed):
+        policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), seed=seed, temperature=50.0)
+        return np.array([policy.act(belief([1.0, 0.35, 0.0])) for _ in range(50)])
+
+    np.testing.assert_array_equal(actions(1), actions(1))
+    assert not np.array_equal(actions(1), actions(2))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_shipped_weights_are_light(name):
+    assert (WEIGHTS / f"{name}.npz").stat().st_size < 2_000_000
+    assert load_network(WEIGHTS / f"{name}.npz").view == ViewConfig()
+
+
+@pytest.mark.parametrize("policy", ["learned", "learned_true_pose"])
+def test_it_explores_a_room(policy):
+    room = World(
+        "room", (4.0, 3.0), [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]],
+        starts=[[1.0, 0.8, 0.4]],
+    )  # fmt: skip
+    episode = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=60.0, preset="odometry"))
+    assert episode.coverage[-1] > 0.9
+    again = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=5.0, preset="odometry"))
+    np.testing.assert_array_equal(again.actions, episode.actions[: len(again.actions)])
+
+
+def test_running_it_loads_neither_torch_nor_numba():
+    code = (
+        "import sys, numpy as np\n"
+        "from limslam_agent.policies.learned.learned import LearnedPolicy\n"
+        "from limslam_agent.config.presets import PolicyConfig\n"
+        "from limslam_env.interface import RobotSpec\n"
+        "LearnedPolicy(RobotSpec(), PolicyConfig())\n"
+        "print({'torch', 'numba', 'pymunk'} & set(sys.modules))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "set()"

@@ -1,0 +1,350 @@
+"""The controller: it turns to its target, stops in front of walls, and asks no more of the wheels than they can do."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.collision_guard import Bumper
+from limslam_agent.policies.controller import (
+    back_off,
+    bearing_of,
+    free_ahead,
+    nearest_beam,
+    steer,
+    turn_by,
+    wheel_speeds,
+)
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import arc, compose, transform_points, wheels_to_arc, wrap_angle
+from limslam_env.interface import RobotSpec
+
+ROBOT = RobotSpec()
+CONFIG = PolicyConfig()
+CLEAR = ROBOT.max_ranges
+angles = st.floats(-math.pi, math.pi)
+
+
+def ahead_of(pose: FloatArray, bearing: float, distance: float = 1.0) -> FloatArray:
+    """A point at a bearing (rad) as the robot sees it."""
+    return transform_points(pose, distance * np.array([[math.cos(bearing), math.sin(bearing)]]))[0]
+
+
+def wall_ranges(pose: FloatArray, line: FloatArray) -> FloatArray:
+    """Exact readings of all beams before one endless wall (r, theta)."""
+    readings = []
+    for beam in ROBOT.beams:
+        x, y = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        approach = math.cos(pose[2] + beam.angle - line[1])
+        left = line[0] - x * math.cos(line[1]) - y * math.sin(line[1])
+        hits = approach > 1e-9
+        readings.append(min(max(left / approach, beam.min_range), beam.max_range) if hits else beam.max_range)
+    return np.array(readings)
+
+
+def drive(pose: FloatArray, action: FloatArray) -> FloatArray:
+    travel = action * ROBOT.max_wheel_speed * ROBOT.control_period
+    return compose(pose, arc(*wheels_to_arc(travel, ROBOT.axle)))
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), angles, angles)
+def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
+    x: float, y: float, yaw: float, bearing: float
+) -> None:
+    pose = np.array([x, y, yaw])
+    target = ahead_of(pose, bearing)
+    for action in (
+        steer(pose, target, CLEAR, ROBOT, CONFIG, CONFIG.speed),
+        turn_by(bearing_of(pose, target), ROBOT, CONFIG),
+    ):
+        if 1e-3 < abs(bearing) < math.pi - 1e-3:
+            assert np.sign(action[1] - action[0]) == np.sign(bearing)
+        assert np.abs(action).max() <= 1.0 + 1e-12
+
+
+@pytest.mark.parametrize("bearing_deg", [41.0, 90.0, 179.0, -41.0, -120.0])
+def test_far_off_its_heading_it_turns_where_it_stands(bearing_deg: float) -> None:
+    pose = np.array([1.0, 2.0, 3.0])
+    action = steer(pose, ahead_of(pose, math.radians(bearing_deg)), CLEAR, ROBOT, CONFIG, CONFIG.speed)
+    assert action.sum() == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(action).max() > 0.3
+
+
+def test_straight_ahead_it_cruises() -> None:
+    pose = np.array([-1.0, 0.5, -2.0])
+    action = steer(pose, ahead_of(pose, 0.0), CLEAR, ROBOT, CONFIG, CONFIG.speed)
+    np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
+
+
+@settings(deadline=None, max_examples=50)
+@given(angles, angles, st.floats(0.5, 3.0))
+def test_it_arrives(yaw: float, bearing: float, distance: float) -> None:
+    pose = np.array([0.3, -0.7, yaw])
+    target = ahead_of(pose, bearing, distance)
+    for _ in range(400):
+        if np.hypot(*(target - pose[:2])) < 0.05:
+            break
+        pose = drive(pose, steer(pose, target, CLEAR, ROBOT, CONFIG, CONFIG.speed))
+    assert np.hypot(*(target - pose[:2])) < 0.05
+
+
+@settings(deadline=None, max_examples=30)
+@given(angles, angles)
+def test_turning_on_the_spot_ends_facing_the_point(yaw: float, bearing: float) -> None:
+    pose = np.array([0.3, -0.7, yaw])
+    target = ahead_of(pose, bearing)
+    for _ in range(60):
+        pose = drive(pose, turn_by(bearing_of(pose, target), ROBOT, CONFIG))
+    np.testing.assert_allclose(pose[:2], [0.3, -0.7], atol=1e-9)
+    assert abs(wrap_angle(yaw + bearing - float(pose[2]))) < 0.02
+
+
+@pytest.mark.parametrize("slant_deg", [-30.0, -15.0, 0.0, 15.0, 30.0])
+def test_it_stops_in_front_of_a_wall_that_its_front_beams_see(slant_deg: float) -> None:
+    line = np.array([2.0, math.radians(slant_deg)])
+    pose = np.array([0.0, 0.0, 0.0])
+    actions = []
+    for _ in range(150):
+        action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG, CONFIG.speed)
+        actions.append(action)
+        pose = drive(pose, action)
+        clearance = line[0] - pose[0] * math.cos(line[1]) - pose[1] * math.sin(line[1]) - ROBOT.radius
+        assert clearance > 0.02
+    # It drove up to it at full speed, slowed down, and stands still.
+    assert actions[0].sum() == pytest.approx(2.0 * CONFIG.speed / ROBOT.max_wheel_speed)
+    assert abs(actions[-1].sum()) < 0.01
+    assert clearance < 0.15
+
+
+def test_the_less_room_the_slower() -> None:
+    pose, speeds = np.zeros(3), []
+    for distance in (0.9, 0.30, 0.25, 0.20, 0.15, 0.12):
+        readings = wall_ranges(pose, np.array([distance, 0.0]))
+        speeds.append(steer(pose, np.array([5.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed).sum())
+    assert speeds[0] > speeds[1] > speeds[2] > speeds[3] > speeds[4] >= speeds[5] == 0.0
+
+
+def test_in_front_of_a_wall_it_still_turns_away() -> None:
+    pose = np.zeros(3)
+    readings = wall_ranges(pose, np.array([0.13, 0.0]))
+    action = steer(pose, ahead_of(pose, math.radians(30.0)), readings, ROBOT, CONFIG, CONFIG.speed)
+    assert action.sum() == pytest.approx(0.0, abs=1e-12)
+    assert action[1] > action[0]
+
+
+def test_walls_beside_the_robot_do_not_stop_it() -> None:
+    readings = np.array([0.06, 1.5, 1.5, 1.5, 1.5, 0.06])
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
+
+
+def test_free_ahead_is_the_way_to_the_nearest_point_in_the_bodys_strip() -> None:
+    assert free_ahead(CLEAR, ROBOT) == math.inf
+    # Beam 2 points 15 degrees to the left from the rim: 0.3 m out is (0.386, 0.104), just outside the body's edge.
+    readings = CLEAR.copy()
+    readings[2] = 0.2
+    x, y = 0.3 * math.cos(math.radians(15.0)), 0.3 * math.sin(math.radians(15.0))
+    # The round body touches that point when its centre is sqrt(r^2 - y^2) before it.
+    assert free_ahead(readings, ROBOT) == pytest.approx(x - math.sqrt(0.01 - y**2))
+    readings[3] = 0.1
+    x, y = 0.2 * math.cos(math.radians(15.0)), 0.2 * math.sin(math.radians(15.0))
+    assert free_ahead(readings, ROBOT) == pytest.approx(x - math.sqrt(0.01 - y**2))
+    # 1 m out at 45 degrees nothing is in the way.
+    readings = CLEAR.copy()
+    readings[1] = 1.0
+    assert free_ahead(readings, ROBOT) == math.inf
+
+
+NONSENSE = pytest.mark.parametrize("reading", [math.nan, math.inf, -math.inf])
+
+
+@NONSENSE
+def test_a_front_beam_that_reads_nonsense_is_left_out(reading: float) -> None:
+    readings = CLEAR.copy()
+    readings[3] = reading
+    assert free_ahead(readings, ROBOT) == math.inf
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
+    # What the others see still counts, as if that one saw nothing.
+    readings[2] = 0.1
+    without = readings.copy()
+    without[3] = 1.5
+    assert free_ahead(readings, ROBOT) == free_ahead(without, ROBOT) < 0.15
+
+
+@NONSENSE
+def test_when_no_front_beam_gives_a_number_there_is_no_room(reading: float) -> None:
+    # Those at 45 and 15 degrees look ahead; what the side beams read says nothing about the way on.
+    readings = CLEAR.copy()
+    readings[1:5] = reading
+    assert free_ahead(readings, ROBOT) == 0.0
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    np.testing.assert_allclose(action, 0.0, atol=1e-12)
+    # It may still turn, and one beam that gives a number is enough.
+    turning = steer(np.zeros(3), np.array([0.0, 1.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    assert turning[1] > 0.3
+    readings[1] = 1.5
+    assert free_ahead(readings, ROBOT) == math.inf
+
+
+@NONSENSE
+def test_a_side_beam_that_reads_nonsense_changes_nothing(reading: float) -> None:
+    readings = CLEAR.copy()
+    readings[[0, 5]] = reading
+    assert free_ahead(readings, ROBOT) == math.inf
+
+
+def test_a_maximum_rounded_to_float32_is_still_nothing_seen() -> None:
+    assert free_ahead(np.float32(CLEAR).astype(float), ROBOT) == math.inf
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.floats(-2.0, 2.0), st.floats(-20.0, 20.0))
+def test_wheels_stay_within_their_speed_and_the_turn_is_kept(speed: float, turn_rate: float) -> None:
+    left, right = wheel_speeds(speed, turn_rate, ROBOT)
+    assert max(abs(left), abs(right)) <= 1.0 + 1e-12
+    turned = (right - left) * ROBOT.max_wheel_speed / ROBOT.axle
+    fastest = 2.0 * ROBOT.max_wheel_speed / ROBOT.axle
+    assert turned == pytest.approx(float(np.clip(turn_rate, -fastest, fastest)), abs=1e-9)
+    forward = 0.5 * (left + right) * ROBOT.max_wheel_speed
+    assert abs(forward) <= abs(speed) + 1e-12
+    assert forward * speed >= 0.0
+
+
+def test_where_both_can_be_had_nothing_gives_way() -> None:
+    left, right = wheel_speeds(0.1, 1.0, ROBOT)
+    np.testing.assert_allclose([left, right], [0.02 / 0.3, 0.18 / 0.3], atol=1e-12)
+
+
+def test_where_both_cannot_be_had_the_speed_gives_way() -> None:
+    # The turn takes 0.08 m/s of each wheel's 0.30, so 0.22 m/s are left of the speed.
+    np.testing.assert_allclose(wheel_speeds(0.3, 1.0, ROBOT), [0.14 / 0.3, 1.0], atol=1e-12)
+    np.testing.assert_allclose(wheel_speeds(-0.3, 1.0, ROBOT), [-1.0, -0.14 / 0.3], atol=1e-12)
+    np.testing.assert_allclose(wheel_speeds(0.3, 100.0, ROBOT), [-1.0, 1.0], atol=1e-12)
+
+
+@settings(deadline=None, max_examples=100)
+@given(angles, angles)
+def test_the_nearest_beam_needs_the_least_turn(yaw: float, bearing: float) -> None:
+    pose = np.array([0.3, -0.7, yaw])
+    beam, turn = nearest_beam(pose, ahead_of(pose, bearing), ROBOT)
+    turns = [abs(float(wrap_angle(bearing - angle))) for angle in ROBOT.beam_angles]
+    assert abs(turn) == pytest.approx(min(turns), abs=1e-9)
+    # After the turn, that beam points at the place.
+    assert float(wrap_angle(turn + ROBOT.beam_angles[beam] - bearing)) == pytest.approx(0.0, abs=1e-9)
+
+
+def ground(*occupied: tuple[int, int]) -> GridView:
+    """Free ground of 2 x 2 m about the origin, and some occupied cells given as (row, column)."""
+    values = np.full((20, 20), 5, dtype=np.int16)
+    for cell in occupied:
+        values[cell] = -4
+    return GridView(np.array([-1.0, -1.0]), 0.1, values)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi])
+def test_it_backs_off_over_ground_that_is_known_to_be_free(yaw: float) -> None:
+    pose = np.array([0.05, 0.05, yaw])
+    left, right = back_off(pose, ground(), ROBOT, CONFIG)
+    assert left == right < 0.0
+    # What stands right behind it forbids it; the same ahead does not.
+    behind = np.floor((pose[:2] - 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
+    ahead = np.floor((pose[:2] + 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
+    np.testing.assert_array_equal(back_off(pose, ground((behind[1], behind[0])), ROBOT, CONFIG), [0.0, 0.0])
+    assert (back_off(pose, ground((ahead[1], ahead[0])), ROBOT, CONFIG) < 0.0).all()
+
+
+def test_it_does_not_back_out_of_the_map() -> None:
+    np.testing.assert_array_equal(back_off(np.array([-0.85, 0.0, 0.0]), ground(), ROBOT, CONFIG), [0.0, 0.0])
+
+
+# A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.
+POST = np.array([0.15, 0.15])
+AHEAD = np.array([0.6, 0.6])
+
+
+def reading_of(post: FloatArray, beam: int) -> FloatArray:
+    """Readings at the origin with a post on one beam, at its distance."""
+    ranges = CLEAR.copy()
+    ranges[beam] = np.hypot(*post) - ROBOT.radius
+    return ranges
+
+
+def test_the_bumper_lets_pass_what_is_clear() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), CLEAR)
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)
+
+
+def test_the_bumper_remembers_what_no_beam_sees_any_more_and_keeps_the_turn() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    # It has come nearer, and the post stands between two beams, on the left.
+    pose, curve = np.array([0.08, 0.05, 0.0]), np.array([0.5, 0.8])
+    bumper.note(pose, CLEAR)
+    softened = bumper.soften(pose, curve)
+    assert softened.sum() < 0.5 * curve.sum()
+    assert softened[1] - softened[0] == pytest.approx(curve[1] - curve[0])
+    # Away from it the robot may go as fast as it likes.
+    np.testing.assert_array_equal(bumper.soften(pose, -curve), -curve)
+    np.testing.assert_array_equal(bumper.soften(np.array([0.08, 0.05, math.pi]), AHEAD), AHEAD)
+
+
+def test_the_bumper_forgets_after_some_seconds() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    pose = np.array([0.08, 0.05, 0.5])
+    for _ in range(39):
+        bumper.note(pose, CLEAR)
+    assert bumper.soften(pose, AHEAD).sum() < AHEAD.sum()
+    bumper.note(pose, CLEAR)
+    np.testing.assert_array_equal(bumper.soften(pose, AHEAD), AHEAD)
+
+
+def test_the_bumper_goes_no_nearer_to_what_is_too_near_to_be_measured() -> None:
+    bumper, close = Bumper(ROBOT), CLEAR.copy()
+    close[1] = 0.05
+    bumper.note(np.zeros(3), close)
+    np.testing.assert_allclose(bumper.soften(np.zeros(3), AHEAD), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), -AHEAD), -AHEAD)
+    # Beside the robot it is not in the way, and a moment later it is forgotten: it may have been noise.
+    close[:2] = 0.05, 1.5
+    for _ in range(3):
+        bumper.note(np.zeros(3), close)
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)
+
+
+def test_ghosts_inside_the_body_do_not_hold_it() -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), reading_of(POST, 1))
+    bumper.note(np.array([*POST, 0.0]), CLEAR)
+    np.testing.assert_array_equal(bumper.soften(np.array([*POST, 0.0]), AHEAD), AHEAD)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(-1.2, 1.2), st.floats(0.16, 0.5), st.floats(-0.3, 0.3))
+def test_a_post_that_was_seen_is_not_run_into(bearing: float, distance: float, turn: float) -> None:
+    post = distance * np.array([math.cos(bearing), math.sin(bearing)])
+    bumper, pose = Bumper(ROBOT), np.zeros(3)
+    beam = 1 if bearing > 0.0 else 4
+    robot_sees = CLEAR.copy()
+    robot_sees[beam] = distance - ROBOT.radius
+    # The reading is taken by a robot that looks so that the beam meets the post.
+    bumper.note(np.array([0.0, 0.0, bearing - ROBOT.beam_angles[beam]]), robot_sees)
+    for _ in range(30):
+        pose = drive(pose, bumper.soften(pose, np.array([0.6 - turn, 0.6 + turn])))
+        assert np.hypot(*(pose[:2] - post)) > ROBOT.radius
+
+
+@NONSENSE
+def test_the_bumper_notes_no_nonsense(reading: float) -> None:
+    bumper = Bumper(ROBOT)
+    bumper.note(np.zeros(3), np.full(6, reading))
+    np.testing.assert_array_equal(bumper.soften(np.zeros(3), AHEAD), AHEAD)

@@ -1,0 +1,198 @@
+"""Anything that can act is scored, by the same metrics as the agent that comes with the package."""
+
+import numpy as np
+import pytest
+
+from limslam_agent import LimSlamAgent, LimSlamTeam, evaluate, medians, preset
+from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.results import score
+from limslam_agent.wrappers.single import SlamObservation
+from limslam_env import NominalNoise, RobotSpec
+from limslam_env.worlds.world import World
+
+ROBOT = RobotSpec()
+TOLD = preset("paper", NominalNoise(0.02))
+DRIVE = {"path_m", "coverage_true", "time_to_50_s", "time_to_90_s", "time_to_95_s", "exploration_time_s", "collisions"}
+WALLS = [[0, 0, 3, 0], [3, 0, 3, 2], [3, 2, 0, 2], [0, 2, 0, 0]]
+ROOM = World("room", (3.0, 2.0), WALLS, starts=[[1.0, 1.0, 0.0], [2.0, 1.0, 2.0]])
+
+
+def straight(_):
+    return 0.5, 0.5
+
+
+def spin(_):
+    return np.array([-0.2, 0.2])
+
+
+class Model:
+    """What Stable-Baselines3 calls a model, with a memory or without one."""
+
+    def __init__(self, *, remembers):
+        self.remembers, self.calls = remembers, []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):  # noqa: FBT002 (its interface)
+        self.calls.append((observation, state, episode_start, deterministic))
+        return np.array([0.5, 0.4], dtype=np.float32), ((state or 0) + 1 if self.remembers else None)
+
+
+class Forgetful:
+    """A model that takes nothing but what a policy without memory needs."""
+
+    def predict(self, _observation, deterministic):
+        assert deterministic
+        return np.array([0.3, 0.3]), None
+
+
+def test_the_agent_gets_the_metrics_of_a_run():
+    expected = score(run_episode(RunConfig("env2", 0.02, "paper", seed=3, max_time=25.0)))
+    (result,) = evaluate(LimSlamAgent(ROBOT, TOLD), "LimSlam-Env2-v0", [3], max_time=25.0, sensor_noise=0.02)
+    assert result.pop("seed") == 3
+    assert {"ate_m", "odometry_ate_m", "anees", "wall_f1", "doors_open", "coverage_correct"} <= set(result)
+    assert {name: expected[name] for name in result} == result
+
+
+def test_a_team_gets_the_metrics_of_a_run():
+    expected = score(run_episode(RunConfig("env2", 0.02, "paper", seed=3, max_time=15.0, robots=2)))
+    (result,) = evaluate(LimSlamTeam(ROBOT, TOLD), "limslam/Env2-v0", [3], max_time=15.0, sensor_noise=0.02)
+    assert result.pop("seed") == 3
+    assert {"ate_m", "wall_f1"} <= set(result)
+    assert {name: expected[name] for name in result} == result
+
+
+def test_a_function_gets_the_true_metrics_alone():
+    results = evaluate(straight, "LimSlam-World-v0", (4, 5), max_time=30.0, world=ROOM)
+    assert [result["seed"] for result in results] == [4, 5]
+    for result in results:
+        assert set(result) == DRIVE | {"seed", "stop_reason"}
+        # From x = 1 at 0.15 m/s to the wall at 3 m, and on against it.
+        assert result["path_m"] == pytest.approx(1.9, abs=0.01)
+        assert result["collisions"] == 1
+        assert result["exploration_time_s"] is None
+        assert result["stop_reason"].startswith("time")
+        assert 0.0 < result["coverage_true"] < 0.99
+
+
+def test_who_cannot_stop_is_stopped_at_the_goal():
+    (result,) = evaluate(spin, "LimSlam-World-v0", [0], max_time=60.0, world=ROOM, coverage_goal=0.5)
+    assert result["stop_reason"] == "the coverage goal is reached"
+    assert result["exploration_time_s"] == result["time_to_50_s"] > 0.0
+    assert result["coverage_true"] >= 0.5
+
+
+def test_who_stops_by_itself_is_not_stopped_by_what_is_true():
+    class Patient:
+        stop_reason = None
+
+        def reset(self, start_pose, seed):
+            np.testing.assert_array_equal(start_pose, ROOM.starts[0])
+            self.steps, self.seed = 0, seed
+
+        def act(self, observation):
+            assert set(observation) == {"ranges", "wheels"}
+            self.steps += 1
+            return spin(observation)
+
+        @property
+        def done(self):
+            return self.steps > 400 + self.seed
+
+    first, second = evaluate(Patient(), "LimSlam-World-v0", [0, 20], max_time=60.0, world=ROOM)
+    assert (first["exploration_time_s"], second["exploration_time_s"]) == (40.0, 42.0)
+    assert first["stop_reason"] == "the actor says that it is done"
+
+
+def test_a_recurrent_model_gets_its_memory_back():
+    model = Model(remembers=True)
+    evaluate(model, "LimSlam-World-v0", [0, 1], max_time=1.0, world=ROOM)
+    # Eleven observations an episode, and a new memory in each.
+    assert [state for _, state, _, _ in model.calls] == [None, *range(1, 11)] * 2
+    assert [start is None for _, _, start, _ in model.calls] == [True, *[False] * 10] * 2
+    assert not any(start.any() for _, _, start, _ in model.calls if start is not None)
+    assert all(deterministic for *_, deterministic in model.calls)
+
+
+def test_a_model_without_memory_need_not_know_of_one():
+    (result,) = evaluate(Forgetful(), "LimSlam-World-v0", [0], max_time=2.0, world=ROOM)
+    assert result["path_m"] == pytest.approx(2.0 * 0.3 * 0.3)
+
+
+def test_each_robot_of_a_team_has_its_own_actor():
+    model = Model(remembers=True)
+    actors = {"robot_0": straight, "robot_1": spin, "robot_2": model}
+    (result,) = evaluate(actors, "limslam/World-v0", [0], max_time=2.0, world=ROOM, num_robots=3)
+    assert set(result) == DRIVE | {"seed", "stop_reason"}
+    # The mean of 0.3 m, of nothing, and of about 0.27 m.
+    assert result["path_m"] == pytest.approx((0.3 + 0.0 + 0.27) / 3.0, abs=0.002)
+    assert len(model.calls) == 21
+
+
+def test_one_model_drives_all_robots_and_one_function_is_told_all():
+    model = Model(remembers=True)
+    evaluate(model, "limslam/World-v0", [0], max_time=1.0, world=ROOM)
+    assert [state for _, state, _, _ in model.calls] == [None, None, *np.repeat(range(1, 11), 2)]
+
+    def both(observations):
+        assert set(observations) == {"robot_0", "robot_1"}
+        return {"robot_0": (0.5, 0.5), "robot_1": (0.0, 0.0)}
+
+    (result,) = evaluate(both, "limslam/World-v0", [0], max_time=1.0, world=ROOM)
+    assert result["path_m"] == pytest.approx(0.5 * 0.15)
+
+
+def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
+    def look(observation):
+        assert set(observation) == {"pose", "covariance", "grid", "ranges"}
+        return 0.2, 0.2
+
+    (result,) = evaluate(
+        look, "LimSlam-World-v0", [0], max_time=1.0, wrap=lambda env: SlamObservation(env, TOLD), world=ROOM
+    )
+    assert result["path_m"] == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize(
+    ("actor", "env_id", "arguments", "words"),
+    [
+        (object(), "LimSlam-Env1-v0", {}, "object cannot act"),
+        (LimSlamAgent, "LimSlam-Env1-v0", {}, "LimSlamAgent is a class"),
+        ({"robot_0": spin}, "LimSlam-Env1-v0", {}, "for parallel environments"),
+        ({"robot_0": spin, "robot_1": 3}, "limslam/Env1-v0", {}, "int cannot act"),
+        ({"robot_0": spin}, "limslam/Env1-v0", {}, "one actor for each of robot_0, robot_1"),
+        (spin, "limslam/Env1-v0", {}, "a dict of actions"),
+        (lambda _: {"robot_0": (0, 0)}, "limslam/Env1-v0", {}, "one action for each"),
+        (lambda _: None, "LimSlam-Env1-v0", {}, "two finite numbers"),
+        (lambda _: (np.nan, 0.0), "LimSlam-Env1-v0", {}, "two finite numbers"),
+        (spin, "LimSlam-Env9-v0", {}, "Env9"),
+        (spin, "limslam/Env9-v0", {}, "no environment 'limslam/Env9-v0'"),
+        (spin, "CartPole-v1", {}, "no environment of LimSLAM"),
+        (spin, "LimSlam-Env1-v0", {"max_time": 0.0}, "above 0 s"),
+        (spin, "LimSlam-World-v0", {"world": "atlantis"}, "atlantis"),
+    ],
+)
+def test_what_cannot_act_is_refused_in_one_line(actor, env_id, arguments, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        evaluate(actor, env_id, [0], **{"max_time": 1.0, **arguments})
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_policy_that_is_used_up_is_refused():
+    class Brief(FrontierPolicy):
+        def act(self, belief):
+            self.stop_reason = "enough"
+            return super().act(belief)
+
+    agent = LimSlamAgent(ROBOT, TOLD, Brief(ROBOT, TOLD.policy))
+    with pytest.raises(ValueError, match="done before seed 1 began"):
+        evaluate(agent, "LimSlam-World-v0", [0, 1], max_time=1.0, world=ROOM)
+
+
+def test_medians_by_hand():
+    rows = [
+        {"seed": 0, "path_m": 1.0, "exploration_time_s": 10.0, "time_to_95_s": None, "anees": None, "stop_reason": "a"},
+        {"seed": 1, "path_m": 5.0, "exploration_time_s": None, "time_to_95_s": None, "anees": 2.0, "stop_reason": "b"},
+        {"seed": 2, "path_m": 2.0, "exploration_time_s": 30.0, "time_to_95_s": 5.0, "anees": 4.0, "stop_reason": "c"},
+    ]
+    assert medians(rows) == {"path_m": 2.0, "exploration_time_s": 30.0, "time_to_95_s": None, "anees": 3.0}
+    assert medians([]) == {}

@@ -1,0 +1,154 @@
+"""Who drives a run: policies by name, and pilots that know the truth."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.presets import GridConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.policies.belief import Belief
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.oracle import Pilot
+from limslam_agent.runs.results import score, title_of
+from limslam_env.bounds.tours import top_speeds
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.world import World
+
+ROBOT = RobotSpec()
+WALLS = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]]
+ROOM = World("room", (4.0, 3.0), WALLS, starts=[[1.0, 0.8, 0.4], [3.0, 1.0, 2.0]])
+BELIEF = Belief(np.zeros(3), np.eye(3), np.full(6, 1.5), np.zeros((0, 4)), OccupancyGrid(GridConfig()).view)
+
+
+def run(policy, **settings):
+    return run_episode(RunConfig(ROOM, policy=policy, **{"noise": 0.02, "max_time": 120.0, **settings}))
+
+
+@pytest.fixture(scope="module")
+def oracle():
+    return run("oracle")
+
+
+@pytest.fixture(scope="module")
+def tour():
+    return run("tour")
+
+
+@pytest.mark.parametrize("policy", ["tour", "oracle"])
+@pytest.mark.parametrize("settings", [{"preset": "odometry"}, {"preset": "paper", "ablation": "no-ekf"}])
+def test_every_estimator_listens_to_the_same_drive(policy, settings, request):
+    one, other = request.getfixturevalue(policy), run(policy, **settings)
+    assert len(one.time) > 100
+    for name in ("time", "ranges", "wheels", "actions", "true", "wall_seen", "coverage"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert not np.array_equal(one.estimated, other.estimated)
+
+
+def test_noise_moves_no_pilot_off_its_way(tour):
+    np.testing.assert_array_equal(run("tour", noise=0.0, seed=4).true, tour.true)
+
+
+def test_the_oracle_sees_everything_sooner_than_an_explorer(oracle):
+    explorer = run("frontier")
+    scores, others = score(oracle), score(explorer)
+    assert scores["stop_reason"] == "99% of what can be seen was seen"
+    assert oracle.coverage[-1] >= 0.99 > oracle.coverage[-2]
+    assert 0.0 < scores["exploration_time_s"] < 0.7 * others["exploration_time_s"]
+    assert scores["path_m"] < others["path_m"]
+    assert scores["collisions"] == 0
+
+
+def test_a_tour_is_no_exploration(tour):
+    scores = score(tour)
+    assert scores["stop_reason"] == "the tour is driven"
+    assert scores["exploration_time_s"] is None
+    assert scores["coverage_true"] >= 0.99
+    assert scores["collisions"] == 0
+    np.testing.assert_allclose(tour.true[-1, 0, :2], tour.true[0, 0, :2], atol=0.005)
+    # The filter was there all the time.
+    assert scores["ate_m"] > 0.0
+    assert scores["landmarks"] >= 4
+
+
+def test_a_tour_is_driven_as_often_as_laps_say(tour):
+    twice = run("tour", laps=2)
+    assert twice.time[-1] == pytest.approx(2.0 * tour.time[-1], rel=0.05)
+
+
+@pytest.mark.parametrize("policy", ["wall_follower", "random"])
+def test_policies_to_compare_with_drive_by_what_they_believe(policy):
+    episode = run(policy, robots=2, max_time=20.0)
+    lengths = np.abs(np.diff(episode.true[..., :2], axis=0)).sum(axis=(0, 2))
+    assert (lengths > 0.5).all()
+    again, other = run(policy, robots=2, max_time=20.0), run(policy, robots=2, max_time=20.0, seed=1)
+    np.testing.assert_array_equal(again.true, episode.true)
+    assert not np.array_equal(other.true, episode.true)
+
+
+def test_titles_name_the_policy():
+    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith(
+        "room, range noise 0 cm, consistent, wall follower"
+    )
+    assert "frontier" not in title_of(RunConfig(ROOM))
+    assert "tour, 3 laps" in title_of(RunConfig(ROOM, policy="tour", laps=3))
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            {"policy": "magic"},
+            "no policy is called 'magic'; there are frontier, frontier_fast, wall_follower, random, learned, .*oracle",
+        ),
+        ({"policy": "oracle", "laps": 2}, "not by 'oracle'"),
+        ({"policy": "random", "laps": 1}, "not by 'random'"),
+        ({"policy": "tour", "robots": 2}, "'tour' is for one robot"),
+        ({"policy": "oracle", "robots": 3}, "'oracle' is for one robot"),
+        ({"laps": 1}, "no loop"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_before_it_begins(settings, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        RunConfig(ROOM, **settings)
+    assert "\n" not in str(refusal.value)
+
+
+@dataclasses.dataclass
+class SeenCells:
+    """What a pilot asks an environment."""
+
+    seen: np.ndarray
+
+
+def test_a_pilot_plans_again_what_its_drive_did_not_show():
+    asked = []
+
+    def planner(pose, seen):
+        asked.append((pose.copy(), seen))
+        return np.array([[1.0, 0.0]]) if len(asked) < 3 else np.zeros((0, 2))
+
+    env, pilot = SeenCells(np.ones((2, 2), dtype=bool)), Pilot(ROBOT, top_speeds(ROBOT), planner, tours=4, goal=0.9)
+    pilot.look(env, np.zeros(3), 0.1)
+    np.testing.assert_allclose(pilot.act(BELIEF), [1.0, 1.0])
+    # It has arrived; the second plan leads to where it stands, the third nowhere.
+    pilot.look(env, np.array([1.0, 0.0, 0.0]), 0.5)
+    assert [given is env.seen for _, given in asked] == [False, True, True]
+    assert asked[0][1] is None
+    assert pilot.stop_reason == "the tour is driven"
+    np.testing.assert_array_equal(pilot.act(BELIEF), [0.0, 0.0])
+
+
+def test_a_pilot_stops_at_its_goal_and_turns_before_it_drives():
+    pilot = Pilot(ROBOT, top_speeds(ROBOT), lambda *_: np.array([[0.0, 1.0]]), goal=0.9)
+    env = SeenCells(np.ones((2, 2), dtype=bool))
+    pilot.look(env, np.zeros(3), 0.1)
+    np.testing.assert_allclose(pilot.act(BELIEF), [-1.0, 1.0])  # to the left, as fast as it can, on the spot
+    pilot.look(env, np.array([0.0, 0.0, 1.4]), 0.2)
+    left, right = pilot.act(BELIEF)
+    assert right == pytest.approx(1.0)
+    # 0.17 rad in 0.1 s take 0.136 m/s more on the right.
+    assert left == pytest.approx(1.0 - 1.7079632679 * 0.16 / 0.3)
+    pilot.look(env, np.array([0.0, 0.0, 1.4]), 0.9)
+    assert pilot.stop_reason == "90% of what can be seen was seen"
+    np.testing.assert_array_equal(pilot.act(BELIEF), [0.0, 0.0])

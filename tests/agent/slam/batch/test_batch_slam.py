@@ -1,0 +1,380 @@
+"""BatchSlam and SlamVectorObservation: equal to the single filter, whatever the threads, and what happens when full."""
+
+import copy
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
+
+from limslam_agent.agent import LimSlamAgent
+from limslam_agent.config.presets import AgentConfig, SelfCalibrationConfig, preset
+from limslam_agent.policies.policies import WallFollower
+from limslam_agent.slam.batch.batch_slam import BatchSlam
+from limslam_agent.slam.batch.state import MISSES, Capacity
+from limslam_agent.slam.slam import LineSlam
+from limslam_agent.wrappers.single import SlamObservation
+from limslam_agent.wrappers.vector import SlamVectorObservation
+from limslam_env.config import NoiseConfig
+from limslam_env.envs.env import LimSlamEnv
+from limslam_env.envs.wrappers import NormalizedObservation
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import lengths
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.robots import ring
+
+WORLDS = ["env1", "env2", "env3", "square", "random"]
+NOISES = [0.0, 0.02, 0.04]
+EQUAL = 1e-6
+START = np.zeros(3)
+CORRIDOR_LOOP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0), (0.0, 0.0), (3.0, 0.0)]
+ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
+CALIBRATING = replace(preset("consistent"), self_calibration=SelfCalibrationConfig(enabled=True))
+
+
+def config_of(noise: float) -> AgentConfig:
+    return preset("consistent", NominalNoise(noise))
+
+
+def world_env(name: str, noise: float, **arguments: Any) -> gym.Env[Any, Any]:
+    which = "LimSlam-Random-v0" if name == "random" else "LimSlam-World-v0"
+    chosen = {} if name == "random" else {"world": name}
+    return gym.make(which, noise=NoiseConfig(sensor_noise=noise), coverage_goal=None, **chosen, **arguments)
+
+
+def explored(noise: float, steps: int, seed: int = 7) -> tuple[float, BatchSlam, list[LimSlamAgent]]:
+    """The largest difference of poses between five robots in one batch and five agents, which drive."""
+    envs = [world_env(name, noise) for name in WORLDS]
+    config, seen, starts = config_of(noise), [], []
+    for env in envs:
+        observation, info = env.reset(seed=seed)
+        seen.append(observation)
+        starts.append(info["pose"])
+    agents = [LimSlamAgent(ROBOT, config, WallFollower(ROBOT, config.policy)) for _ in envs]
+    for agent, start in zip(agents, starts, strict=True):
+        agent.reset(start)
+    batch, worst = BatchSlam(ROBOT, config, len(envs), num_threads=2), 0.0
+    batch.reset(starts)
+    for _ in range(steps):
+        beliefs = batch.step([each["ranges"] for each in seen], [each["wheels"] for each in seen])
+        actions = [agent.act(each) for agent, each in zip(agents, seen, strict=True)]
+        single = np.array([agent.slam.pose for agent in agents])
+        worst = max(worst, float(np.abs(beliefs.pose - single).max()))
+        covariances = np.array([agent.slam.covariance for agent in agents])
+        np.testing.assert_allclose(beliefs.covariance, covariances, rtol=0.0, atol=EQUAL)
+        seen = [env.step(action)[0] for env, action in zip(envs, actions, strict=True)]
+    return worst, batch, agents
+
+
+def check_maps(batch: BatchSlam, slams: list[LineSlam]) -> None:
+    np.testing.assert_array_equal(batch.num_landmarks, [len(slam.all_landmarks) for slam in slams])
+    np.testing.assert_array_equal(batch.num_closures, [len(slam.closures) for slam in slams])
+    for number, slam in enumerate(slams):
+        np.testing.assert_allclose(batch.segments(number), slam.segments, rtol=0.0, atol=EQUAL)
+    assert not batch.left_out.any()
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_it_is_the_single_filter_in_every_world(noise: float) -> None:
+    worst, batch, agents = explored(noise, 350)
+    assert worst < EQUAL
+    check_maps(batch, [agent.slam for agent in agents])
+    assert batch.num_landmarks.min() >= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("seed", [8, 9])
+def test_it_is_the_single_filter_over_long_drives(noise: float, seed: int) -> None:
+    worst, batch, agents = explored(noise, 3000, seed)
+    assert worst < EQUAL
+    check_maps(batch, [agent.slam for agent in agents])
+
+
+def followed(
+    observations: list[Observation], config: AgentConfig, robot: RobotSpec = ROBOT, start: FloatArray = START
+) -> tuple[LineSlam, BatchSlam, int]:
+    """Both after a drive during which they were equal, and how many clones there were at most."""
+    slam, batch, most = LineSlam(robot, config, start), BatchSlam(robot, config, 1, num_threads=1, size=0), 0
+    batch.reset(start[None])
+    for seen in observations:
+        slam.step(seen)
+        beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
+        np.testing.assert_allclose(beliefs.pose[0], slam.pose, rtol=0.0, atol=EQUAL)
+        most = max(most, slam._estimator._filter.num_clones)  # type: ignore[attr-defined]
+    check_maps(batch, [slam])
+    return slam, batch, most
+
+
+def test_loops_are_closed_alike() -> None:
+    # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
+    log = laps_of_square(0.0, 1, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
+    config = preset("consistent", NominalNoise(0.0, 2e-4))
+    slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])
+    assert len(slam.closures) == batch.num_closures[0] > 0
+
+
+def test_walls_are_taken_back_alike() -> None:
+    walls = np.array([[-1.0, 0.5, 4.0, 0.5], [-1.0, -0.5, 4.0, -0.5]])
+    there, _ = drive(walls, START, straight(2.0))
+    # On the way back the wall to the right is gone.
+    back, _ = drive(walls[:1], np.array([2.0, 0.0, 0.0]), [*turn(180.0), *straight(2.0)])
+    before, _, _ = followed(there, config_of(0.0))
+    after, batch, _ = followed([*there, *back[1:]], config_of(0.0))
+    assert batch._minds.walls.counted[0, :, MISSES].sum() > 20
+    right = [sum(lengths(slam.segments[slam.segments[:, 1] < 0.0])) for slam in (before, after)]
+    assert right[1] < right[0] - 0.5
+
+
+def test_more_clones_than_are_kept_are_let_go_alike() -> None:
+    # A robot that turns in front of posts sees a lot and finds nothing.
+    posts = np.vstack([room(x, y, x + 0.05, y + 0.05) for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.6)])
+    observations, _ = drive(posts, START, turn(3000.0), noise=0.02)
+    slam, _, most = followed(observations, config_of(0.02))
+    assert most >= slam.config.clones.max_clones
+
+
+def test_other_robots_and_unsteady_beams() -> None:
+    robot = ring(20)
+    observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP[:3], robot=robot), robot, 0.02)
+    for number, seen in enumerate(observations):
+        seen["ranges"][number % 20] = np.nan
+    slam, batch, _ = followed(observations, config_of(0.02), robot)
+    assert batch.refused_readings[0] == slam.refused_readings == len(observations)
+
+
+DRIVE = drive(ROOM, START, along(CORRIDOR_LOOP[:4]), noise=0.02)[0]
+
+
+def batch_of(num_envs: int, config: AgentConfig | None = None, **arguments: Any) -> BatchSlam:
+    batch = BatchSlam(ROBOT, config or config_of(0.02), num_envs, **arguments)
+    batch.reset(np.zeros((num_envs, 3)))
+    return batch
+
+
+def test_threads_change_no_bit() -> None:
+    shifted = [list(np.roll(np.arange(len(DRIVE)), number)) for number in range(9)]
+    told = []
+    for threads in (1, 2, 5):
+        batch = batch_of(9, num_threads=threads)
+        for step in range(200):
+            seen = [DRIVE[rows[step]] for rows in shifted]
+            beliefs = batch.step([each["ranges"] for each in seen], [each["wheels"] for each in seen])
+        told.append((beliefs.pose.tobytes(), beliefs.covariance.tobytes(), beliefs.grid.tobytes()))
+    assert told[0] == told[1] == told[2]
+
+
+def test_a_reset_of_some_leaves_the_others() -> None:
+    batch, fresh = batch_of(3, num_threads=1), batch_of(3, num_threads=1)
+    for seen in DRIVE[:150]:
+        batch.step([seen["ranges"]] * 3, [seen["wheels"]] * 3)
+    mask = np.array([False, True, False])
+    batch.reset(np.full((3, 3), [1.0, 2.0, 0.5]), mask)
+    fresh.reset(np.full((3, 3), [1.0, 2.0, 0.5]))
+    for seen in DRIVE[150:250]:
+        beliefs = batch.step([seen["ranges"]] * 3, [seen["wheels"]] * 3)
+        expected = fresh.step([seen["ranges"]] * 3, [seen["wheels"]] * 3)
+    np.testing.assert_array_equal(beliefs.pose[1], expected.pose[1])
+    np.testing.assert_array_equal(beliefs.grid[1], expected.grid[1])
+    np.testing.assert_array_equal(beliefs.pose[0], beliefs.pose[2])
+    assert np.abs(beliefs.pose[0] - beliefs.pose[1]).max() > 0.1
+
+
+def test_who_is_masked_stands_still() -> None:
+    batch, single = batch_of(2, num_threads=2), batch_of(1, num_threads=1)
+    for number, seen in enumerate(DRIVE[:120]):
+        mask = np.array([True, number % 2 == 0])
+        beliefs = batch.step([seen["ranges"]] * 2, [seen["wheels"]] * 2, mask)
+        if mask[1]:
+            alone = single.step(seen["ranges"][None], seen["wheels"][None])
+            np.testing.assert_array_equal(beliefs.pose[1], alone.pose[0])
+        else:
+            assert not beliefs.pose[1].any()
+
+
+def test_without_room_for_landmarks_none_is_founded() -> None:
+    full, roomy = batch_of(1, capacity=Capacity(landmarks=2)), batch_of(1)
+    for seen in DRIVE:
+        beliefs = full.step(seen["ranges"][None], seen["wheels"][None])
+        roomy.step(seen["ranges"][None], seen["wheels"][None])
+    assert full.num_landmarks[0] == 2 < roomy.num_landmarks[0]
+    assert full.left_out[0] > 0
+    assert roomy.left_out[0] == 0
+    assert np.linalg.eigvalsh(beliefs.covariance[0]).min() > 0.0
+
+
+def test_without_room_for_clones_the_oldest_are_given_up() -> None:
+    batch = batch_of(1, capacity=Capacity(clones=5))
+    for seen in DRIVE:
+        beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
+    clones = batch._minds.filter.clones[0]
+    assert len(clones) == 5
+    assert clones.max() > 100
+    assert batch.left_out[0] > 0
+    assert np.isfinite(beliefs.pose).all()
+
+
+def test_beyond_the_bins_nothing_is_counted() -> None:
+    batch = batch_of(1, capacity=Capacity(bins=10))
+    for seen in DRIVE:
+        batch.step(seen["ranges"][None], seen["wheels"][None])
+    assert batch.left_out[0] > 0
+    segments = batch.segments(0)
+    assert len(segments)
+    assert np.hypot(*(segments[:, 2:] - segments[:, :2]).T).max() < 0.5 + EQUAL
+
+
+def test_a_small_grid_goes_along() -> None:
+    # 41 cells hold all that the crop of a robot shows that has not turned.
+    small, large = batch_of(1, capacity=Capacity(cells=41), size=21), batch_of(1, size=21)
+    observations, _ = drive(np.array([[-1.0, 0.5, 30.0, 0.5]]), START, straight(20.0))
+    for seen in observations:
+        here = small.step(seen["ranges"][None], seen["wheels"][None])
+        there = large.step(seen["ranges"][None], seen["wheels"][None])
+        np.testing.assert_array_equal(here.grid, there.grid)
+    assert set(np.unique(here.grid)) == {0, 127, 255}
+
+
+def test_memory_is_what_the_arrays_take() -> None:
+    assert 1e6 < batch_of(2).bytes_per_env < 3e6
+    assert batch_of(2, capacity=Capacity(landmarks=20, clones=40, bins=100, cells=80)).bytes_per_env < 5e5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda: BatchSlam(ROBOT, preset("paper"), 2), "by the consistent estimator, not 'published'"),
+        (lambda: BatchSlam(ROBOT, CALIBRATING, 2), "does not calibrate odometry by itself"),
+        (lambda: BatchSlam(ROBOT, num_envs=0), "num_envs must be 1 or more, not 0"),
+        (lambda: BatchSlam(ROBOT, size=-1), "size must be 0 or more, not -1"),
+        (lambda: BatchSlam(ROBOT, num_threads=-1), "num_threads must be 1 or more, not -1"),
+        (lambda: BatchSlam(ROBOT, num_threads=0), "num_threads must be 1 or more, not 0"),
+        (lambda: Capacity(landmarks=0), "landmarks must be 1 or more, not 0"),
+        (lambda: batch_of(2).reset(np.zeros((3, 3))), r"start poses \(2, 3\), not \(3, 3\)"),
+        (lambda: batch_of(2).reset(np.full((2, 3), np.nan)), "start pose of robot 0 must be finite"),
+        (lambda: batch_of(2).step(np.ones((2, 5)), np.zeros((2, 2))), r"must be \(2, 6\) and \(2, 2\)"),
+        (lambda: batch_of(2).step(np.ones((2, 6)), np.array([[0.0, 0.0], [np.inf, 0.0]])), "wheel travel of robot 1"),
+        (lambda: batch_of(2).step(np.ones((2, 6)), np.zeros((2, 2)), [True]), "a mask must be 2 booleans"),
+        (lambda: batch_of(2).step(np.ones((2, 6)), np.zeros((2, 2)), [1, 1]), "a mask must be 2 booleans"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(change: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refusal:
+        change()
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_refused_step_takes_nothing_in() -> None:
+    batch, other = batch_of(2), batch_of(2)
+    with pytest.raises(ValueError, match="wheel travel"):
+        batch.step(np.ones((2, 6)), np.array([[0.1, 0.1], [np.nan, 0.0]]))
+    for each in (batch, other):
+        beliefs = each.step(np.ones((2, 6)), np.full((2, 2), 0.01))
+    np.testing.assert_array_equal(beliefs.pose, batch.step(np.ones((2, 6)), np.zeros((2, 2))).pose)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])  # noqa: S301 (our own)
+def test_a_copy_goes_on_alike_with_threads_of_its_own(copied: Callable[[BatchSlam], BatchSlam]) -> None:
+    batch, driven = BatchSlam(ROBOT, num_envs=4, num_threads=2, size=8), np.full((4, 2), 0.01)
+    batch.step(np.ones((4, 6)), driven)
+    assert batch._pool is not None
+    other = copied(batch)
+    assert other._pool is None
+    batch.close()
+    for _ in range(3):
+        one, two = (each.step(np.ones((4, 6)), driven) for each in (batch, other))
+        np.testing.assert_array_equal(one.pose, two.pose)
+        np.testing.assert_array_equal(one.grid, two.grid)
+    assert other._pool is not None
+    assert other._pool is not batch._pool
+    for each in (batch, other, batch):
+        each.close()
+
+
+def vector(mode: AutoresetMode, steps: int = 15, number: int = 3) -> SyncVectorEnv:
+    def make(length: int) -> Callable[[], gym.Env[Any, Any]]:
+        return lambda: world_env("env1", 0.02, max_episode_steps=length)
+
+    return SyncVectorEnv([make(steps + 4 * place) for place in range(number)], autoreset_mode=mode)
+
+
+def singles(steps: int = 15, number: int = 3) -> list[SlamObservation]:
+    return [
+        SlamObservation(world_env("env1", 0.02, max_episode_steps=steps + 4 * place), config_of(0.02))
+        for place in range(number)
+    ]
+
+
+def same(one: dict[str, Any], other: dict[str, Any], row: int) -> None:
+    assert set(one) == set(other)
+    for key, value in other.items():
+        np.testing.assert_allclose(one[key][row], value, rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None:
+    env, alone, ended = SlamVectorObservation(vector(mode), config_of(0.02)), singles(), [False] * 3
+    told, _ = env.reset(seed=100)
+    for row, one in enumerate(alone):
+        same(told, one.reset(seed=100 + row)[0], row)
+    generator = np.random.default_rng(0)
+    for _ in range(70):
+        actions = generator.uniform(0.2, 1.0, (3, 2)).astype(np.float32)
+        told, _, terminated, truncated, info = env.step(actions)
+        assert env.observation_space.contains(told)
+        for row, one in enumerate(alone):
+            if mode == AutoresetMode.NEXT_STEP and ended[row]:
+                seen, ended[row] = one.reset()[0], False
+            else:
+                seen, _, over, stopped, _ = one.step(actions[row])
+                assert (over, stopped) == (terminated[row], truncated[row])
+                ended[row] = over or stopped
+                if mode == AutoresetMode.SAME_STEP and ended[row]:
+                    for key, value in seen.items():
+                        np.testing.assert_allclose(info["final_obs"][row][key], value, rtol=0.0, atol=1e-5)
+                    seen = one.reset()[0]
+            same(told, seen, row)
+    env.close()
+
+
+def test_a_reset_by_hand_of_some() -> None:
+    env = SlamVectorObservation(vector(AutoresetMode.DISABLED), config_of(0.02), size=8)
+    env.reset(seed=100)
+    for _ in range(15):
+        before = env.step(np.full((3, 2), 0.7, dtype=np.float32))[0]
+    after, _ = env.reset(options={"reset_mask": np.array([True, False, False])})
+    np.testing.assert_array_equal(after["pose"][0], np.zeros(3))
+    for key in ("pose", "covariance", "grid"):
+        np.testing.assert_array_equal(after[key][1:], before[key][1:])
+
+
+def test_closing_ends_the_threads() -> None:
+    env = SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), config_of(0.02), size=8, num_threads=2)
+    env.reset(seed=0)
+    threads = list(env.slam._pool._threads)  # type: ignore[union-attr]
+    assert threads
+    env.close()
+    assert not any(thread.is_alive() for thread in threads)
+    env.close()
+
+
+def test_options_that_are_no_dictionary_are_refused() -> None:
+    env = SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), config_of(0.02), size=8, num_threads=1)
+    with pytest.raises(ValueError, match=r"reset options are a dictionary, not \[1\]"):
+        env.reset(options=[1])  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_wrapped_is_refused() -> None:
+    with pytest.raises(ValueError, match="a grid needs at least one cell, not 0"):
+        SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), size=0)
+    with pytest.raises(ValueError, match="does not tell what its robot is"):
+        SlamVectorObservation(SyncVectorEnv([lambda: gym.make("CartPole-v1")]))
+    with pytest.raises(ValueError, match="ranges must be those of the robot"):
+        SlamVectorObservation(SyncVectorEnv([lambda: NormalizedObservation(LimSlamEnv("env1"))]))
+    with pytest.raises(ValueError, match="consistent estimator"):
+        SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), preset("paper"))

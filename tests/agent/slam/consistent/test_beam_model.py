@@ -1,0 +1,191 @@
+"""What a beam should measure: there and back, and its derivatives against central differences, all round."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from limslam_agent.slam.consistent.beam_model import Expected, Readings, expected_ranges, hit_points
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.line import at, distance, to_frame
+from limslam_env.geometry.se2 import compose
+from limslam_env.interface import RobotSpec
+
+ROBOT = RobotSpec()  # beams on the rim, 0.1 m from the middle, at 90, 45, 15, -15, -45, -90 deg
+places = st.floats(-5.0, 5.0)
+angles = st.floats(-math.pi, math.pi)
+# What is special about a line through the world's origin must not be special here.
+near_zero = st.one_of(st.floats(-4.0, 4.0), st.sampled_from([0.0, 1e-12, -1e-12, 1e-6, -1e-3]))
+poses = st.tuples(places, places, angles).map(np.array)
+anchors = st.one_of(st.tuples(places, places).map(np.array), st.just(np.zeros(2)))
+lines = st.tuples(near_zero, angles).map(np.array)
+
+
+def readings_of(beams: list[int], ranges: FloatArray) -> Readings:
+    """Readings by some of the robot's beams, each from a pose of its own."""
+    numbers = np.arange(len(beams))
+    sources = np.column_stack((numbers, beams))
+    return Readings(numbers, ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], ranges, sources)
+
+
+def one_pose(pose: FloatArray) -> tuple[FloatArray, Readings]:
+    """All six beams at one pose."""
+    return np.tile(pose, (6, 1)), readings_of(list(range(6)), np.zeros(6))
+
+
+def assert_close(found: FloatArray, wanted: FloatArray, cosines: FloatArray) -> None:
+    """Equal but for what is left of central differences, which grows as a beam turns along the line."""
+    np.testing.assert_allclose(found * cosines**2, wanted * cosines**2, rtol=0.0, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=200)
+@given(poses, lines, anchors)
+def test_the_derivatives_equal_central_differences(pose: FloatArray, line: FloatArray, anchor: FloatArray) -> None:
+    stacked, readings = one_pose(pose)
+    expected = expected_ranges(stacked, readings, line, anchor)
+    clear = np.abs(expected.cosines) > 0.05
+    step = 1e-5
+
+    def ranges(moved: FloatArray, turned: FloatArray) -> FloatArray:
+        return expected_ranges(moved, readings, turned, anchor).ranges
+
+    for number, unit in enumerate(step * np.eye(3)):
+        by_one = (ranges(stacked + unit, line) - ranges(stacked - unit, line)) / (2.0 * step)
+        assert_close(expected.by_pose[clear, number], by_one[clear], expected.cosines[clear])
+    for number, unit in enumerate(step * np.eye(2)):
+        by_one = (ranges(stacked, line + unit) - ranges(stacked, line - unit)) / (2.0 * step)
+        assert_close(expected.by_line[clear, number], by_one[clear], expected.cosines[clear])
+
+
+@settings(deadline=None, max_examples=200)
+@given(poses, lines, anchors)
+def test_a_reading_as_expected_ends_on_the_line(pose: FloatArray, line: FloatArray, anchor: FloatArray) -> None:
+    stacked, readings = one_pose(pose)
+    expected = expected_ranges(stacked, readings, line, anchor)
+    clear = np.nonzero(np.abs(expected.cosines) > 0.05)[0]
+    points = hit_points(stacked[clear], readings._replace(ranges=expected.ranges).select(clear))
+    np.testing.assert_allclose(distance(line, points - anchor), 0.0, atol=1e-11)
+
+
+@settings(deadline=None, max_examples=200)
+@given(poses, st.integers(0, 5), st.floats(0.05, 3.0), angles)
+def test_a_line_through_the_point_that_was_hit_is_expected_at_the_range_that_was_measured(
+    pose: FloatArray, beam: int, measured: float, theta: float
+) -> None:
+    readings = readings_of([beam], np.array([measured]))
+    point = hit_points(pose[None], readings)[0]
+    for anchor in (point, point + 0.7 * np.array([-math.sin(theta), math.cos(theta)]), np.zeros(2)):
+        offset = (point - anchor) @ np.array([math.cos(theta), math.sin(theta)])
+        expected = expected_ranges(pose[None], readings, np.array([offset, theta]), anchor)
+        assume(abs(expected.cosines[0]) > 0.05)
+        assert expected.ranges[0] == pytest.approx(measured, abs=1e-11)
+
+
+@settings(deadline=None, max_examples=200)
+@given(poses, st.integers(0, 5), st.floats(0.05, 3.0))
+def test_a_point_is_hit_where_the_robots_frame_says(pose: FloatArray, beam: int, measured: float) -> None:
+    # A beam on the rim points straight out, so in the robot's frame the point lies on a ray from its middle.
+    angle = ROBOT.beams[beam].angle
+    ahead = (ROBOT.radius + measured) * np.array([math.cos(angle), math.sin(angle)])
+    found = hit_points(pose[None], readings_of([beam], np.array([measured])))[0]
+    np.testing.assert_allclose(found, compose(pose, np.append(ahead, 0.0))[:2], atol=1e-12)
+
+
+@settings(deadline=None, max_examples=100)
+@given(poses, lines)
+def test_a_perpendicular_beam_measures_the_distance_to_the_line_less_its_own_origin(
+    pose: FloatArray, line: FloatArray
+) -> None:
+    (away, bearing) = to_frame(line, pose).tolist()
+    assume(away > ROBOT.radius + 0.01)
+    origin = ROBOT.radius * np.array([[math.cos(bearing), math.sin(bearing)]])
+    reading = Readings(np.zeros(1, dtype=int), origin, np.array([bearing]), np.zeros(1), np.zeros((1, 2), dtype=int))
+    expected = expected_ranges(pose[None], reading, line, np.zeros(2))
+    assert expected.ranges[0] == pytest.approx(away - ROBOT.radius, abs=1e-11)
+    assert abs(expected.cosines[0]) == pytest.approx(1.0, abs=1e-12)
+    # Turning on the spot changes nothing at first.
+    assert expected.by_pose[0, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=100)
+@given(poses, lines, anchors, anchors)
+def test_neither_the_anchor_nor_the_side_of_the_normal_changes_what_is_expected(
+    pose: FloatArray, line: FloatArray, anchor: FloatArray, other: FloatArray
+) -> None:
+    stacked, readings = one_pose(pose)
+    unit = np.array([math.cos(line[1]), math.sin(line[1])])
+    moved = np.array([line[0] + unit @ (anchor - other), line[1]])
+    first, second = (
+        expected_ranges(stacked, readings, line, anchor),
+        expected_ranges(stacked, readings, moved, other),
+    )
+    behind = expected_ranges(stacked, readings, np.array([-line[0], line[1] + math.pi]), anchor)
+    clear = np.abs(first.cosines) > 0.05
+    for same in (second, behind):
+        np.testing.assert_allclose(same.ranges[clear], first.ranges[clear], atol=1e-9)
+        np.testing.assert_allclose(same.by_pose[clear], first.by_pose[clear], atol=1e-9)
+    np.testing.assert_allclose(behind.cosines, -first.cosines, atol=1e-12)
+
+
+def test_a_line_behind_a_beam_is_at_a_negative_range() -> None:
+    stacked, readings = one_pose(np.array([1.0, -2.0, 2.5]))
+    # Two metres to the left of the robot, which heads along it.
+    wall = np.array([(stacked[0, :2] @ np.array([math.cos(2.5), math.sin(2.5)])), 2.5])
+    ahead = expected_ranges(stacked, readings, wall + np.array([2.0, 0.0]), np.zeros(2))
+    behind = expected_ranges(stacked, readings, wall - np.array([2.0, 0.0]), np.zeros(2))
+    slanted = slice(1, 5)  # the beams at plus and minus 90 deg run along it
+    assert (ahead.ranges[slanted] > 0.0).all()
+    assert (behind.ranges[slanted] < 0.0).all()
+    np.testing.assert_allclose(ahead.cosines[[0, 5]], 0.0, atol=1e-12)
+
+
+def test_readings_of_many_poses_are_worked_out_each_from_its_own() -> None:
+    generator = np.random.default_rng(4)
+    stacked = generator.uniform(-2.0, 2.0, (30, 3))
+    readings = readings_of(generator.integers(0, 6, 30).tolist(), generator.uniform(0.1, 1.0, 30))
+    line, anchor = np.array([0.4, 2.0]), np.array([3.0, -1.0])
+    together = expected_ranges(stacked, readings, line, anchor)
+    points = hit_points(stacked, readings)
+    for number in range(30):
+        alone: Expected = expected_ranges(
+            stacked[number : number + 1], readings.select(np.array([number])), line, anchor
+        )
+        for one, all_of_them in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(one[0], all_of_them[number])
+        alone_at = hit_points(stacked[number : number + 1], readings.select(np.array([number])))[0]
+        np.testing.assert_array_equal(alone_at, points[number])
+
+
+def test_readings_are_selected_with_all_that_belongs_to_them() -> None:
+    readings = readings_of([0, 3, 5, 1], np.array([0.4, 0.5, 0.6, 0.7]))
+    chosen = readings.select(np.array([3, 1]))
+    assert chosen.clones.tolist() == [3, 1]
+    assert chosen.ranges.tolist() == [0.7, 0.5]
+    assert chosen.sources.tolist() == [[3, 1], [1, 3]]
+    np.testing.assert_array_equal(chosen.origins, ROBOT.beam_origins[[1, 3]])
+    np.testing.assert_array_equal(chosen.angles, ROBOT.beam_angles[[1, 3]])
+
+
+def test_points_of_a_wall_lie_on_it_whatever_way_the_robot_faces() -> None:
+    wall, count = np.array([1.2, 0.7]), 0
+    for heading in np.linspace(-math.pi, math.pi, 37):
+        stacked, readings = one_pose(np.array([0.2, -0.3, heading]))
+        expected = expected_ranges(stacked, readings, wall, np.zeros(2))
+        seen = np.nonzero((expected.ranges > 0.0) & (np.abs(expected.cosines) > 0.2))[0]
+        count += len(seen)
+        points = hit_points(stacked[seen], readings._replace(ranges=expected.ranges).select(seen))
+        along = points @ np.array([-math.sin(0.7), math.cos(0.7)])
+        np.testing.assert_allclose(points, at(wall, along), atol=1e-12)
+    # Half of all beams look away from it, and some along it.
+    assert count > 37 * 6 / 3
+
+
+def test_beams_exactly_along_a_line_are_told_by_their_cosine_and_stay_numbers() -> None:
+    for heading in np.linspace(-math.pi, math.pi, 73):
+        stacked, readings = one_pose(np.array([0.3, 0.2, heading]))
+        expected = expected_ranges(stacked, readings, np.array([0.5, heading]), np.zeros(2))
+        assert np.abs(expected.cosines[[0, 5]]).max() < 1e-12
+        assert all(np.isfinite(part).all() for part in expected)
+        assert np.abs(expected.ranges[[0, 5]]).min() > 1e6

@@ -1,0 +1,846 @@
+"""The filter with clones: equal to the dense filter and to least squares, honest, and sound after many steps."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.stats import chi2, kstest
+
+from limslam_agent.slam.consistent.beam_model import Readings, hit_points
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import direction, nearest_form, normal, normalise
+from limslam_env.geometry.se2 import compose, compose_jacobians
+from limslam_env.interface import RobotSpec
+
+ROBOT = RobotSpec()  # beams on the rim at 90, 45, 15, -15, -45, -90 deg
+LEFT = [0, 1]  # the beams at 90 and 45 deg
+MOTION = np.diag([2e-6, 5e-7, 4e-5])
+STEP = np.array([0.05, 0.002, 0.02])
+STD = 0.02
+WALL = np.array([0.6, 0.5 * math.pi])  # to the left of a robot that sets out along x
+FIRST = (10.0**2, 3.0**2)  # variances of a line that nothing is known of
+places = st.floats(-4.0, 4.0)
+angles = st.floats(-math.pi, math.pi)
+
+
+def spread(size: int, seed: int, scale: float = 1e-4) -> FloatArray:
+    """Some covariance (size, size) with correlations between all numbers."""
+    root = np.random.default_rng(seed).normal(size=(size, size + 2))
+    return scale * (root @ root.T) / size
+
+
+def readings_of(clones: list[int], beams: list[int], ranges: FloatArray | None = None) -> Readings:
+    """Readings by some of the robot's beams, each from its clone."""
+    sources = np.column_stack((clones, beams))
+    distances = np.zeros(len(beams)) if ranges is None else ranges
+    return Readings(np.array(clones), ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], distances, sources)
+
+
+def driven(seed: int, clones: int = 8, pose: FloatArray | None = None) -> tuple[CloneEKF, Readings]:
+    """A filter after a short drive, no two of its poses equal, and both left beams at each clone, still without ranges.
+
+    The robot has moved on since the last clone, so the covariance has an inverse.
+    """
+    ekf = CloneEKF(np.zeros(3) if pose is None else pose)
+    ekf.P[:3, :3] = spread(3, seed)
+    numbers = []
+    for _ in range(clones):
+        numbers.append(ekf.clone())
+        ekf.predict(STEP, MOTION)
+    return ekf, readings_of([number for number in numbers for _ in LEFT], LEFT * clones)
+
+
+def with_line(ekf: CloneEKF, line: FloatArray, anchor: FloatArray, seed: int, scale: float = 1e-4) -> int:
+    """Give the filter a line (d, theta) about an anchor, correlated with all else."""
+    index = ekf.add_line(float(line[1]), anchor)
+    ekf.x[3 + 2 * index] = line[0]
+    ekf.P = ekf.P.copy()
+    part = slice(3 + 2 * index, 5 + 2 * index)
+    ekf.P[part, part] = 0.0
+    ekf.P += spread(len(ekf.x), seed, scale)
+    return index
+
+
+def linear(seed: int) -> tuple[CloneEKF, Readings, int]:
+    """A belief with errors so small that curvature does not count, and readings to be had of its only line."""
+    ekf, readings = driven(seed)
+    index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), seed, 1e-4)
+    ekf.P *= 0.1
+    return ekf, readings, index
+
+
+# The textbook's dense filter: ranges worked out from the whole state by other means, derivatives by complex steps.
+
+
+def ranges_from(state: FloatArray, ekf: CloneEKF, readings: Readings, index: int) -> FloatArray:
+    """Where rays cut a line, by Cramer's rule on both points' coordinates; works for complex numbers too."""
+    first = 3 * (ekf._first // 3) + 2 * index
+    offset, theta = state[first], state[first + 1]
+    anchor = ekf.anchors[index]
+    results = []
+    for clone, (x, y), angle in zip(readings.clones, readings.origins, readings.angles, strict=True):
+        begin = ekf._first + 2 * ekf.num_lines + 3 * ekf._clones.index(clone)
+        px, py, heading = state[begin : begin + 3]
+        start = (px + x * np.cos(heading) - y * np.sin(heading), py + x * np.sin(heading) + y * np.cos(heading))
+        ray = (np.cos(heading + angle), np.sin(heading + angle))
+        foot = (anchor[0] + offset * np.cos(theta), anchor[1] + offset * np.sin(theta))
+        along = (-np.sin(theta), np.cos(theta))
+        gap = (foot[0] - start[0], foot[1] - start[1])
+        results.append((gap[0] * along[1] - gap[1] * along[0]) / (ray[0] * along[1] - ray[1] * along[0]))
+    return np.array(results)
+
+
+def derivative(function: Callable[[FloatArray], FloatArray], state: FloatArray) -> FloatArray:
+    """The Jacobian (m, n) of an analytic function, exact to the last digits."""
+    step = 1e-40
+    columns = [function(state + 1j * step * unit).imag / step for unit in np.eye(len(state))]
+    return np.column_stack(columns)
+
+
+def dense_update(
+    state: FloatArray, covariance: FloatArray, jacobian: FloatArray, difference: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Kalman's equations, the covariance in Joseph's form."""
+    gain = covariance @ jacobian.T @ np.linalg.inv(jacobian @ covariance @ jacobian.T + noise)
+    left = np.eye(len(state)) - gain @ jacobian
+    return state + gain @ difference, left @ covariance @ left.T + gain @ noise @ gain.T
+
+
+def world_moved(state: FloatArray, ekf: CloneEKF, motion: FloatArray) -> FloatArray:
+    """The state after the whole world, but for the anchors, has moved (m, m) and turned (rad) about the first robot."""
+    middle, anchors, moved = state[:2], ekf.anchors, state.astype(motion.dtype)
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+
+    def point(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = x - middle[0], y - middle[1]
+        return middle[0] + motion[0] + cos * x - sin * y, middle[1] + motion[1] + sin * x + cos * y
+
+    of_lines = slice(ekf._first, ekf._first + 2 * ekf.num_lines)
+    for part in (slice(0, of_lines.start), slice(of_lines.stop, None)):
+        for pose in moved[part].reshape(-1, 3):
+            pose[:2] = point(pose[0], pose[1])
+            pose[2] += motion[2]
+    for line, (x, y) in zip(moved[of_lines].reshape(-1, 2), anchors, strict=True):
+        foot_x, foot_y = point(x + line[0] * np.cos(line[1]), y + line[0] * np.sin(line[1]))
+        line[1] += motion[2]
+        line[0] = (foot_x - x) * np.cos(line[1]) + (foot_y - y) * np.sin(line[1])
+    return moved
+
+
+def with_the_world(state: FloatArray, ekf: CloneEKF) -> FloatArray:
+    """How the state (n, 3) moves with the first robot when the whole world does."""
+    return derivative(lambda motion: world_moved(state, ekf, motion), np.zeros(3))
+
+
+def carrying(before: FloatArray, after: FloatArray, ekf: CloneEKF) -> FloatArray:
+    """How errors (n, n) change that are kept beside the first robot's own while the state moves."""
+    change = np.eye(len(before))
+    change[:, :3] += with_the_world(after, ekf) - with_the_world(before, ekf)
+    return change
+
+
+def carried(covariance: NDArray[np.floating[Any]], before: FloatArray, after: FloatArray, ekf: CloneEKF) -> FloatArray:
+    """The covariance of such errors."""
+    change = carrying(before, after, ekf)
+    return np.asarray(change @ covariance @ change.T)
+
+
+def measured(ekf: CloneEKF, readings: Readings, index: int, seed: int) -> Readings:
+    """The readings with the ranges of a truth drawn from the belief, and with noise."""
+    generator = np.random.default_rng(seed)
+    truth = generator.multivariate_normal(ekf.x, ekf.P, method="eigh")
+    noise = generator.normal(0.0, STD, len(readings.ranges))
+    return readings._replace(ranges=ranges_from(truth, ekf, readings, index) + noise)
+
+
+def assert_scaled(found: FloatArray, wanted: NDArray[np.floating[Any]], tolerance: float) -> None:
+    """Two covariances are equal in units of their standard deviations."""
+    scale = np.sqrt(np.diag(wanted))
+    np.testing.assert_allclose(found / np.outer(scale, scale), wanted / np.outer(scale, scale), atol=tolerance)
+
+
+# Clones.
+
+
+def test_a_clone_equals_its_pose_with_full_correlation_and_leaves_the_rest_alone() -> None:
+    ekf, _ = driven(0, clones=3)
+    with_line(ekf, np.array([0.1, 1.5]), np.array([0.3, 0.6]), 1)
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    number = ekf.clone()
+    assert (number, ekf.num_clones, ekf.num_lines) == (3, 4, 1)
+    copied = np.vstack((np.eye(len(state)), np.eye(3, len(state))))
+    np.testing.assert_array_equal(ekf.x, copied @ state)
+    np.testing.assert_array_equal(ekf.P, copied @ covariance @ copied.T)
+    np.testing.assert_array_equal(ekf.clone_poses(np.array([number])), state[None, :3])
+    # The difference of pose and clone is known exactly.
+    between = np.hstack((np.eye(3), np.zeros((3, len(state) - 3)), -np.eye(3)))
+    np.testing.assert_array_equal(between @ ekf.P @ between.T, 0.0)
+
+
+def test_a_motion_leaves_clones_and_lines_alone() -> None:
+    ekf, _ = driven(2, clones=3)
+    with_line(ekf, np.array([0.1, 1.5]), np.array([0.3, 0.6]), 1)
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    ekf.predict(STEP, MOTION)
+    np.testing.assert_array_equal(ekf.x[3:], state[3:])
+    np.testing.assert_array_equal(ekf.P[3:, 3:], covariance[3:, 3:])
+    np.testing.assert_allclose(ekf.pose, compose(state[:3], STEP), atol=1e-15)
+    moved = np.eye(len(state))
+    moved[:3, :3] = ekf.F
+    np.testing.assert_allclose(ekf.P[:3, 3:], (moved @ covariance @ moved.T)[:3, 3:], atol=1e-15)
+    assert np.trace(ekf.P[:3, :3]) > np.trace(covariance[:3, :3])
+
+
+def test_a_motion_after_a_clone_is_the_noise_of_the_way_between_them() -> None:
+    ekf, _ = driven(5, clones=2)
+    last = ekf.clone()
+    ekf.predict(STEP, MOTION)
+    heading = float(ekf.clone_poses(np.array([last]))[0, 2])
+    cos, sin = math.cos(heading), math.sin(heading)
+    turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    # Seen from the clone: the uncertainty of where the clone is drops out.
+    between = np.zeros((3, len(ekf.x)))
+    between[:, :3], between[:, -3:] = np.eye(3), -ekf.F
+    np.testing.assert_allclose(between @ ekf.P @ between.T, turned @ MOTION @ turned.T, atol=1e-15)
+
+
+def test_letting_go_of_clones_is_to_strike_out_their_rows() -> None:
+    ekf, _ = driven(1, clones=6)
+    with_line(ekf, np.array([0.1, 1.5]), np.array([0.3, 0.6]), 1)
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    ekf.keep_clones({1, 4, 5, 77})
+    struck = [5 + 3 * number + part for number in (0, 2, 3) for part in range(3)]
+    np.testing.assert_array_equal(ekf.x, np.delete(state, struck))
+    np.testing.assert_allclose(ekf.P, np.delete(np.delete(covariance, struck, 0), struck, 1), atol=1e-18)
+    np.testing.assert_array_equal(ekf.clone_poses(np.array([4, 1])), [state[17:20], state[8:11]])
+    joint = np.ix_([17, 18, 19, 8, 9, 10], [17, 18, 19, 8, 9, 10])
+    np.testing.assert_allclose(ekf.clone_covariance(np.array([4, 1])), covariance[joint], atol=1e-18)
+    # Numbers are not given away twice, and what is kept goes on.
+    assert ekf.clone() == 6
+    ekf.keep_clones(set())
+    assert (ekf.num_clones, len(ekf.x)) == (0, 5)
+    np.testing.assert_array_equal(ekf.x, state[:5])
+
+
+def test_a_clone_that_is_let_go_after_its_reading_has_told_what_it_knew() -> None:
+    # All at once, or one clone after another, each let go at once: a linear filter cannot tell.
+    one, readings, index = linear(3)
+    other, _, _ = linear(3)
+    seen = measured(one, readings, index, 5)
+    start = one.x[:5].copy()
+    one.observe(seen, index, STD, 1, 0.0)
+    one.keep_clones(set())
+    for clone in range(8):
+        other.observe(seen.select(np.nonzero(seen.clones == clone)[0]), index, STD, 1, 0.0)
+        other.keep_clones(set(range(clone + 1, 8)))
+    assert len(other.x) == 5
+    sigmas = np.sqrt(np.diag(one.P))
+    assert_scaled(other.P, one.P, 0.005)
+    np.testing.assert_allclose((other.x - one.x) / sigmas, 0.0, atol=0.03)
+    assert np.abs((one.x - start) / sigmas).max() > 0.3
+
+
+# Observations.
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, 2.5, math.pi, -1.7, -3.0])
+def test_one_iteration_without_huber_equals_the_dense_filter(heading: float) -> None:
+    start = np.array([0.4, -0.2, heading])
+    ekf, readings = driven(4, pose=start)
+    wall = np.array([0.03, heading + 1.65])
+    index = with_line(ekf, wall, compose(start, np.array([0.3, 0.7, 0.0]))[:2], 3)
+    with_line(ekf, np.array([0.2, -1.0]), np.array([2.0, 2.0]), 8)
+    seen = measured(ekf, readings, index, 6)
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), state)
+    off = seen.ranges - ranges_from(state, ekf, seen, index)
+    wanted, left = dense_update(state, covariance, jacobian, off, STD**2 * np.eye(len(off)))
+    left = carried(left, state, wanted, ekf)
+    ekf.observe(seen, index, STD, 1, 0.0)
+    turns = np.round((wanted[2] - ekf.x[2]) / (2.0 * math.pi))
+    wanted[2] -= 2.0 * math.pi * turns
+    np.testing.assert_allclose(ekf.x, wanted, atol=1e-10)
+    np.testing.assert_allclose(ekf.P, left, atol=1e-12)
+    assert -math.pi < ekf.pose[2] <= math.pi
+    # There was something to correct, and the line beside was corrected with it.
+    assert np.abs(ekf.x - state)[[5, 6]].min() > 1e-6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_iterated_update_reaches_the_optimum_of_belief_and_readings_together(seed: int) -> None:
+    ekf, readings = driven(seed)
+    ekf.P *= 30.0
+    index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), seed, 3e-3)
+    seen = measured(ekf, readings, index, seed)
+    prior, covariance = ekf.x.copy(), ekf.P.copy()
+    # Gauss and Newton in information form; errors of the belief are kept beside the robot's own while the state moves.
+    optimum = prior.copy()
+    for _ in range(30):
+        jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), optimum)
+        known = np.linalg.inv(carried(covariance, prior, optimum, ekf))
+        information = known + jacobian.T @ jacobian / STD**2
+        off = seen.ranges - ranges_from(optimum, ekf, seen, index)
+        optimum = optimum + np.linalg.solve(information, jacobian.T @ off / STD**2 - known @ (optimum - prior))
+    ekf.observe(seen, index, STD, 30, 0.0)
+    np.testing.assert_allclose((ekf.x - optimum) / np.sqrt(np.diag(ekf.P)), 0.0, atol=1e-4)
+    # And its covariance is that at the optimum.
+    assert_scaled(ekf.P, np.linalg.inv(information), 1e-4)
+
+
+def test_a_second_iteration_gets_nearer_to_the_optimum() -> None:
+    distances = []
+    for iterations in (1, 2, 30):
+        ekf, readings = driven(2)
+        ekf.P *= 30.0
+        index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), 2, 3e-3)
+        ekf.observe(measured(ekf, readings, index, 2), index, STD, iterations, 0.0)
+        distances.append(ekf.x)
+    assert np.abs(distances[1] - distances[2]).max() < 0.5 * np.abs(distances[0] - distances[2]).max()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_birth_of_a_line_equals_least_squares_over_poses_and_line(seed: int) -> None:
+    ekf, readings = driven(seed, clones=10)
+    poses, information = ekf.x.copy(), np.linalg.inv(ekf.P)
+    index = ekf.add_line(WALL[1] + 0.1, np.array([0.25, 0.55]))
+    truth = ekf.x.copy()
+    drawn = np.random.default_rng(seed).multivariate_normal(poses, np.linalg.inv(information), method="eigh")
+    truth[:3], truth[3:5], truth[5:] = drawn[:3], [0.05, WALL[1]], drawn[3:]
+    noise = np.random.default_rng(seed + 100).normal(0.0, STD, len(readings.ranges))
+    seen = readings._replace(ranges=ranges_from(truth, ekf, readings, index) + noise)
+    # The information form: a line that nothing is known of adds rows and columns of zeros.
+    known = np.zeros((len(ekf.x),) * 2)
+    rest = np.concatenate(([0, 1, 2], np.arange(5, len(ekf.x))))
+    known[np.ix_(rest, rest)] = information
+    state, prior = ekf.x.copy(), ekf.x.copy()
+    for _ in range(10):
+        jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), state)
+        back = np.linalg.inv(carrying(prior, state, ekf))
+        total = back.T @ known @ back + jacobian.T @ jacobian / STD**2
+        off = seen.ranges - ranges_from(state, ekf, seen, index)
+        state = state + np.linalg.solve(total, jacobian.T @ off / STD**2 - back.T @ known @ back @ (state - prior))
+    ekf.observe(seen, index, STD, 10, 0.0)
+    covariance = np.linalg.inv(total)
+    np.testing.assert_allclose((ekf.x - state) / np.sqrt(np.diag(covariance)), 0.0, atol=1e-3)
+    assert_scaled(ekf.P, covariance, 1e-3)
+    # What was seen of one unknown line says nothing of where the robot is across it, and how it heads.
+    np.testing.assert_allclose(ekf.pose_covariance[1, 1], np.linalg.inv(information)[1, 1], rtol=0.2)
+
+
+def test_a_new_line_is_known_as_well_as_its_prior_says_and_uncorrelated() -> None:
+    ekf, _ = driven(0, clones=2)
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    index = ekf.add_line(0.4, np.array([1.0, 2.0]))
+    assert (index, ekf.num_lines, ekf.num_clones) == (0, 1, 2)
+    np.testing.assert_array_equal(ekf.anchored, [[0.0, 0.4]])
+    np.testing.assert_array_equal(ekf.anchors, [[1.0, 2.0]])
+    np.testing.assert_array_equal(np.delete(ekf.x, [3, 4]), state)
+    np.testing.assert_allclose(np.delete(np.delete(ekf.P, [3, 4], 0), [3, 4], 1), covariance, atol=1e-18)
+    np.testing.assert_array_equal(ekf.P[3:5], np.insert(np.zeros((2, 9)), 3, np.diag(FIRST), axis=1))
+    assert ekf.add_line(1.0, np.array([0.0, 2.0])) == 1
+    np.testing.assert_array_equal(ekf.x[3:7], [0.0, 0.4, 0.0, 1.0])
+    np.testing.assert_array_equal(ekf.clone_poses(np.array([0, 1])), state[3:].reshape(2, 3))
+
+
+def known_of_the_world(ekf: CloneEKF) -> FloatArray:
+    """Information (3, 3) on where the whole world lies and how it is turned."""
+    directions = with_the_world(ekf.x, ekf)
+    return np.asarray(directions.T @ np.linalg.solve(ekf.P, directions))
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 4])
+@pytest.mark.parametrize("heading", [0.0, 2.5, -3.0])
+def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(heading: float, iterations: int) -> None:
+    # No range changes when all of it is shifted and turned, however far corrections have moved the Jacobians' places.
+    start = np.array([0.4, -0.2, heading])
+    ekf, readings = driven(4, pose=start)
+    ekf.P *= 10.0
+    for seed, bearing in enumerate((1.65, 1.5)):
+        with_line(ekf, np.array([0.03, heading + bearing]), compose(start, np.array([0.3, 0.7, 0.0]))[:2], seed, 1e-2)
+    known = known_of_the_world(ekf)
+    moved = ekf.x.copy()
+    for seed in range(6):
+        ekf.observe(measured(ekf, readings, seed % 2, seed), seed % 2, STD, iterations, 0.0)
+    assert np.abs(ekf.x - moved).max() > 0.05
+    np.testing.assert_allclose(known_of_the_world(ekf), known, rtol=1e-6, atol=1e-6 * np.abs(known).max())
+
+
+@pytest.mark.parametrize(
+    ("anchor", "beams"),
+    [
+        pytest.param((1.0, 0.0), [0, 5, 0, 5], id="along the wall"),
+        pytest.param((-1.0, 0.0), [1, 2, 3, 4], id="away from the wall"),
+    ],
+)
+def test_readings_that_graze_the_line_or_look_away_from_it_count_nothing(
+    anchor: tuple[float, float], beams: list[int]
+) -> None:
+    ekf = CloneEKF(np.zeros(3))
+    index = with_line(ekf, np.array([0.0, math.radians(2.0)]), np.array(anchor), 1)
+    clone = ekf.clone()
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    astray = readings_of([clone] * 4, beams, np.full(4, 0.5))
+    ekf.observe(astray, index, STD, 2, 1.5)
+    np.testing.assert_array_equal(ekf.x, state)
+    np.testing.assert_array_equal(ekf.P, covariance)
+    assert ekf.disagreement(astray, index, STD) is None
+
+
+def test_grazing_readings_change_nothing_beside_clear_ones() -> None:
+    results = []
+    for beams in ([2, 3, 1, 4], [2, 0, 3, 5, 1, 4]):
+        ekf = CloneEKF(np.zeros(3))
+        index = with_line(ekf, np.array([0.0, math.radians(2.0)]), np.array([1.0, 0.0]), 1)
+        covariance = ekf.P.copy()
+        clone = ekf.clone()
+        readings = readings_of([clone] * len(beams), beams, np.full(len(beams), 0.93))
+        disagreement = ekf.disagreement(readings, index, STD)
+        ekf.observe(readings, index, STD, 2, 1.5)
+        assert np.trace(ekf.P[:5, :5]) < np.trace(covariance)
+        results.append((ekf.x, ekf.P, disagreement))
+    np.testing.assert_array_equal(results[0][0], results[1][0])
+    np.testing.assert_array_equal(results[0][1], results[1][1])
+    assert results[0][2] == results[1][2]
+    assert results[0][2] is not None
+    assert results[0][2].used == 4
+
+
+def test_huber_counts_a_stray_reading_for_less_and_good_ones_fully() -> None:
+    results = {}
+    for huber in (0.0, 1.5, 50.0):
+        for stray in (0.0, 0.4):
+            ekf, readings = driven(1)
+            index = with_line(ekf, np.array([0.0, WALL[1]]), np.array([0.3, 0.6]), 3)
+            seen = readings._replace(ranges=ranges_from(ekf.x, ekf, readings, index))
+            seen.ranges[5] += stray
+            ekf.observe(seen, index, STD, 5, huber)
+            results[huber, stray] = ekf.x.copy(), np.trace(ekf.P[3:5, 3:5])
+    # With none astray, weights are one: nothing is lost.
+    np.testing.assert_array_equal(results[1.5, 0.0][0], results[0.0, 0.0][0])
+    assert results[1.5, 0.0][1] == results[0.0, 0.0][1]
+    # With wide limits likewise.
+    np.testing.assert_array_equal(results[50.0, 0.4][0], results[0.0, 0.4][0])
+    moved = {huber: np.abs(results[huber, 0.4][0] - results[0.0, 0.0][0]).max() for huber in (0.0, 1.5)}
+    assert 0.0 < moved[1.5] < 0.25 * moved[0.0]
+    assert results[1.5, 0.4][1] > results[0.0, 0.4][1]
+
+
+# Whether readings are of a line.
+
+
+def test_the_disagreement_is_distributed_as_chi_square_under_the_truth() -> None:
+    ekf, readings, index = linear(0)
+    values, left = np.zeros(400), np.zeros(400)
+    for seed in range(400):
+        disagreement = ekf.disagreement(measured(ekf, readings, index, seed), index, STD)
+        assert disagreement is not None
+        values[seed], left[seed], used = disagreement
+        assert used == 16
+    assert values.mean() == pytest.approx(2.0, abs=0.3)
+    assert left.mean() == pytest.approx(14.0, abs=0.8)
+    assert kstest(values, chi2(2).cdf).pvalue > 0.01
+    assert kstest(left, chi2(14).cdf).pvalue > 0.01
+
+
+@pytest.mark.parametrize("moved", [(0.04, 0.0), (-0.04, 0.0), (0.0, 0.15), (0.0, -0.15)])
+def test_the_disagreement_grows_with_how_far_the_line_is_displaced(moved: tuple[float, float]) -> None:
+    ekf, readings, index = linear(1)
+    means, lefts = [], []
+    for share in (0.0, 1.0, 2.0, 4.0):
+        drawn = []
+        for seed in range(40):
+            other, _, _ = linear(1)
+            other.x[3:5] += share * np.array(moved)
+            seen = measured(other, readings, index, seed)
+            drawn.append(ekf.disagreement(seen, index, STD))
+        means.append(np.mean([each.of_line for each in drawn if each is not None]))
+        lefts.append(np.mean([each.left for each in drawn if each is not None]))
+    assert means[0] < 3.0
+    assert (np.diff(means) > 0.0).all()
+    assert means[-1] > 25.0
+    # What "another line" explains is not counted against it a second time.
+    assert lefts[1] == pytest.approx(lefts[0], abs=1.0)
+
+
+def test_what_no_line_explains_is_left() -> None:
+    ekf, readings, index = linear(2)
+    exact = readings._replace(ranges=ranges_from(ekf.x, ekf, readings, index))
+    good = ekf.disagreement(exact, index, STD)
+    exact.ranges[::4] += 0.1
+    exact.ranges[2::4] -= 0.1
+    bad = ekf.disagreement(exact, index, STD)
+    assert good is not None
+    assert bad is not None
+    assert good[:2] == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert bad.left > 100.0
+    assert bad.of_line < 0.2 * bad.left
+
+
+def test_fewer_than_four_readings_cannot_tell() -> None:
+    ekf, readings, index = linear(3)
+    seen = measured(ekf, readings, index, 0)
+    assert ekf.disagreement(seen.select(np.arange(3)), index, STD) is None
+    told = ekf.disagreement(seen.select(np.arange(4)), index, STD)
+    assert told is not None
+    assert told.used == 4
+
+
+def test_to_ask_changes_nothing() -> None:
+    ekf, readings, index = linear(4)
+    with_line(ekf, np.array([0.0, 1.6]), np.array([0.5, 0.7]), 5)
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    ekf.disagreement(measured(ekf, readings, index, 0), index, STD)
+    ekf.difference(0, 1)
+    for given_away in (ekf.anchored, ekf.lines, ekf.clone_poses(np.array([0, 1])), ekf.clone_covariance(np.array([1]))):
+        given_away.fill(7.0)
+    np.testing.assert_array_equal(ekf.x, state)
+    np.testing.assert_array_equal(ekf.P, covariance)
+
+
+# Lines in the world.
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    st.one_of(st.floats(-3.0, 3.0), st.sampled_from([-2e-3, 2e-3])), st.floats(-10.0, 10.0), places, places,
+    st.integers(0, 1000),
+)  # fmt: skip
+def test_lines_in_the_world_and_their_covariance_follow_from_the_anchored_ones(
+    offset: float, theta: float, x: float, y: float, seed: int
+) -> None:
+    ekf = CloneEKF(np.zeros(3))
+    with_line(ekf, np.array([0.3, 1.0]), np.array([1.0, 1.0]), seed)
+    anchor = np.array([x, y])
+    index = with_line(ekf, np.array([offset, theta]), anchor, seed + 1)
+
+    def of_world(line: FloatArray) -> FloatArray:
+        """Through two points of the anchored line, not by its formula."""
+        foot = anchor + line[0] * np.array([math.cos(line[1]), math.sin(line[1])])
+        return np.array([foot @ normal(line), line[1]])
+
+    line = np.array([offset, theta])
+    wanted = of_world(line)
+    found = ekf.lines[index]
+    assert found[0] >= 0.0
+    assert -math.pi < found[1] <= math.pi
+    # Through the origin itself the sign of r, and of its correlation, is a matter of taste.
+    assume(abs(wanted[0]) > 1e-3)
+    np.testing.assert_allclose(nearest_form(found, wanted), wanted, atol=1e-12)
+    step = 1e-6
+    columns = [
+        nearest_form(normalise(of_world(line + unit)), found) - nearest_form(normalise(of_world(line - unit)), found)
+        for unit in step * np.eye(2)
+    ]
+    jacobian = np.column_stack(columns) / (2.0 * step)
+    part = ekf.P[5:7, 5:7]
+    np.testing.assert_allclose(ekf.line_covariance(index), jacobian @ part @ jacobian.T, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("theta", [0.4, 2.9, -1.5])
+def test_a_line_seen_from_behind_is_the_same_line_of_the_world(theta: float) -> None:
+    one, other = CloneEKF(np.zeros(3)), CloneEKF(np.zeros(3))
+    turned, covariance = np.diag([-1.0, 1.0]), np.array([[2e-4, 3e-5], [3e-5, 4e-4]])
+    anchor = np.array([1.0, -2.0])
+    for each, line, known in (
+        (one, np.array([0.2, theta]), covariance),
+        (other, np.array([-0.2, theta + math.pi]), turned @ covariance @ turned),
+    ):
+        with_line(each, line, anchor, 0)
+        each.P[3:, 3:] = known
+    np.testing.assert_allclose(other.lines, one.lines, atol=1e-12)
+    np.testing.assert_allclose(other.line_covariance(0), one.line_covariance(0), atol=1e-12)
+
+
+def test_no_lines_are_no_rows() -> None:
+    assert CloneEKF(np.zeros(3)).lines.shape == (0, 2)
+    assert CloneEKF(np.zeros(3)).anchored.shape == (0, 2)
+
+
+# Two lines that are one.
+
+
+def seen_twice(theta: float, turned: bool, seed: int, scale: float = 1e-3) -> CloneEKF:
+    """A wall that the filter holds twice, about two anchors 1.3 m apart along it, and a third line."""
+    ekf, _ = driven(seed, clones=2)
+    tangent, unit = np.array([-math.sin(theta), math.cos(theta)]), np.array([math.cos(theta), math.sin(theta)])
+    anchor, other = np.array([1.0, -0.5]), np.array([1.0, -0.5]) + 1.3 * tangent + 0.04 * unit
+    second = np.array([0.03, theta + 0.02 - math.pi]) if turned else np.array([-0.03, theta + 0.02])
+    with_line(ekf, np.array([0.02, theta]), anchor, seed)
+    with_line(ekf, np.array([0.1, -1.0]), np.array([3.0, 2.0]), seed + 1)
+    with_line(ekf, second, other, seed + 2, scale)
+    return ekf
+
+
+def apart(state: FloatArray, ekf: CloneEKF, older: int, younger: int, turned: bool) -> FloatArray:
+    """How the older line differs from the younger, about the younger's anchor; analytic."""
+    (d, theta), (e, phi) = (state[3 + 2 * index : 5 + 2 * index] for index in (older, younger))
+    between = ekf.anchors[older] - ekf.anchors[younger]
+    moved = d + between[0] * np.cos(theta) + between[1] * np.sin(theta)
+    angle = theta - phi
+    angle -= 2.0 * math.pi * np.round((np.real(angle) + (math.pi if turned else 0.0)) / (2.0 * math.pi))
+    return np.array([-moved - e, angle + math.pi]) if turned else np.array([moved - e, angle])
+
+
+def pair_of(older: int, younger: int) -> IntArray:
+    return np.array([3 + 2 * older, 4 + 2 * older, 3 + 2 * younger, 4 + 2 * younger])
+
+
+@pytest.mark.parametrize("theta", [0.3, 1.6, 3.1, -2.4])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("older", "younger"), [(0, 2), (2, 0)])
+def test_the_difference_of_two_lines_and_its_covariance(theta: float, turned: bool, older: int, younger: int) -> None:
+    ekf = seen_twice(theta, turned, 1)
+    off, covariance = ekf.difference(older, younger)
+    np.testing.assert_allclose(off, apart(ekf.x, ekf, older, younger, turned), atol=1e-12)
+    jacobian = derivative(lambda x: apart(x, ekf, older, younger, turned), ekf.x)
+    np.testing.assert_allclose(covariance, jacobian @ ekf.P @ jacobian.T, atol=1e-12)
+    assert np.abs(off).max() < 0.15
+
+
+@pytest.mark.parametrize("theta", [0.3, 1.6, 3.1, -2.4])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("older", "younger"), [(0, 2), (2, 0)])
+def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
+    theta: float, turned: bool, older: int, younger: int
+) -> None:
+    ekf = seen_twice(theta, turned, 2)
+    before, covariance, anchors = ekf.x.copy(), ekf.P.copy(), ekf.anchors.copy()
+    off = apart(before, ekf, older, younger, turned)
+    jacobian = derivative(lambda x: apart(x, ekf, older, younger, turned), before)
+    exact = np.diag([1e-4, 1e-5]) ** 2
+    wanted, left = dense_update(before, covariance, jacobian, -off, exact)
+    # They are one now, but for what is not linear in the small angle between them.
+    assert np.abs(apart(wanted, ekf, older, younger, turned)).max() < 0.02 * np.abs(off).max()
+    left = carried(left, before, wanted, ekf)
+    ekf.unite(older, younger)
+    gone = [3 + 2 * younger, 4 + 2 * younger]
+    np.testing.assert_allclose(ekf.x, np.delete(wanted, gone), atol=1e-10)
+    np.testing.assert_allclose(ekf.P, np.delete(np.delete(left, gone, 0), gone, 1), atol=1e-12)
+    np.testing.assert_array_equal(ekf.anchors, np.delete(anchors, younger, axis=0))
+    assert (ekf.num_lines, ekf.num_clones) == (2, 2)
+    # All that is left is known better than before, or as well.
+    covariance = carried(covariance, before, wanted, seen_twice(theta, turned, 2))
+    shrunk = np.delete(np.delete(covariance, gone, 0), gone, 1) - ekf.P
+    assert np.linalg.eigvalsh(shrunk).min() > -1e-12
+    assert np.trace(shrunk) > 1e-6
+
+
+def test_lines_that_are_made_one_meet_in_proportion_to_how_sure_they_are() -> None:
+    # No correlations, no turn: the textbook's weighted mean.
+    ekf = CloneEKF(np.zeros(3))
+    for offset in (0.0, 0.1):
+        index = ekf.add_line(0.5, np.array([1.0, 1.0]))
+        ekf.x[3 + 2 * index] = offset
+    ekf.P = np.diag([0.0, 0.0, 0.0, 0.03**2, 1e-4, 0.01**2, 1e-4])
+    ekf.unite(0, 1)
+    assert ekf.anchored[0, 0] == pytest.approx(0.09, abs=1e-5)
+    assert ekf.P[3, 3] == pytest.approx(9e-5, rel=1e-3)
+    assert ekf.anchored[0, 1] == pytest.approx(0.5, abs=1e-12)
+
+
+def test_two_landmarks_made_one_are_what_a_single_one_would_have_become() -> None:
+    # One landmark observed twice, or two landmarks observed once each and then made one.
+    results = []
+    for landmarks in (1, 2):
+        ekf, readings = driven(5, clones=20)
+        ekf.P *= 0.01
+        for _ in range(landmarks):
+            ekf.add_line(WALL[1] + 0.01, np.array([0.5, 0.6]))
+        truth = ekf.x.copy()
+        truth[3:5] = 0.03, WALL[1]
+        noise = np.random.default_rng(1).normal(0.0, STD, 40)
+        seen = readings._replace(ranges=ranges_from(truth, ekf, readings, 0) + noise)
+        # The first and the second half of the way.
+        ekf.observe(seen.select(np.arange(20)), 0, STD, 5, 0.0)
+        ekf.observe(seen.select(np.arange(20, 40)), landmarks - 1, STD, 5, 0.0)
+        if landmarks == 2:
+            off, covariance = ekf.difference(0, 1)
+            assert off @ np.linalg.solve(covariance, off) < 10.0
+            ekf.unite(0, 1)
+        results.append((ekf.x, ekf.P))
+    (one, covariance), (other, of_other) = results
+    np.testing.assert_allclose((other - one) / np.sqrt(np.diag(covariance)), 0.0, atol=0.03)
+    assert_scaled(of_other, covariance, 0.01)
+
+
+# Several robots.
+
+
+def test_several_robots_have_clones_of_their_own_and_learn_from_each_other_by_a_shared_wall() -> None:
+    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.2]])
+    ekf = CloneEKF(starts)
+    ekf.P[:] = spread(6, 3, 1e-3)
+    clones = []
+    for _ in range(6):
+        for robot in range(2):
+            clones.append(ekf.clone(robot))
+            np.testing.assert_array_equal(ekf.clone_poses(np.array(clones[-1:]))[0], ekf.poses[robot])
+            np.testing.assert_allclose(ekf.P[-3:], ekf.P[3 * robot : 3 * robot + 3], atol=1e-18)
+            ekf.predict(STEP, MOTION, robot)
+    index = ekf.add_line(WALL[1], np.array([0.5, 0.6]))
+    assert index == 0
+    both = readings_of([clone for clone in clones for _ in LEFT], LEFT * 12)
+    first = ekf._first
+    assert first == 6
+    ekf.P[first, first], ekf.P[first + 1, first + 1] = 1e-2, 1e-3
+    both = both._replace(ranges=ranges_from(ekf.x, ekf, both, 0) + np.random.default_rng(1).normal(0.0, STD, 24))
+    of_first = both.select(np.nonzero(np.isin(both.clones, clones[::2]))[0])
+    state, covariance = ekf.x.copy(), ekf.P.copy()
+    jacobian = derivative(lambda x: ranges_from(x, ekf, of_first, 0), state)
+    off = of_first.ranges - ranges_from(state, ekf, of_first, 0)
+    wanted, left = dense_update(state, covariance, jacobian, off, STD**2 * np.eye(len(off)))
+    left = carried(left, state, wanted, ekf)
+    ekf.observe(of_first, 0, STD, 1, 0.0)
+    np.testing.assert_allclose(ekf.x, wanted, atol=1e-10)
+    np.testing.assert_allclose(ekf.P, left, atol=1e-12)
+    # Only the first robot's readings were of the wall, and the second one's pose is better known.
+    assert np.linalg.det(ekf.joint_pose_covariance[3:, 3:]) < np.linalg.det(covariance[3:6, 3:6])
+
+
+# Many steps.
+
+ROOM = np.array([[1.5, 0.0], [1.2, 0.5 * math.pi], [1.5, math.pi], [1.2, -0.5 * math.pi]])
+
+
+class _Wanderer:
+    """A robot that goes round in a room of four walls, and a filter to which random things are done."""
+
+    def __init__(self, seed: int) -> None:
+        self.generator = np.random.default_rng(seed)
+        self.truth = np.array([0.0, -0.6, 0.0])
+        self.ekf = CloneEKF(self.truth)
+        self.walls: list[int] = []  # which wall each landmark is
+        self.clones: dict[int, FloatArray] = {}  # true poses
+        self.done: dict[str, int] = {}
+        self.born = self.united = 0
+
+    def do(self) -> None:
+        """One random thing that can be done now."""
+        choices = ["predict", "predict", "clone", "keep", "observe", "observe"]
+        if len(self.walls) < 7:
+            choices.append("add")
+        if len(self.walls) > len(set(self.walls)):
+            choices.append("unite")
+        name = choices[int(self.generator.integers(len(choices)))]
+        self.done[name] = self.done.get(name, 0) + 1
+        getattr(self, name)()
+
+    def predict(self) -> None:
+        increment = np.array([0.03, 0.0, 0.05])
+        self.truth = compose(self.truth, increment)
+        self.ekf.predict(increment + self.generator.normal(size=3) * np.sqrt(np.diag(MOTION)), MOTION)
+
+    def clone(self) -> None:
+        self.clones[self.ekf.clone()] = self.truth
+
+    def keep(self) -> None:
+        most = int(self.generator.integers(2, 9))
+        self.clones = {number: self.clones[number] for number in sorted(self.clones)[-most:]}
+        self.ekf.keep_clones(set(self.clones))
+
+    def observe(self) -> None:
+        if self.walls:
+            self._read(int(self.generator.integers(len(self.walls))))
+
+    def add(self) -> None:
+        wall = int(self.generator.integers(4))
+        readings = self._readings(wall)
+        # As the estimator does it: not before they say which way it runs, to three degrees.
+        points = hit_points(np.array([self.clones[number] for number in readings.clones]).reshape(-1, 3), readings)
+        along = points @ direction(ROOM[wall])
+        if len(along) and math.radians(3.0) * np.linalg.norm(along - along.mean()) > STD:
+            self.walls.append(wall)
+            self.born += 1
+            theta = float(ROOM[wall, 1] + self.generator.normal(0.0, 0.05))
+            anchor = ROOM[wall, 0] * normal(ROOM[wall]) + self.generator.normal(0.0, 0.1)
+            self._read(self.ekf.add_line(theta, anchor), iterations=4)
+
+    def unite(self) -> None:
+        twice = [index for index, wall in enumerate(self.walls) if wall in self.walls[:index]]
+        younger = twice[int(self.generator.integers(len(twice)))]
+        older = self.walls.index(self.walls[younger])
+        off, covariance = self.ekf.difference(older, younger)
+        # As the estimator does it: not before their directions are known to a few degrees, and they agree.
+        if covariance[1, 1] < math.radians(4.0) ** 2 and off @ np.linalg.solve(covariance, off) < 16.0:
+            self.ekf.unite(older, younger)
+            del self.walls[younger]
+            self.united += 1
+
+    def _read(self, index: int, iterations: int = 2) -> None:
+        readings = self._readings(self.walls[index])
+        if len(readings.ranges):
+            self.ekf.observe(readings, index, STD, iterations, 1.5)
+
+    def _readings(self, wall: int) -> Readings:
+        """What the clones' beams read of a wall, as if no other were in their way."""
+        found: list[tuple[int, int, float]] = []
+        for number, (x, y, heading) in self.clones.items():
+            for beam in range(6):
+                ox, oy = ROBOT.beam_origins[beam]
+                angle = heading + ROBOT.beam_angles[beam]
+                cosine = math.cos(angle - ROOM[wall, 1])
+                px = x + ox * math.cos(heading) - oy * math.sin(heading)
+                py = y + ox * math.sin(heading) + oy * math.cos(heading)
+                free = (ROOM[wall, 0] - px * math.cos(ROOM[wall, 1]) - py * math.sin(ROOM[wall, 1])) / (cosine or 1.0)
+                if cosine > 0.4 and 0.05 < free < 2.5:
+                    found.append((number, beam, free + float(self.generator.normal(0.0, STD))))
+        noisy = np.array([free for _, _, free in found])
+        return readings_of([number for number, _, _ in found], [beam for _, beam, _ in found], noisy)
+
+
+@pytest.mark.parametrize("count", [5_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_the_covariance_stays_symmetric_and_positive_over_random_operations(count: int) -> None:
+    wanderer = _Wanderer(7)
+    ekf, asymmetry = wanderer.ekf, 0.0
+    for number in range(count):
+        wanderer.do()
+        assert len(ekf.x) == 3 + 2 * len(wanderer.walls) + 3 * len(wanderer.clones)
+        if number % 50 == 49:
+            asymmetry = max(asymmetry, float(np.abs(ekf.P - ekf.P.T).max()))
+            assert np.linalg.eigvalsh(0.5 * (ekf.P + ekf.P.T)).min() > -1e-12
+    assert asymmetry < 1e-12
+    assert min(wanderer.done.values()) > count // 100
+    assert wanderer.united > count // 200
+    # And it is still a filter: it knows where it is, and its walls.
+    assert np.hypot(*(ekf.pose - wanderer.truth)[:2]) < 0.1
+    true = ROOM[wanderer.walls]
+    np.testing.assert_allclose(nearest_form(ekf.lines, true), true, atol=0.1)
+
+
+def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_it() -> None:
+    prior = spread(3, 1)
+    ekf = CloneEKF(np.array([[1.0, 2.0, 0.5], [0.0, 0.0, 0.0]]), prior)
+    ekf.P[:6, :6] = spread(6, 2)
+    ekf.clone(1)
+    by_factors = spread(3, 3, scale=1.0)
+    covariance, before = ekf.P.copy(), ekf.x.copy()
+    ekf.predict(STEP, MOTION, 1, by_factors)
+    by_pose, by_increment = compose_jacobians(before[3:6], STEP)
+    dense, noise = np.eye(len(covariance)), np.zeros_like(covariance)
+    dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_factors
+    noise[3:6, 3:6] = by_increment @ MOTION @ by_increment.T
+    np.testing.assert_allclose(ekf.P, dense @ covariance @ dense.T + noise, atol=1e-12)
+    np.testing.assert_allclose(ekf.poses[1], compose(before[3:6], STEP))
+
+
+def test_factors_are_no_part_of_what_a_turned_world_turns() -> None:
+    plain, calibrating = (CloneEKF(np.zeros(3), prior) for prior in (None, spread(3, 1)))
+    for ekf in (plain, calibrating):
+        ekf.P[:3, :3] = spread(3, 2)
+        ekf.clone()
+        ekf.predict(STEP, MOTION)
+        ekf.add_line(0.5 * math.pi, np.array([0.0, 0.6]))
+        ekf.observe(readings_of([0, 0], LEFT, np.array([0.5, 0.6])), 0, STD, 3, 0.0)
+    np.testing.assert_allclose(calibrating.pose, plain.pose, atol=1e-12)
+    np.testing.assert_allclose(calibrating.lines, plain.lines, atol=1e-12)
+    np.testing.assert_allclose(calibrating.pose_covariance, plain.pose_covariance, atol=1e-12)
+    factors = calibrating.factors()
+    assert factors is not None
+    assert factors[0].tolist() == [0.0, 0.0, 0.0]
+    assert plain.factors() is None

@@ -1,0 +1,205 @@
+"""Readings that wait: which beams are used, how far apart they are taken, and when a wall has ended."""
+
+import math
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.presets import BufferConfig
+from limslam_agent.slam.consistent.pending_readings import SIDES, Track
+from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
+
+ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, ahead 2 and 3, right 4 and 5
+RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
+FREE = ROBOT.max_ranges
+CONFIG = BufferConfig(min_distance=0.05, min_turn=math.radians(5.0))
+
+
+class _Drive:
+    """A front end and a track of the same robot; clones are numbered by the times that something was taken."""
+
+    def __init__(self, robot: RobotSpec = ROBOT, config: BufferConfig = CONFIG, most: int = 8) -> None:
+        self.front, self.track, self.taken = FrontEnd(robot), Track(robot, config, most), 0
+
+    def step(self, ranges: FloatArray | None, distance: float = 0.0, turn: float = 0.0) -> bool:
+        """Move, read, and let what is wanted wait; whether anything was."""
+        self.track.move(np.array([distance, 0.0, turn]))
+        self.front.accept({} if ranges is None else {"ranges": ranges})
+        wanted = self.track.wants(self.front)
+        if wanted:
+            self.track.collect(self.front, 10 + self.taken)
+            self.taken += 1
+        return wanted
+
+    def beams(self) -> dict[str, list[int]]:
+        return {side: [reading.beam for reading in self.track.waiting[side]] for side in SIDES}
+
+
+def seen_by(*beams: int) -> FloatArray:
+    """Ranges where only some beams see a wall."""
+    return np.where(np.isin(np.arange(6), beams), RANGES, FREE)
+
+
+def test_readings_wait_by_side_with_all_that_the_filter_needs() -> None:
+    drive = _Drive()
+    assert drive.step(RANGES)
+    assert drive.step(seen_by(1, 2), distance=0.3)
+    assert drive.beams() == {"left": [0, 1, 1], "right": [4, 5], "none": [2, 3, 2]}
+    assert drive.track.fresh == {"left": 3, "right": 2, "none": 3}
+    readings = drive.track.readings("left")
+    assert readings.clones.tolist() == [10, 10, 11]
+    assert readings.sources.tolist() == [[0, 0], [0, 1], [1, 1]]
+    np.testing.assert_array_equal(readings.ranges, [0.4, 0.6, 0.6])
+    np.testing.assert_array_equal(readings.origins, ROBOT.beam_origins[[0, 1, 1]])
+    np.testing.assert_array_equal(readings.angles, ROBOT.beam_angles[[0, 1, 1]])
+    assert [reading.driven for reading in drive.track.waiting["left"]] == [0.0, 0.0, 0.3]
+
+
+def test_nothing_that_waits_is_no_rows() -> None:
+    readings = _Drive().track.readings("right")
+    assert [part.shape for part in readings] == [(0,), (0, 2), (0,), (0,), (0, 2)]
+    assert readings.clones.dtype.kind == "i"
+
+
+# How far apart.
+
+
+def test_nothing_is_taken_before_the_robot_has_driven_far_enough() -> None:
+    drive = _Drive()
+    assert [drive.step(RANGES, distance=0.02) for _ in range(9)] == [True, *[False, False, True] * 2, False, False]
+    assert [reading.step for reading in drive.track.waiting["left"][::2]] == [0, 3, 6]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_or_turned_far_enough_either_way(way: float) -> None:
+    drive = _Drive()
+    turn = way * math.radians(2.0)
+    assert [drive.step(RANGES, turn=turn) for _ in range(7)] == [True, False, False, True, False, False, True]
+
+
+def test_backwards_is_driven_too() -> None:
+    drive = _Drive()
+    assert [drive.step(RANGES, distance=-0.06) for _ in range(3)] == [True, True, True]
+    assert drive.track.driven == pytest.approx(0.18)
+
+
+def test_standing_still_says_nothing_new() -> None:
+    drive = _Drive()
+    assert [drive.step(RANGES) for _ in range(5)] == [True, False, False, False, False]
+
+
+def test_the_distance_counts_from_the_last_readings_that_were_kept() -> None:
+    drive = _Drive()
+    drive.step(RANGES)
+    # Nothing to see for a while: what comes first then is taken at once.
+    assert [drive.step(FREE, distance=0.03) for _ in range(3)] == [False] * 3
+    assert drive.step(RANGES, distance=0.001)
+    assert not drive.step(RANGES, distance=0.03)
+
+
+# Which beams.
+
+
+@pytest.mark.parametrize(("most", "kept"), [(1, 1), (2, 2), (3, 3), (8, 8), (17, 17), (40, 40), (99, 40)])
+def test_many_beams_of_a_side_are_thinned_out_evenly(most: int, kept: int) -> None:
+    degrees = (*np.linspace(30.0, 150.0, 40).tolist(), -90.0)
+    drive = _Drive(RobotSpec(beams=beams_on_rim(degrees, 0.10)), most=most)
+    drive.step(np.full(41, 0.7))
+    beams = drive.beams()
+    assert len(beams["left"]) == len(set(beams["left"])) == kept
+    # Sides do not share.
+    assert (beams["right"], beams["none"]) == ([40], [])
+    if kept > 1:
+        assert (beams["left"][0], beams["left"][-1]) == (0, 39)
+        steps = np.diff(beams["left"])
+        assert steps.max() - steps.min() <= 1
+
+
+def test_beams_that_are_left_out_are_not_looked_at_for_the_end_of_a_wall() -> None:
+    degrees = (50.0, 70.0, 90.0, 110.0, 130.0)
+    drive = _Drive(RobotSpec(beams=beams_on_rim(degrees, 0.10)), most=2)  # the first and the last
+    drive.step(np.full(5, 0.7))
+    only_between = np.array([1.5, 0.7, 0.7, 0.7, 1.5])
+    assert not drive.step(only_between, distance=0.3)
+    assert drive.beams()["left"] == [0, 4]
+    assert drive.track.has_ended("left", 0.25)
+
+
+@pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05, 0.0])
+def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
+    drive = _Drive()
+    broken = RANGES.copy()
+    broken[[0, 4, 5]] = dead
+    assert [drive.step(broken, distance=0.06) for _ in range(3)] == [True] * 3
+    assert drive.beams() == {"left": [1] * 3, "right": [], "none": [2, 3] * 3}
+    assert all(np.isfinite(drive.track.readings(side).ranges).all() for side in SIDES)
+    assert not drive.track.has_ended("right", 0.1)
+
+
+@pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05])
+def test_when_all_beams_are_dead_nothing_is_wanted(dead: float) -> None:
+    drive = _Drive()
+    assert not drive.step(np.full(6, dead))
+    assert not drive.step(None, distance=0.1)
+    assert drive.step(RANGES, distance=0.1)
+
+
+def test_readings_that_may_have_hit_another_robot_do_not_wait() -> None:
+    drive = _Drive()
+    drive.front.accept({"ranges": RANGES})
+    drive.front.drop(np.array([True, False, True, True, True, True]))
+    assert drive.track.wants(drive.front)
+    drive.track.collect(drive.front, 0)
+    assert drive.beams() == {"left": [1], "right": [], "none": []}
+
+
+def test_a_slow_beam_waits_only_when_it_has_measured_anew() -> None:
+    beams = (SensorSpec(0.0, 0.1, 0.5 * math.pi, period=3), SensorSpec(0.0, -0.1, -0.5 * math.pi))
+    drive = _Drive(RobotSpec(beams=beams))
+    for _ in range(7):
+        drive.step(np.array([0.5, 0.6]), distance=0.06)
+    assert [reading.step for reading in drive.track.waiting["left"]] == [0, 3, 6]
+    assert [reading.step for reading in drive.track.waiting["right"]] == list(range(7))
+
+
+# The end of a wall.
+
+
+def test_a_wall_has_ended_when_nothing_was_seen_of_it_for_the_gap_and_not_before() -> None:
+    drive = _Drive()
+    drive.step(RANGES)
+    right_only = seen_by(4, 5)
+    ended = []
+    for _ in range(5):
+        drive.step(right_only, distance=0.06)
+        ended.append((drive.track.has_ended("left", 0.25), drive.track.has_ended("right", 0.25)))
+    assert ended == [(False, False)] * 4 + [(True, False)]
+
+
+def test_a_hit_that_is_not_kept_shows_that_the_wall_goes_on() -> None:
+    drive = _Drive(config=BufferConfig(min_distance=10.0))
+    drive.step(RANGES)
+    for _ in range(10):
+        assert not drive.step(RANGES, distance=0.1)
+    assert not any(drive.track.has_ended(side, 0.25) for side in SIDES)
+    drive.step(FREE, distance=0.3)
+    assert all(drive.track.has_ended(side, 0.25) for side in SIDES)
+
+
+def test_a_wall_of_which_nothing_waits_cannot_end() -> None:
+    drive = _Drive()
+    drive.step(RANGES)
+    drive.track.waiting["left"] = []
+    drive.step(FREE, distance=1.0)
+    assert not drive.track.has_ended("left", 0.25)
+    assert drive.track.has_ended("right", 0.25)
+
+
+def test_turning_on_the_spot_ends_no_wall() -> None:
+    drive = _Drive()
+    drive.step(RANGES)
+    for _ in range(20):
+        drive.step(FREE, turn=0.3)
+    assert not drive.track.has_ended("left", 0.25)

@@ -1,0 +1,115 @@
+"""The filter finds by itself what odometry is wrong by: in the square, and on a robot's log."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.data import data_folder
+from support.drives import FOUR_BEAMS, laps_of_square
+from typer.testing import CliRunner
+
+from limslam_agent.cli.main import app
+from limslam_agent.config.presets import AgentConfig, SelfCalibrationConfig, preset
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.replay.options import replay_config
+from limslam_agent.replay.replay import replay_log
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import NominalNoise
+
+COUNTED = np.array([1.006, 0.994])
+"""What encoders count over what wheels turn: the left one is taken for larger than it is, the right for smaller."""
+
+
+def config(noise: float, *, enabled: bool) -> AgentConfig:
+    settings = preset("consistent", NominalNoise(noise))
+    return replace(settings, self_calibration=SelfCalibrationConfig(enabled=enabled))
+
+
+def after_laps(noise: float) -> tuple[LineSlam, float]:
+    """The mapping half after two laps with uneven wheels, and its position's RMS error, m."""
+    log = laps_of_square(noise, seed=5, laps=2.0)
+    slam, errors = LineSlam(FOUR_BEAMS, config(noise, enabled=True), log.poses[0]), []
+    for seen, true in zip(log.observations, log.poses, strict=True):
+        slam.step({**seen, "wheels": (COUNTED * seen["wheels"]).astype(np.float32)})
+        errors.append(float(np.sum((slam.pose[:2] - true[:2]) ** 2)))
+    return slam, math.sqrt(np.mean(errors))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_uneven_wheels_are_found_out(noise: float) -> None:
+    slam, error = after_laps(noise)
+    assert slam.factors is not None
+    factors, covariance = slam.factors
+    true = 1.0 / COUNTED - 1.0
+    uneven, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
+    assert std < 0.2 * (true[1] - true[0])
+    assert uneven @ np.array(factors) == pytest.approx(true[1] - true[0], abs=3.0 * std)
+    assert error < 0.3
+
+
+def test_nothing_is_said_of_wheels_that_nobody_asked_about() -> None:
+    assert LineSlam(FOUR_BEAMS, config(0.02, enabled=False), np.zeros(3)).factors is None
+
+
+def test_each_robot_has_wheels_of_its_own() -> None:
+    start: FloatArray = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    slam = LineSlam(FOUR_BEAMS, config(0.02, enabled=True), start)
+    ranges = FOUR_BEAMS.max_ranges.astype(np.float32)
+    for _ in range(10):
+        slam.step(*({"ranges": ranges, "wheels": np.full(2, travel, dtype=np.float32)} for travel in (0.02, 0.03)))
+    np.testing.assert_allclose(slam.poses, [[0.2, 0.0, 0.0], [1.3, 0.0, 0.0]], atol=1e-6)
+    # Farther driven, less sure of where: each by its own wheels' size alone.
+    assert slam.covariances[1][0, 0] > 2.0 * slam.covariances[0][0, 0]
+
+
+def test_only_the_consistent_estimator_can() -> None:
+    with pytest.raises(ValueError, match="only the consistent estimator can calibrate"):
+        replace(preset("paper"), self_calibration=SelfCalibrationConfig(enabled=True))
+
+
+@pytest.mark.parametrize("name", ["size_std", "uneven_std", "axle_std"])
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_what_is_known_beforehand_must_make_sense(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        SelfCalibrationConfig(**{name: value})
+
+
+def test_the_covariance_says_what_its_parts_say() -> None:
+    covariance = SelfCalibrationConfig(size_std=0.05, uneven_std=0.01, axle_std=0.03).covariance
+    mean, uneven = np.array([0.5, 0.5, 0.0]), np.array([-1.0, 1.0, 0.0])
+    assert mean @ covariance @ mean == pytest.approx(0.05**2)
+    assert uneven @ covariance @ uneven == pytest.approx(0.01**2)
+    assert mean @ covariance @ uneven == pytest.approx(0.0, abs=1e-18)
+    assert covariance[2, 2] == pytest.approx(0.03**2)
+
+
+@pytest.mark.slow
+def test_a_real_robots_odometry_is_found_to_turn() -> None:
+    log = read_log(data_folder() / "fr079" / "fr079_raw.clf.gz", [90, 54, 18, -18, -54, -90], 5.0)
+    found = replay_log(log, config(0.02, enabled=True)).self_calibration
+    assert found is not None
+    figures = found.figures
+    # Hand-checked relations say 0.99 deg/m.
+    assert 0.6 < figures["self_calibration_turn_deg_per_m"] < 1.2
+    assert figures["self_calibration_turn_std_deg_per_m"] < 0.2
+    assert figures["self_calibration_scale"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_replay_tells_what_it_found(tmp_path: Path) -> None:
+    table = tmp_path / "corridor.csv"
+    rows = [f"{0.1 * step:.1f},{0.025 * step:.3f},0,0,0.8,0.9" for step in range(200)]
+    table.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
+    arguments = ["replay", str(table), "--preset", "consistent", "--self-calibrate", "--out", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert abs(metrics["self_calibration_turn_deg_per_m"]) < 0.5
+    assert 0.0 < metrics["self_calibration_turn_std_deg_per_m"] < 1.0
+
+
+def test_replay_refuses_to_calibrate_by_the_published_method() -> None:
+    with pytest.raises(ValueError, match="--self-calibrate goes with --preset consistent"):
+        replay_config("paper", 0.02, None, None, self_calibrate=True)

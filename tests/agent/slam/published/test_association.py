@@ -1,0 +1,272 @@
+"""Association: each exclusion alone keeps a pair apart that would pass without it, wherever the robot stands."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.presets import AssociationConfig
+from limslam_agent.slam.core.ekf import LineEKF
+from limslam_agent.slam.published import association
+from limslam_agent.slam.published.association import ObservedLine, alike, associate, in_range, near_ends, visible
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.line import from_frame, normalise, through, to_frame
+from limslam_env.geometry.se2 import transform_points
+
+# Given here, not left to the defaults: the scenes are drawn around these gaps.
+CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
+MAX_RANGE = 1.6
+ROBOT = np.zeros(3)
+# Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
+# start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the origin.
+PLACES = [
+    (0.0, 0.0, 0.0), (2.0, -1.0, 2.5), (-3.0, 4.0, -2.9), (1.0, 1.0, math.pi), (-0.5, 0.2, 1.6),
+    (0.0, -0.5, 0.0), (0.5, 0.0, 0.5 * math.pi), (0.0, 0.499, 3.1), (0.2, 0.9, -2.0), (5.0, 5.0, -0.5 * math.pi),
+]  # fmt: skip
+
+
+def sure(_line: FloatArray, _covariance: FloatArray, _landmark: int) -> tuple[FloatArray, FloatArray]:
+    """An innovation that lets every pair through: only the exclusions decide."""
+    return np.zeros(2), np.eye(2)
+
+
+def observed(start: tuple[float, float], end: tuple[float, float], *beam_origins: tuple[float, float]) -> ObservedLine:
+    """A wall seen from ``start`` to ``end`` in the robot's frame, by beams from straight before it unless said."""
+    points = np.linspace(start, end, 10)
+    line = through(np.array(start), np.array(end))
+    toward = np.array([math.cos(line[1]), math.sin(line[1])])
+    origins = np.array(beam_origins) if beam_origins else points - 0.4 * toward
+    if len(origins) != len(points):
+        origins = np.resize(origins, points.shape)
+    return ObservedLine(line, 1e-4 * np.eye(2), points[[0, -1]], origins, points)
+
+
+def landmarks(
+    pose: FloatArray, *walls: tuple[float, float, float, float], opposite: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Lines (N, 2) and segments (N, 4) in the world of walls given in the robot's frame."""
+    segments = np.array([transform_points(pose, np.reshape(wall, (2, 2))).ravel() for wall in walls])
+    lines = np.array([through(segment[:2], segment[2:]) for segment in segments])
+    if opposite:
+        lines = np.column_stack((-lines[:, 0], lines[:, 1] + math.pi))
+        segments = segments[:, [2, 3, 0, 1]]
+    return lines, segments
+
+
+WALL_AHEAD = observed((0.0, 0.5), (0.6, 0.5))
+
+# What is observed, the landmark, and the one exclusion that keeps them apart.
+SCENES = {
+    # Slanted beams, drawn out past the wall that they saw, would meet the landmark beyond the door.
+    "beyond a door of 0.8 m": (
+        observed((0.0, 0.5), (0.3, 0.5), *[(x - 0.4 * math.sqrt(0.75), 0.3) for x in np.linspace(0.0, 0.3, 10)]),
+        (1.1, 0.8, 1.6, 0.8),
+        "near_ends",
+    ),
+    # Most beams meet the landmark lengthened by the slack of 0.5 m.
+    "before a gap of 0.4 m": (observed((0.0, 0.5), (0.15, 0.5)), (-1.4, 0.5, -0.4, 0.5), "near_ends"),
+    "before a gap of 0.26 m": (observed((0.0, 0.5), (0.3, 0.5)), (-1.4, 0.5, -0.26, 0.5), "near_ends"),
+    # Beside a long observation that its few last beams alone reach.
+    "seen by too few": (observed((-1.2, 0.5), (0.6, 0.5)), (0.4, 0.6, 1.0, 0.6), "visible"),
+    # The robot drives in the wall's strip: the beams look away from it, though it is near and parallel.
+    "at the beams' backs": (
+        observed((0.0, 0.2), (0.6, 0.2), *[(x, 0.1) for x in np.linspace(0.0, 0.6, 10)]),
+        (0.0, -0.1, 0.6, -0.1),
+        "visible",
+    ),
+    # Observed to the left and a landmark that is crossed on the right only.
+    "behind the robot": (observed((-0.3, 0.15), (0.3, 0.15), (0.0, 0.1)), (-0.3, -0.15, 0.3, -0.15), "visible"),
+    # Points of a long way back: their wall's continuation is near them, but out of sight from here.
+    "out of range": (observed((-2.2, 0.5), (-1.8, 0.5)), (-3.5, 0.5, -2.4, 0.5), "in_range"),
+    "out of range ahead": (observed((1.7, -0.5), (2.2, -0.5)), (2.3, -0.5, 3.0, -0.5), "in_range"),
+    "turned by 30 degrees": (WALL_AHEAD, (0.05, 0.35, 0.55, 0.64), "alike"),
+    "turned by -30 degrees": (WALL_AHEAD, (0.05, 0.64, 0.55, 0.35), "alike"),
+    "parallel, 0.5 m farther": (WALL_AHEAD, (0.0, 1.0, 0.6, 1.0), "alike"),
+}  # fmt: skip
+EXCLUSIONS = ("near_ends", "visible", "in_range", "alike")
+
+
+def matched(
+    observation: ObservedLine, pose: FloatArray, lines: FloatArray, segments: FloatArray
+) -> list[association.Match]:
+    return associate(observation, pose, lines, segments, sure, MAX_RANGE, CONFIG)
+
+
+@pytest.mark.parametrize("opposite", [False, True], ids=["", "landmark in its other form"])
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("scene", SCENES)
+def test_one_exclusion_alone_keeps_the_pair_apart(
+    scene: str, place: tuple[float, float, float], opposite: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    observation, wall, exclusion = SCENES[scene]
+    pose = np.array(place)
+    lines, segments = landmarks(pose, wall, opposite=opposite)
+    assert matched(observation, pose, lines, segments) == []
+    # Without any of the other three the pair is still ruled out, and without this one it goes through.
+    for other in EXCLUSIONS:
+        with monkeypatch.context() as patch:
+            patch.setattr(association, other, lambda *_: np.array([True]))
+            assert len(matched(observation, pose, lines, segments)) == (other == exclusion)
+
+
+SEEN_AGAIN = {
+    "beside": (WALL_AHEAD, (0.0, 0.5, 0.6, 0.5)),
+    "a little off": (WALL_AHEAD, (0.1, 0.58, 0.7, 0.62)),
+    "its continuation": (WALL_AHEAD, (0.8, 0.5, 1.5, 0.5)),
+    "part of it": (WALL_AHEAD, (-1.0, 0.5, 1.5, 0.5)),
+    "on the right": (observed((-0.6, -0.7), (0.2, -0.7)), (-0.5, -0.7, 0.5, -0.7)),
+    "behind": (observed((-0.8, -0.3), (-0.8, 0.3)), (-0.8, -0.2, -0.8, 0.5)),
+    "askew": (observed((0.4, 0.9), (1.0, 0.3)), (0.5, 0.8, 0.9, 0.4)),
+}
+
+
+@pytest.mark.parametrize("opposite", [False, True], ids=["", "landmark in its other form"])
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("scene", SEEN_AGAIN)
+def test_a_wall_seen_again_passes_all_four(scene: str, place: tuple[float, float, float], opposite: bool) -> None:
+    observation, wall = SEEN_AGAIN[scene]
+    pose = np.array(place)
+    lines, segments = landmarks(pose, wall, opposite=opposite)
+    assert [match.landmark for match in matched(observation, pose, lines, segments)] == [0]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_line_observed_in_its_other_form_is_the_same(place: tuple[float, float, float]) -> None:
+    pose = np.array(place)
+    turned = replace(WALL_AHEAD, line=np.array([-WALL_AHEAD.line[0], WALL_AHEAD.line[1] + math.pi]))
+    lines, segments = landmarks(pose, (0.0, 0.5, 0.6, 0.5), (0.05, 0.35, 0.55, 0.64))
+    assert [match.landmark for match in matched(turned, pose, lines, segments)] == [0]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_wall_seen_from_its_other_side_is_the_same_wall(place: tuple[float, float, float]) -> None:
+    # The robot has gone round: the same wall, now to its right, and its own place beyond it.
+    pose = np.array(place)
+    lines, segments = landmarks(pose, (0.0, -0.5, 0.6, -0.5))
+    assert [m.landmark for m in matched(observed((0.6, -0.5), (0.0, -0.5)), pose, lines, segments)] == [0]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_two_walls_on_one_line_with_a_door_between_stay_apart(place: tuple[float, float, float]) -> None:
+    pose = np.array(place)
+    lines, segments = landmarks(pose, (-1.0, 0.5, -0.4, 0.5), (0.4, 0.5, 1.0, 0.5))
+    left, right = observed((-0.9, 0.5), (-0.4, 0.5)), observed((0.4, 0.5), (0.9, 0.5))
+    assert [match.landmark for match in matched(left, pose, lines, segments)] == [0]
+    assert [match.landmark for match in matched(right, pose, lines, segments)] == [1]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tuple[float, float, float]) -> None:
+    pose = np.array(place)
+    walls = [(0.0, 0.5 + offset, 0.6, 0.5 + offset) for offset in (0.11, 0.02, -0.08, -0.3)]
+    lines, segments = landmarks(pose, *walls)
+    ekf = LineEKF(pose, 1e-12 * np.eye(3))
+    for line in lines:
+        ekf.augment(to_frame(line, pose), 1e-12 * np.eye(2))
+    # The observation's sd is 2 cm: 0.11 m off is 30 in squared distance, 0.3 m is 225 and past the gate of 100.
+    observation = replace(WALL_AHEAD, covariance=np.diag([4e-4, 1e-3]))
+    found = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, CONFIG)
+    assert [match.landmark for match in found] == [1, 2, 0]
+    assert [match.distance for match in found] == pytest.approx([1.0, 16.0, 30.25], rel=1e-3)
+    gated = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, replace(CONFIG, gate=10.0))
+    assert [match.landmark for match in gated] == [1]
+
+
+def test_the_distance_is_mahalanobis_with_correlations() -> None:
+    difference, covariance = np.array([0.02, -0.01]), np.array([[4e-4, 1e-4], [1e-4, 1e-4]])
+    lines, segments = landmarks(ROBOT, (0.0, 0.5, 0.6, 0.5))
+    found = associate(WALL_AHEAD, ROBOT, lines, segments, lambda *_: (difference, covariance), MAX_RANGE, CONFIG)
+    assert found[0].distance == pytest.approx(difference @ np.linalg.inv(covariance) @ difference)
+
+
+def test_without_landmarks_there_is_no_match() -> None:
+    assert matched(WALL_AHEAD, ROBOT, np.zeros((0, 2)), np.zeros((0, 4))) == []
+
+
+def test_ends_overlap_touch_or_lie_apart() -> None:
+    ends = np.array([[0.0, 0.5], [0.6, 0.5]])
+    lines, segments = landmarks(
+        ROBOT, (0.2, 0.5, 0.4, 0.5), (-2.0, 0.5, 3.0, 0.5), (0.9, 0.5, 1.5, 0.5), (1.0, 0.5, 1.5, 0.5),
+        (-0.3, 0.5, -1.0, 0.5),
+    )  # fmt: skip
+    assert near_ends(ends, lines, segments, 0.35).tolist() == [True, True, True, False, True]
+    # The order of an observation's ends, and of a landmark's, says nothing.
+    assert near_ends(ends[::-1], lines, segments[:, [2, 3, 0, 1]], 0.35).tolist() == [True, True, True, False, True]
+
+
+def test_range_counts_to_the_nearest_part_of_the_landmark() -> None:
+    segments = np.array([[1.5, -3.0, 1.5, 3.0], [1.7, 0.0, 4.0, 0.0], [-5.0, 0.1, 5.0, 0.1], [0.0, 3.0, 0.0, 1.61]])
+    assert in_range(ROBOT, segments, 1.6).tolist() == [True, False, True, False]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_most_beams_must_see_the_landmark(place: tuple[float, float, float]) -> None:
+    pose = np.array(place)
+    _, segments = landmarks(pose, (-0.5, 1.0, 0.5, 1.0))
+    up, down = (0.0, 0.5), (0.0, -0.5)
+    for ahead, expected in ((10, True), (5, True), (4, False), (0, False)):
+        points = np.array([up] * ahead + [down] * (10 - ahead))
+        scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((10, 2)), points)
+        assert visible(scene, pose, segments, 1.2, 0.0).tolist() == [expected]
+        assert visible(scene, pose, segments, 0.9, 0.0).tolist() == [False]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_landmark_is_seen_as_far_past_its_ends_as_the_slack(place: tuple[float, float, float]) -> None:
+    pose = np.array(place)
+    # Beams straight up at x = 0; the walls end before it or begin after it.
+    gaps = (-0.1, 0.2, 0.3)
+    _, segments = landmarks(
+        pose, *[(gap, 1.0, 1.0, 1.0) for gap in gaps], *[(-1.0, 1.0, -gap, 1.0) for gap in gaps]
+    )  # fmt: skip
+    points = np.tile([0.0, 0.5], (4, 1))
+    scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((4, 2)), points)
+    for form in (segments, segments[:, [2, 3, 0, 1]]):
+        assert visible(scene, pose, form, 1.2, 0.25).tolist() == [True, True, False] * 2
+        assert visible(scene, pose, form, 1.2, 0.0).tolist() == [True, False, False] * 2
+        assert visible(scene, pose, form, 1.2, 0.35).tolist() == [True, True, True] * 2
+
+
+def test_beams_along_a_landmark_do_not_see_it() -> None:
+    # Exactly parallel: the way to the line is infinite, and nothing warns about the division.
+    _, segments = landmarks(ROBOT, (0.0, 1.0, 1.0, 1.0), (0.5, 0.0, 1.0, 0.0))
+    points = np.tile([1.0, 0.0], (4, 1))
+    scene = ObservedLine(np.array([1.0, 0.0]), np.eye(2), points[:2], np.zeros((4, 2)), points)
+    assert visible(scene, ROBOT, segments, 5.0, 0.5).tolist() == [False, False]
+
+
+NEARER, FARTHER = (0.0, 0.5, 0.6, 0.5), (0.0, 0.7, 0.6, 0.7)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_landmark_in_front_of_where_the_beams_ended_is_not_hidden(place: tuple[float, float, float]) -> None:
+    # The farther wall was observed; the nearer one is in the way, and its place may be wrong.
+    pose = np.array(place)
+    both = landmarks(pose, NEARER, FARTHER)
+    observation = observed((0.0, 0.7), (0.6, 0.7))
+    assert {match.landmark for match in matched(observation, pose, *both)} == {0, 1}
+
+
+@pytest.mark.parametrize("degrees", range(-180, 181, 30))
+def test_likeness_holds_all_round_the_circle_and_across_its_seam(degrees: int) -> None:
+    theta = math.radians(degrees)
+    line = np.array([1.0, theta])
+    middle = np.array([[math.cos(theta), math.sin(theta)]])
+    for off, expected in ((0.0, True), (10.0, True), (-10.0, True), (20.0, False), (-20.0, False), (90.0, False)):
+        # Turned about the observation's middle, so that only the angle counts.
+        turned = theta + math.radians(off)
+        candidate = np.array([[math.cos(turned - theta), turned]])
+        for form in (candidate, normalise(candidate), np.array([[-candidate[0, 0], turned + math.pi]])):
+            assert alike(line, middle, form, CONFIG.max_angle, 0.35).tolist() == [expected]
+    for r, expected in ((1.3, True), (0.7, True), (1.4, False), (0.6, False)):
+        assert alike(line, middle, np.array([[r, theta]]), CONFIG.max_angle, 0.35).tolist() == [expected]
+
+
+def test_likeness_is_of_lines_in_the_world() -> None:
+    # The same wall seen under two yaws: compared in the world they are one.
+    for yaw in (0.0, 2.0, -3.0):
+        pose = np.array([0.3, 0.2, yaw])
+        seen = to_frame(np.array([1.0, 0.5]), pose)
+        ends = np.array([[math.cos(0.5), math.sin(0.5)]])
+        assert alike(from_frame(seen, pose), ends, np.array([[1.0, 0.5]]), 1e-6, 1e-6).tolist() == [True]

@@ -1,0 +1,224 @@
+"""Loop closing: when two landmarks are one wall, and what the filter makes of it."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.ablations import ablated
+from limslam_agent.config.presets import AgentConfig, LoopClosingConfig, MapConfig
+from limslam_agent.slam.core.ekf import LineEKF
+from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.geometry.segment import polygon_edges
+from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
+
+CONFIG = LoopClosingConfig()
+SMALL = np.diag([1e-4, 1e-4])
+
+
+def wall(y: float, x1: float, x2: float) -> np.ndarray:
+    return np.array([x1, y, x2, y])
+
+
+def both(first: np.ndarray, second: np.ndarray, distance: float = 1.0, config: LoopClosingConfig = CONFIG) -> bool:
+    """Whether two walls along x agree."""
+    lines = np.array([[first[1], np.pi / 2], [second[1], np.pi / 2]])
+    return agree(0, 1, lines, np.array([first, second]), distance, config)
+
+
+def test_the_two_nearest_make_a_pair_the_older_first():
+    assert closing_pair([]) is None
+    assert closing_pair([4]) is None
+    assert closing_pair([7, 2]) == (2, 7)
+    assert closing_pair([2, 7, 0]) == (2, 7)
+
+
+def test_walls_that_overlap_and_lie_close_are_one():
+    assert both(wall(1.0, 0.0, 2.0), wall(1.1, 1.5, 3.0))
+
+
+def test_walls_on_one_line_with_a_door_between_them_are_two():
+    assert not both(wall(1.0, 0.0, 2.0), wall(1.0, 2.6, 4.0))
+    # Even where the door is hardly more than a point.
+    assert not both(wall(1.0, 0.0, 2.0), wall(1.0, 2.0, 4.0))
+
+
+def test_walls_far_apart_or_at_an_angle_are_two():
+    assert not both(wall(1.0, 0.0, 2.0), wall(1.0 + CONFIG.max_distance + 0.01, 0.0, 2.0))
+    slanted = np.array([0.0, 0.5, 2.0, 1.5])
+    lines = np.array([[1.0, np.pi / 2], [0.5 * np.cos(np.arctan(0.5)), np.pi / 2 + np.arctan(0.5)]])
+    assert not agree(0, 1, lines, np.array([wall(1.0, 0.0, 2.0), slanted]), 1.0, CONFIG)
+
+
+def test_walls_that_the_filter_tells_apart_are_two():
+    first, second = wall(1.0, 0.0, 2.0), wall(1.1, 0.0, 2.0)
+    assert both(first, second, CONFIG.gate)
+    assert not both(first, second, CONFIG.gate + 0.1)
+
+
+def test_the_floor_keeps_a_difference_from_being_known_too_well():
+    difference = np.array([0.01, 0.0])
+    assert squared_distance(difference, np.zeros((2, 2)), np.array([0.01, 0.01])) == pytest.approx(1.0)
+    assert squared_distance(difference, SMALL, np.zeros(2)) == pytest.approx(1.0)
+
+
+def test_the_offset_is_that_of_the_middle():
+    assert offset(np.array([1.0, np.pi / 2]), np.array([0.0, 1.0, 2.0, 1.4])) == pytest.approx(0.2)
+
+
+def drifted_filter() -> LineEKF:
+    """A wall at y = 1, a long drive, and the same wall again where drift has put it: at y = 1.2."""
+    ekf = LineEKF(np.zeros(3))
+    ekf.augment(np.array([1.0, np.pi / 2]), SMALL)
+    for _ in range(40):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 1e-4, 4e-4]))
+    ekf.augment(np.array([1.2, np.pi / 2]), SMALL)
+    return ekf
+
+
+def test_the_older_landmark_corrects_the_younger_and_the_pose():
+    ekf = drifted_filter()
+    uncertain, apart = ekf.pose_covariance, abs(ekf.difference(0, 1)[0][0])
+    older = ekf.lines[0]
+    ekf.observe_landmark(0, 1)
+    assert abs(ekf.difference(0, 1)[0][0]) < 0.1 * apart
+    # The wall seemed too far to the left, so the robot is farther to the right than it believed... of its wall.
+    assert ekf.pose[1] == pytest.approx(-0.2, abs=0.05)
+    assert np.trace(ekf.pose_covariance) < np.trace(uncertain)
+    np.testing.assert_allclose(ekf.lines[0], older, atol=0.02)
+    assert ekf.num_lines == 2, "they are not merged"
+
+
+def test_the_difference_of_two_landmarks_has_their_joint_covariance():
+    ekf = drifted_filter()
+    difference, covariance = ekf.difference(0, 1)
+    np.testing.assert_allclose(difference, ekf.lines[0] - ekf.lines[1], atol=1e-12)
+    joint = ekf.P
+    expected = joint[3:5, 3:5] + joint[5:7, 5:7] - joint[3:5, 5:7] - joint[5:7, 3:5]
+    np.testing.assert_allclose(covariance, expected, atol=1e-15)
+
+
+def test_a_line_and_its_other_form_are_no_difference():
+    ekf = LineEKF(np.zeros(3))
+    ekf.augment(np.array([0.01, np.pi / 2]), SMALL)
+    ekf.augment(np.array([0.01, -np.pi / 2]), SMALL)
+    difference, covariance = ekf.difference(0, 1)
+    np.testing.assert_allclose(difference, [-0.02, 0.0], atol=1e-12)
+    # r of the one is minus r of the other: their sum is what varies.
+    np.testing.assert_allclose(covariance, 2.0 * SMALL, atol=1e-12)
+
+
+ROBOT = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))
+
+
+def drive(slam: LineSlam, true: np.ndarray, end: float, drift: float) -> np.ndarray:
+    """Along a wall at y = 1 to x = ``end``, with wheels that turn ``drift`` (rad) too little a step; the true pose."""
+    while (end - true[0]) * np.cos(true[2]) > 0.0:
+        wheels = np.array([0.02 + 0.5 * drift * ROBOT.axle, 0.02 - 0.5 * drift * ROBOT.axle])
+        true = compose(true, np.array([0.02, 0.0, 0.0]))
+        slam.step({"ranges": ranges_at(true), "wheels": wheels})
+    return true
+
+
+def ranges_at(pose: np.ndarray) -> np.ndarray:
+    """Distances to the wall from (0, 1) to (2, 1)."""
+    found = ROBOT.max_ranges.copy()
+    for number, beam in enumerate(ROBOT.beams):
+        origin = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        rise = np.sin(pose[2] + beam.angle)
+        distance = (1.0 - origin[1]) / rise if rise > 1e-9 else np.inf
+        if distance < beam.max_range and 0.0 < origin[0] + distance * np.cos(pose[2] + beam.angle) < 2.0:
+            found[number] = distance
+    return found
+
+
+def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
+    base = AgentConfig()
+    assert not ablated(base, "no-loop-closing").closing.enabled
+    assert not ablated(base, "no-ekf").filter.correct
+    assert ablated(base, "no-end-gate").association.max_end_gap > 1e3
+    assert ablated(base, "only-best-line").hough.only_best
+    with pytest.raises(ValueError, match="no ablation is called 'no-brain'"):
+        ablated(base, "no-brain")
+
+
+def test_a_landmark_is_a_wall_of_the_map_when_it_is_long_enough_and_seen_again():
+    config = AgentConfig(noise=NominalNoise(0.005), map=MapConfig(min_observations=2, min_length=0.5))
+    slam = LineSlam(ROBOT, config, np.array([-0.5, 0.3, 0.0]))
+    sizes, known = [], []
+    slam.on_association = lambda record: known.append(record.landmark)
+    true = np.array([-0.5, 0.3, 0.0])
+    for end in np.arange(0.0, 2.6, 0.1):
+        true = drive(slam, true, end, 0.0)
+        sizes.append((len(known), len(slam.segments)))
+    assert (1, 0) in sizes, "seen once, it is provisional"
+    assert sizes[-1][1] == 1
+    assert [mark.number for mark in slam.landmarks] == [0]
+    assert slam.landmarks[0].observations >= 2
+
+
+def walled_loop() -> tuple[FloatArray, FloatArray]:
+    """A round trip of a robot in a square corridor: true poses (n, 3), and the outer and inner walls (8, 4)."""
+    corners = np.array([[0.6, 0.6], [3.4, 0.6], [3.4, 3.4], [0.6, 3.4]])
+    poses = []
+    for side in range(5):
+        start, end = corners[side % 4], corners[(side + 1) % 4]
+        heading = wrap_angle(float(np.pi / 2 * side))
+        poses += [[*place, heading] for place in np.linspace(start, end, 140, endpoint=False)]
+        poses += [[*end, wrap_angle(heading + turn)] for turn in np.linspace(0.0, np.pi / 2, 16, endpoint=False)]
+    outer = polygon_edges(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]))
+    inner = polygon_edges(np.array([[1.2, 1.2], [2.8, 1.2], [2.8, 2.8], [1.2, 2.8]]))
+    return np.array(poses), np.vstack((outer, inner))
+
+
+def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str, FloatArray]]:
+    """What the robot reads on the way; its wheels tell ``drift`` (rad per m) too much of a turn."""
+    observations, before = [], poses[0]
+    for pose in poses:
+        ahead, _, turn = compose(inverse(before), pose)
+        half = 0.5 * ROBOT.axle * (turn + drift * ahead)
+        observations.append({"ranges": ray_lengths(pose, walls), "wheels": np.array([ahead - half, ahead + half])})
+        before = pose
+    return observations
+
+
+def ray_lengths(pose: FloatArray, walls: FloatArray) -> FloatArray:
+    found = ROBOT.max_ranges.copy()
+    for number, beam in enumerate(ROBOT.beams):
+        x, y = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        dx, dy = np.cos(pose[2] + beam.angle), np.sin(pose[2] + beam.angle)
+        for x1, y1, x2, y2 in walls:
+            ex, ey = x2 - x1, y2 - y1
+            cross = dx * ey - dy * ex
+            if abs(cross) < 1e-12:
+                continue
+            distance = ((x1 - x) * ey - (y1 - y) * ex) / cross
+            share = ((x1 - x) * dy - (y1 - y) * dx) / cross
+            if 0.0 <= distance < found[number] and 0.0 <= share <= 1.0:
+                found[number] = distance
+    return found
+
+
+@pytest.mark.parametrize("drift", [0.012, -0.012])
+def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
+    poses, walls = walled_loop()
+    observations = sensed(poses, walls, drift)
+    errors, slams = [], []
+    for enabled in (True, False):
+        config = AgentConfig(noise=NominalNoise(0.005, 2e-4), closing=LoopClosingConfig(enabled=enabled))
+        slam = LineSlam(ROBOT, config, poses[0])
+        for observation in observations:
+            slam.step(observation)
+        slams.append(slam)
+        errors.append(np.hypot(*(slam.pose[:2] - poses[-1, :2])))
+    closing, without = slams
+    assert closing.closures, "no loop was closed, and the test shows nothing"
+    assert not without.closures
+    for closure in closing.closures:
+        assert closure.older < closure.younger
+        # Two that lie on each other already cannot come closer.
+        assert closure.distance_after < max(closure.distance_before, 0.1)
+        assert closure.offset_after <= closure.offset_before + 0.005
+    assert errors[0] < 0.30
+    assert errors[0] < errors[1] + 0.05

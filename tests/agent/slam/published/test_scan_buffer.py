@@ -1,0 +1,299 @@
+"""Scan buffers: points stay where they are in the world while the robot moves on, and are handed on in time."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limslam_agent.config.presets import BufferConfig
+from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import arc, compose, transform_points
+from limslam_env.interface import RobotSpec, beams_on_rim
+
+ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, right are 4 and 5
+ALL = np.ones(6, dtype=bool)
+NOTHING = np.zeros(6, dtype=bool)
+RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
+STRAIGHT = np.array([0.02, 0.0, 0.0])
+
+
+def only(*beams: int) -> BoolArray:
+    return np.isin(np.arange(6), beams)
+
+
+def ends_in_world(pose: FloatArray, beams: list[int]) -> FloatArray:
+    """Where the beams end, worked out beam by beam."""
+    points = []
+    for beam in beams:
+        spec = ROBOT.beams[beam]
+        heading = pose[2] + spec.angle
+        origin = transform_points(pose, np.array([[spec.x, spec.y]]))[0]
+        points.append(origin + RANGES[beam] * np.array([math.cos(heading), math.sin(heading)]))
+    return np.array(points)
+
+
+increments = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.4, 0.4)).map(lambda motion: arc(*motion))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(increments, min_size=1, max_size=20))
+def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(motions: list[FloatArray]) -> None:
+    pose = np.array([1.0, -2.0, 2.5])
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=100.0))
+    buffer.add(RANGES, ALL, ALL, 0)
+    start, seen = pose, ends_in_world(pose, [0, 1])
+    for motion in motions:
+        pose = compose(pose, motion)
+        buffer.carry(motion)
+    np.testing.assert_allclose(transform_points(pose, buffer.scan.points), seen, atol=1e-9)
+    begun = transform_points(start, ROBOT.beam_origins[:2])
+    np.testing.assert_allclose(transform_points(pose, buffer.scan.origins), begun, atol=1e-9)
+
+
+def test_points_taken_on_the_way_draw_the_wall_that_the_robot_passes() -> None:
+    # Ranges do not change along a straight wall, so the points of a beam lie behind one another.
+    buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
+    for step in range(10):
+        buffer.carry(STRAIGHT)
+        buffer.add(RANGES, ALL, only(5), step)
+    points = buffer.scan.points
+    np.testing.assert_allclose(points[:, 1], -0.6, atol=1e-12)
+    np.testing.assert_allclose(points[:, 0], np.arange(-0.18, 0.001, 0.02), atol=1e-12)
+
+
+def test_a_buffer_is_handed_on_when_it_reaches_its_size_and_begins_anew() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=6))
+    handed_on: list[list[Scan]] = []
+    for step in range(6):
+        buffer.carry(STRAIGHT)
+        handed_on.append(buffer.add(RANGES, ALL, ALL, step))
+    assert [[len(scan) for scan in scans] for scans in handed_on] == [[], [], [6], [], [], [6]]
+    assert len(buffer.scan) == 0
+    # The second scan holds nothing of the first.
+    assert handed_on[5][0].readings[:, 0].tolist() == [3, 3, 4, 4, 5, 5]
+
+
+def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    given_up = []
+    for step in range(1, 20):
+        buffer.carry(STRAIGHT)
+        given_up.append(buffer.add(RANGES, ALL, NOTHING, step))
+    # 12 steps are 0.24 m, 13 are 0.26 m.
+    assert [index for index, scans in enumerate(given_up) if scans] == [12]
+    (scan,) = given_up[12]
+    np.testing.assert_allclose(scan.points, [[-0.26, 0.5]], atol=1e-12)
+    assert len(buffer.scan) == 0
+
+
+def test_each_measurement_starts_the_gap_anew_also_when_no_point_is_taken() -> None:
+    # min_distance is so long that only the first point is taken; the beams see the wall at every other step.
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25, min_distance=10.0, min_turn=10.0))
+    buffer.add(RANGES, ALL, only(0), 0)
+    for step in range(1, 40):
+        buffer.carry(STRAIGHT)
+        assert buffer.add(RANGES, ALL, only(0) if step % 2 else NOTHING, step) == []
+    assert len(buffer.scan) == 1
+
+
+def test_driving_back_and_forth_counts_as_distance_without_measurement() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    results = []
+    for step in range(13):
+        buffer.carry(STRAIGHT if step % 2 else -STRAIGHT)
+        results.append(buffer.add(RANGES, ALL, NOTHING, step))
+    assert [len(scans) for scans in results] == [0] * 12 + [1]
+
+
+LONG_STEP = np.array([0.4, 0.0, 0.0])
+
+
+def test_long_steps_that_all_hit_are_no_gap() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=0.25))
+    for step in range(8):
+        assert buffer.carry(LONG_STEP) is None
+        assert buffer.add(RANGES, ALL, only(0), step) == []
+    np.testing.assert_allclose(buffer.scan.points[:, 0], np.arange(-2.8, 0.01, 0.4), atol=1e-12)
+
+
+def test_carrying_alone_hands_nothing_on_however_far() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    for _ in range(20):
+        assert buffer.carry(LONG_STEP) is None
+    assert len(buffer.scan) == 1
+
+
+def test_a_long_step_to_a_miss_ends_the_wall_at_the_miss() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    buffer.carry(LONG_STEP)
+    (scan,) = buffer.add(RANGES, ALL, NOTHING, 1)
+    assert scan.readings.tolist() == [[0, 0]]
+    assert len(buffer.scan) == 0
+    # It is handed on once only.
+    buffer.carry(LONG_STEP)
+    assert buffer.add(RANGES, ALL, NOTHING, 2) == []
+    assert buffer.add(RANGES, ALL, only(0), 3) == []
+    assert buffer.scan.readings.tolist() == [[3, 0]]
+
+
+@pytest.mark.parametrize("between", ["a long step", "steps without a measurement"])
+def test_a_miss_before_the_distance_ends_the_wall_before_the_hit_that_comes_after(between: str) -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    buffer.carry(np.array([0.1, 0.0, 0.0]))
+    handed_on = buffer.add(RANGES, ALL, NOTHING, 1)
+    assert handed_on == []
+    if between == "a long step":
+        buffer.carry(LONG_STEP)
+    else:
+        for _ in range(4):
+            buffer.carry(np.array([0.1, 0.0, 0.0]))
+            handed_on += buffer.add(RANGES, NOTHING, NOTHING, 1)
+    handed_on += buffer.add(RANGES, ALL, only(0), 2)
+    # Once, and the new hit is none of the old wall's points.
+    assert [scan.readings.tolist() for scan in handed_on] == [[[0, 0]]]
+    assert buffer.scan.readings.tolist() == [[2, 0]]
+
+
+def test_a_wall_that_ends_at_a_hit_that_fills_the_buffer_gives_two_scans() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=2, max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    buffer.add(RANGES, ALL, NOTHING, 1)
+    buffer.carry(LONG_STEP)
+    handed_on = buffer.add(RANGES, ALL, only(0, 1), 2)
+    assert [scan.readings.tolist() for scan in handed_on] == [[[0, 0]], [[2, 0], [2, 1]]]
+    assert len(buffer.scan) == 0
+
+
+def test_a_miss_within_the_gap_is_forgotten_at_the_next_hit() -> None:
+    # A miss at 0.1 m, a hit at 0.2 m, and then a long step to another hit: nowhere was the wall away for 0.25 m.
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    for step, hits in ((1, NOTHING), (2, only(0))):
+        buffer.carry(np.array([0.1, 0.0, 0.0]))
+        assert buffer.add(RANGES, ALL, hits, step) == []
+    buffer.carry(LONG_STEP)
+    assert buffer.add(RANGES, ALL, only(0), 3) == []
+    assert len(buffer.scan) == 3
+
+
+def test_events_without_a_measurement_are_no_miss() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    for step in range(1, 40):
+        buffer.carry(STRAIGHT)
+        assert buffer.add(RANGES, NOTHING, NOTHING, step) == []
+    buffer.carry(STRAIGHT)
+    assert buffer.add(RANGES, ALL, only(0), 40) == []
+    assert buffer.scan.readings[:, 0].tolist() == [0, 40]
+
+
+@pytest.mark.parametrize(("measuring", "ends"), [((2, 3, 4, 5), False), ((0,), True), ((1, 5), True)])
+def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ...], ends: bool) -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
+    buffer.add(RANGES, ALL, only(0), 0)
+    buffer.carry(LONG_STEP)
+    # The other side's hits do not count for this one.
+    assert len(buffer.add(RANGES, only(*measuring), only(5), 1)) == ends
+
+
+def test_one_beam_that_hits_is_enough_for_the_side() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=0.25))
+    for step in range(4):
+        buffer.carry(LONG_STEP)
+        assert buffer.add(RANGES, ALL, only(step % 2), step) == []
+    assert len(buffer.scan) == 4
+
+
+def test_take_empties_the_buffer() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig())
+    assert len(buffer.take()) == 0
+    buffer.add(RANGES, ALL, ALL, 5)
+    assert buffer.take().readings.tolist() == [[5, 0], [5, 1]]
+    assert len(buffer.scan) == len(buffer.take()) == 0
+    buffer.carry(STRAIGHT)
+    assert buffer.add(RANGES, ALL, only(0), 6) == []
+    assert buffer.scan.readings.tolist() == [[6, 0]]
+
+
+def test_left_and_right_are_apart_and_front_beams_go_to_neither() -> None:
+    left, right = (ScanBuffer(ROBOT, side, BufferConfig()) for side in ("left", "right"))
+    for buffer in (left, right):
+        buffer.add(RANGES, ALL, ALL, 3)
+    assert left.scan.readings.tolist() == [[3, 0], [3, 1]]
+    assert right.scan.readings.tolist() == [[3, 4], [3, 5]]
+    assert (left.scan.points[:, 1] > 0.0).all()
+    assert (right.scan.points[:, 1] < 0.0).all()
+
+
+def test_a_miss_adds_no_point() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig())
+    assert buffer.add(RANGES, ALL, only(2, 3, 4, 5), 0) == []
+    assert len(buffer.scan) == 0
+    buffer.add(RANGES, ALL, only(1, 4), 1)
+    assert buffer.scan.readings.tolist() == [[1, 1]]
+
+
+def test_standing_still_adds_nothing() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=4))
+    buffer.add(RANGES, ALL, ALL, 0)
+    for step in range(1, 50):
+        buffer.carry(np.zeros(3))
+        assert buffer.add(RANGES, ALL, ALL, step) == []
+    assert buffer.scan.readings[:, 0].tolist() == [0, 0]
+
+
+def test_creeping_adds_a_point_once_it_adds_up_to_the_least_distance() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(min_distance=0.01))
+    for step in range(9):
+        buffer.carry(np.array([0.003, 0.0, 0.0]))
+        buffer.add(RANGES, ALL, only(0), step)
+    assert buffer.scan.readings[:, 0].tolist() == [0, 4, 8]
+
+
+def test_turning_on_the_spot_adds_points_too() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(min_turn=math.radians(1.0)))
+    for step in range(4):
+        buffer.carry(np.array([0.0, 0.0, -math.radians(0.6)]))
+        buffer.add(RANGES, ALL, only(0), step)
+    assert buffer.scan.readings[:, 0].tolist() == [0, 2]
+
+
+def test_the_readings_name_the_step_and_the_beam_of_each_point() -> None:
+    buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
+    for step, beam in ((7, 4), (8, 5), (12, 4)):
+        buffer.carry(STRAIGHT)
+        buffer.add(RANGES, ALL, only(beam), step)
+    scan = buffer.scan
+    assert scan.readings.tolist() == [[7, 4], [8, 5], [12, 4]]
+    lengths = np.linalg.norm(scan.points - scan.origins, axis=1)
+    np.testing.assert_allclose(lengths, RANGES[[4, 5, 4]], atol=1e-12)
+
+
+def test_select_keeps_points_origins_and_readings_together() -> None:
+    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100))
+    for step in range(3):
+        buffer.carry(STRAIGHT)
+        buffer.add(RANGES, ALL, ALL, step)
+    chosen = buffer.scan.select(np.array([4, 1]))
+    assert chosen.readings.tolist() == [[2, 0], [0, 1]]
+    np.testing.assert_array_equal(chosen.points, buffer.scan.points[[4, 1]])
+    np.testing.assert_array_equal(chosen.origins, buffer.scan.origins[[4, 1]])
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_side_without_beams_stays_empty(side: str) -> None:
+    robot = RobotSpec(beams=beams_on_rim((0.0, 180.0), 0.1))
+    buffer = ScanBuffer(robot, side, BufferConfig())
+    both = np.ones(2, dtype=bool)
+    for step in range(3):
+        buffer.carry(np.array([1.0, 0.0, 0.0]))
+        assert buffer.add(np.array([0.5, 0.5]), both, both if step else ~both, step) == []
+    assert len(buffer.scan) == 0

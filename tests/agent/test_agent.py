@@ -1,0 +1,288 @@
+"""LimSlamAgent from a recorded list of observations: the same actions every time, with no world around it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limslam_agent.agent import LimSlamAgent, Snapshot
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_env.envs.env import LimSlamEnv
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
+
+ROBOT = RobotSpec()
+CONFIG = preset("paper", NominalNoise(0.02))
+STEPS = 400
+Recording = tuple[FloatArray, list[Observation], FloatArray]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Start pose, observations and the actions (n, 2) that an agent gave while they were recorded in Env1."""
+    env = LimSlamEnv("env1", sensor_noise=0.02)
+    observation, info = env.reset(seed=5)
+    start = info["pose"].copy()
+    agent = LimSlamAgent(ROBOT, CONFIG)
+    agent.reset(start)
+    seen, actions = [], []
+    for _ in range(STEPS):
+        seen.append(observation)
+        actions.append(np.array(agent.act(observation)))
+        observation, _, _, _, info = env.step(actions[-1])
+    assert np.hypot(*(info["pose"] - start)[:2]) > 0.5  # it went somewhere
+    return start, seen, np.array(actions)
+
+
+def replayed(agent: LimSlamAgent, recording: Recording) -> FloatArray:
+    """The actions (n, 2) of an agent that was reset to the recording's start."""
+    return np.array([agent.act(observation) for observation in recording[1]])
+
+
+def fresh(recording: Recording, config: AgentConfig = CONFIG) -> LimSlamAgent:
+    agent = LimSlamAgent(ROBOT, config)
+    agent.reset(recording[0])
+    return agent
+
+
+def test_a_recorded_list_gives_the_recorded_actions_bit_for_bit(recording: Recording) -> None:
+    one, other = (replayed(fresh(recording), recording) for _ in range(2))
+    assert one.tobytes() == other.tobytes() == recording[2].tobytes()
+    # Not because there is nothing to decide.
+    assert len(np.unique(one, axis=0)) > 50
+
+
+def test_reset_gives_the_same_actions_again_whatever_the_seed(recording: Recording) -> None:
+    agent = fresh(recording)
+    first = replayed(agent, recording)
+    for seed in (None, 0, 7):
+        agent.reset(recording[0], seed=seed)
+        assert len(agent.snapshot().segments) == 0
+        np.testing.assert_array_equal(agent.snapshot().pose, recording[0])
+        assert replayed(agent, recording).tobytes() == first.tobytes()
+
+
+def test_two_agents_do_not_disturb_each_other(recording: Recording) -> None:
+    one, other = fresh(recording), fresh(recording)
+    actions = []
+    for number, observation in enumerate(recording[1]):
+        actions.append(np.array(one.act(observation)))
+        # The other one hears the list from its end.
+        other.act(recording[1][-1 - number])
+    assert np.array(actions).tobytes() == recording[2].tobytes()
+
+
+def test_an_agent_does_not_write_into_its_observations(recording: Recording) -> None:
+    agent = fresh(recording)
+    for observation in recording[1][:60]:
+        frozen: Observation = {"ranges": observation["ranges"].copy(), "wheels": observation["wheels"].copy()}
+        for array in frozen.values():
+            array.setflags(write=False)
+        agent.act(frozen)
+    np.testing.assert_array_equal(agent.slam.pose, replay_pose(recording, 60))
+
+
+def replay_pose(recording: Recording, steps: int) -> FloatArray:
+    agent = fresh(recording)
+    for observation in recording[1][:steps]:
+        agent.act(observation)
+    return agent.slam.pose
+
+
+def test_actions_are_fractions_of_the_top_speed(recording: Recording) -> None:
+    assert recording[2].shape == (STEPS, 2)
+    assert np.abs(recording[2]).max() <= 1.0
+    assert np.isfinite(recording[2]).all()
+
+
+def test_observe_and_decide_are_the_two_halves_of_act(recording: Recording) -> None:
+    agent, actions = fresh(recording), []
+    for observation in recording[1][:200]:
+        agent.observe(observation)
+        actions.append(np.array(agent.decide()))
+    np.testing.assert_array_equal(actions, recording[2][:200])
+
+
+def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
+    agent, records = fresh(recording), []
+    agent.slam.on_association = records.append
+    for number, observation in enumerate(recording[1]):
+        agent.act(observation)
+        if number > 100 and all(len(side.points) > 12 for side in agent.slam.waiting):
+            break
+    before = len(records)
+    agent.finish()
+    assert len(records) > before
+    assert sum(landmark.observations for landmark in agent.slam.landmarks) == len(records)
+    assert all(len(side.points) == 0 for side in agent.slam.waiting)
+
+
+WITHOUT_PHYSICS = """
+import sys
+blocked = ["pymunk", "numba", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymnasium.envs.box2d",
+           "limslam_env.simulation.physics", "limslam_env.kernels.rays", "limslam_env.simulation.sensors",
+           "limslam_env.simulation.simulation",           "limslam_env.envs.env", "limslam_env.worlds.world"]
+for name in blocked:
+    sys.modules[name] = None  # importing it now raises ImportError
+import numpy as np
+from limslam_agent.agent import LimSlamAgent
+from limslam_agent.config.presets import preset
+from limslam_env.interface import NominalNoise, RobotSpec
+
+try:
+    import pymunk
+except ImportError:
+    pass
+else:
+    raise SystemExit("pymunk could be imported: the test shows nothing")
+log = np.load(sys.argv[1])
+agent = LimSlamAgent(RobotSpec(), preset("paper", NominalNoise(0.02)))
+agent.reset(log["start"])
+actions = [agent.act({"ranges": r, "wheels": w}) for r, w in zip(log["ranges"], log["wheels"], strict=True)]
+np.save(sys.argv[2], np.array(actions))
+loaded = [name for name in blocked if sys.modules.get(name) is not None]
+raise SystemExit(f"loaded after all: {loaded}" if loaded else 0)
+"""
+
+
+def test_it_acts_where_there_is_no_physics_to_import(recording: Recording, tmp_path: Path) -> None:
+    start, observations, actions = recording
+    log, answer = tmp_path / "log.npz", tmp_path / "actions.npy"
+    np.savez(
+        log,
+        start=start,
+        ranges=np.array([each["ranges"] for each in observations]),
+        wheels=np.array([each["wheels"] for each in observations]),
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", WITHOUT_PHYSICS, str(log), str(answer)],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert np.load(answer).tobytes() == actions.tobytes()
+
+
+def arrays_of(snapshot: Snapshot) -> dict[str, FloatArray]:
+    """Every array that a snapshot hands out."""
+    arrays = {name: getattr(snapshot, name) for name in ("pose", "covariance", "segments", "plan")}
+    arrays |= {"grid.values": snapshot.grid.values, "grid.low": snapshot.grid.low}
+    for number, landmark in enumerate(snapshot.landmarks):
+        arrays |= {f"landmark {number} covariance": landmark.covariance, f"landmark {number} ends": landmark.ends}
+    return arrays
+
+
+def after(recording: Recording, steps: int = 250) -> LimSlamAgent:
+    agent = fresh(recording)
+    for observation in recording[1][:steps]:
+        agent.act(observation)
+    assert len(agent.snapshot().segments) >= 2
+    assert len(agent.snapshot().plan) >= 2
+    return agent
+
+
+def test_a_snapshot_tells_what_the_agent_believes(recording: Recording) -> None:
+    agent = after(recording)
+    snapshot = agent.snapshot()
+    np.testing.assert_array_equal(snapshot.pose, agent.slam.pose)
+    np.testing.assert_array_equal(snapshot.covariance, agent.slam.covariance)
+    np.testing.assert_array_equal(snapshot.segments, agent.slam.segments)
+    assert len(snapshot.landmarks) == len(snapshot.segments)
+    assert snapshot.grid.free.any()
+    assert snapshot.grid.occupied.any()
+    # The plan begins near the robot and leads over ground that is free.
+    assert np.hypot(*(snapshot.plan[0] - snapshot.pose[:2])) < 0.3
+    cells = snapshot.grid.cells(snapshot.plan[1:])
+    assert snapshot.grid.free[cells[:, 0], cells[:, 1]].all()
+
+
+@pytest.mark.parametrize("part", ["pose", "covariance", "segments", "plan", "grid", "landmark"])
+def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(recording: Recording, part: str) -> None:
+    agent = after(recording)
+    snapshot, before = agent.snapshot(), {k: np.array(v) for k, v in arrays_of(agent.snapshot()).items()}
+    for name, array in arrays_of(snapshot).items():
+        if name.startswith(part) and array.flags.writeable:
+            np.add(array, 3, out=array)
+    for name, array in arrays_of(agent.snapshot()).items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+    assert np.array([agent.act(o) for o in recording[1][250:300]]).tobytes() == recording[2][250:300].tobytes()
+
+
+@pytest.mark.parametrize("part", ["pose", "covariance", "segments", "plan", "grid", "landmark"])
+def test_a_snapshot_keeps_its_moment_while_the_agent_goes_on(recording: Recording, part: str) -> None:
+    agent = after(recording)
+    snapshot = agent.snapshot()
+    before = {name: np.array(array) for name, array in arrays_of(snapshot).items()}
+    for observation in recording[1][250:300]:
+        agent.act(observation)
+    for name, array in arrays_of(snapshot).items():
+        if name.startswith(part):
+            np.testing.assert_array_equal(array, before[name], err_msg=name)
+
+
+class Stopper:
+    """A policy that wants nothing."""
+
+    stop_reason: str | None = "enough"
+    plan = np.zeros((0, 2))
+
+    def act(self, _belief: object) -> FloatArray:
+        return np.zeros(2)
+
+
+def test_the_policy_says_when_it_is_done_and_why(recording: Recording) -> None:
+    agent = fresh(recording)
+    agent.act(recording[1][0])
+    assert not agent.done
+    assert agent.stop_reason is None
+    stopped = LimSlamAgent(ROBOT, CONFIG, Stopper())
+    assert stopped.done
+    assert stopped.stop_reason == "enough"
+
+
+def enclosed(count: int) -> list[Observation]:
+    """A robot in a closet: every beam reads 0.1 m while it turns on the spot by 20 degrees a step."""
+    travel = 0.5 * ROBOT.axle * np.radians(20.0)
+    return [
+        {"ranges": np.full(6, 0.1, dtype=np.float32), "wheels": np.float32([-travel, travel])} for _ in range(count)
+    ]
+
+
+def driven_until_done() -> tuple[LimSlamAgent, FloatArray]:
+    """An agent that has nowhere to go, and its last action."""
+    agent = LimSlamAgent(ROBOT, CONFIG)
+    for observation in enclosed(400):
+        action = agent.act(observation)
+        if agent.done:
+            break
+    return agent, action
+
+
+def test_with_nowhere_to_go_it_stops_says_why_and_stands() -> None:
+    agent, action = driven_until_done()
+    assert agent.done
+    assert agent.stop_reason is not None
+    assert agent.stop_reason.startswith("explored")
+    np.testing.assert_array_equal(action, [0.0, 0.0])
+    np.testing.assert_array_equal(agent.act(enclosed(1)[0]), [0.0, 0.0])
+
+
+def test_what_a_caller_does_to_an_action_does_not_change_the_next() -> None:
+    # Clipping or scaling an action in place is common; a robot that is to stand must still stand.
+    agent, action = driven_until_done()
+    if not action.flags.writeable:
+        return
+    action += 0.5
+    try:
+        np.testing.assert_array_equal(agent.act(enclosed(1)[0]), [0.0, 0.0])
+    finally:
+        action -= 0.5
+
+
+def test_a_refused_observation_is_an_error_the_caller_sees(recording: Recording) -> None:
+    agent = fresh(recording)
+    with pytest.raises(ValueError, match="wheels"):
+        agent.act({"ranges": np.ones(6), "wheels": np.array([np.nan, 0.0])})
+    with pytest.raises(ValueError, match="ranges"):
+        agent.act({"ranges": np.ones(4), "wheels": np.zeros(2)})

@@ -1,0 +1,184 @@
+"""SlamObservation: what a robot believes, told to learning agents, and nothing that is true besides the start."""
+
+import math
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import limslam_env  # noqa: F401 (registers the ids)
+from limslam_agent.config.presets import AgentConfig, GridConfig, preset
+from limslam_agent.wrappers.single import FREE, OCCUPIED, UNKNOWN, SlamObservation
+from limslam_env.envs.env import LimSlamEnv
+from limslam_env.envs.wrappers import NormalizedObservation, PrivilegedLocalMap
+from limslam_env.geometry.se2 import between
+from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
+
+ACTIONS = [*[(0.6, 0.6)] * 25, *[(-0.4, 0.4)] * 10, *[(0.5, 0.6)] * 25]
+
+
+def driven(env: gym.Env[Any, Any], seed: int = 100) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Observations and infos of a short drive."""
+    observation, info = env.reset(seed=seed)
+    observations, infos = [observation], [info]
+    for action in ACTIONS:
+        observation, _, _, _, info = env.step(np.array(action))
+        observations.append(observation)
+        infos.append(info)
+    return observations, infos
+
+
+def test_it_satisfies_the_checker() -> None:
+    with warnings.catch_warnings():
+        # The checker wants bare environments; what it checks is what matters here.
+        warnings.filterwarnings("ignore", message=".*unwrapped.*")
+        check_env(SlamObservation(LimSlamEnv("env1")), skip_render_check=True)
+
+
+def test_every_observation_lies_in_the_space_whose_bounds_are_finite() -> None:
+    env = SlamObservation(gym.make("LimSlam-Env2-v0", sensor_noise=0.04))
+    for box in env.observation_space.spaces.values():
+        assert np.isfinite(box.low).all()
+        assert np.isfinite(box.high).all()
+    observations, _ = driven(env)
+    assert all(env.observation_space.contains(observation) for observation in observations)
+    assert set(observations[0]) == {"pose", "covariance", "grid", "ranges"}
+
+
+def test_the_pose_is_told_as_seen_from_the_start() -> None:
+    env = SlamObservation(LimSlamEnv("env1"), preset("paper"))
+    observations, infos = driven(env)
+    np.testing.assert_array_equal(observations[0]["pose"], np.zeros(3))
+    true = np.array([between(infos[0]["pose"], info["pose"]) for info in infos])
+    told = np.array([observation["pose"] for observation in observations])
+    assert np.hypot(*true[-1, :2]) > 0.5
+    # Believed, so near the truth, and not the truth.
+    assert np.abs(told - true)[:, :2].max() < 0.1
+    assert np.abs(told - true).max() > 1e-4
+
+
+def test_the_covariance_grows_from_nothing_and_is_one() -> None:
+    observations, _ = driven(SlamObservation(LimSlamEnv("env1")))
+    np.testing.assert_allclose(observations[0]["covariance"], np.zeros(6), atol=1e-9)
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = observations[20]["covariance"]
+    matrix += np.triu(matrix, 1).T
+    assert np.linalg.eigvalsh(matrix).min() > 0.0
+
+
+class FalseInfo(gym.Wrapper[Any, Any, Any, Any]):
+    """Lies about everything that is true, once the episode has begun."""
+
+    def step(self, action: Any) -> Any:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        info["pose"][:] = 1e3
+        return observation, reward, terminated, truncated, {**info, "coverage": -1.0, "wall_seen": None}
+
+
+def test_nothing_true_goes_in_after_the_start() -> None:
+    honest, _ = driven(SlamObservation(LimSlamEnv("env1", sensor_noise=0.02)))
+    lied_to, _ = driven(SlamObservation(FalseInfo(LimSlamEnv("env1", sensor_noise=0.02))))
+    for one, other in zip(honest, lied_to, strict=True):
+        for key, value in one.items():
+            np.testing.assert_array_equal(value, other[key])
+
+
+def test_altering_the_first_info_afterwards_changes_nothing() -> None:
+    env = SlamObservation(LimSlamEnv("env1"))
+    expected, _ = driven(env)
+    _, info = env.reset(seed=100)
+    info["pose"][:] = 77.0
+    for action, before in zip(ACTIONS, expected[1:], strict=True):
+        observation = env.step(np.array(action))[0]
+        np.testing.assert_array_equal(observation["pose"], before["pose"])
+        np.testing.assert_array_equal(observation["grid"], before["grid"])
+
+
+def test_a_reset_forgets_everything() -> None:
+    env = SlamObservation(LimSlamEnv("env1", sensor_noise=0.02))
+    first, _ = driven(env)
+    driven(env, seed=101)
+    again, _ = driven(env)
+    for one, other in zip(first, again, strict=True):
+        for key, value in one.items():
+            np.testing.assert_array_equal(value, other[key])
+
+
+def test_observations_are_arrays_of_their_own() -> None:
+    env = SlamObservation(LimSlamEnv("env1"))
+    observation, _ = env.reset(seed=100)
+    kept = {key: value.copy() for key, value in observation.items()}
+    for value in env.step(np.array([0.5, 0.5]))[0].values():
+        value[...] = 1
+    for key, value in observation.items():
+        np.testing.assert_array_equal(value, kept[key])
+
+
+def grid_from(start: tuple[float, float, float], turns: int = 0, size: int = 41) -> np.ndarray:
+    """The grid after turning on the spot at a start in Env1."""
+    env = SlamObservation(LimSlamEnv("env1"), size=size)
+    observation, _ = env.reset(seed=100, options={"start": start})
+    for _ in range(turns):
+        observation = env.step(np.array([-0.4, 0.4]))[0]
+    return observation["grid"][0]
+
+
+def test_the_robot_is_in_the_middle_and_looks_up() -> None:
+    # One metre from the wall on the right, in the middle of a cell.
+    grid = grid_from((3.45, 1.05, 0.0))
+    assert grid.shape == (41, 41)
+    assert grid[20, 20] == FREE
+    assert set(np.unique(grid)) == {UNKNOWN, FREE, OCCUPIED}
+    # The beam at -90 degrees runs to the right, and ends in the wall.
+    assert (grid[20, 21:28] == FREE).all()
+    assert OCCUPIED in grid[20, 29:32]
+    assert (grid[20, 32:] == UNKNOWN).all()
+    # The beams at 15 degrees lead up and a little to both sides; behind the robot nothing is known.
+    assert (grid[8, 22:26] == FREE).any()
+    assert (grid[8, 15:19] == FREE).any()
+    assert (grid[23:] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize("heading_deg", [90.0, 180.0, -90.0])
+def test_the_picture_turns_with_the_robot(heading_deg: float) -> None:
+    # Env1 looks the same after a quarter turn about (3.5, 3.5); cells at their edges may fall to either side.
+    start, turn = np.array([3.43, 1.03]) - 3.5, math.radians(heading_deg)
+    x, y = 3.5 + start @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    upright, turned = grid_from((3.43, 1.03, 0.0), 40), grid_from((x, y, turn), 40)
+    assert (upright == turned).mean() > 0.9
+    assert (np.rot90(upright) == turned).mean() < 0.9
+
+
+def test_cells_and_size_are_settings() -> None:
+    config = AgentConfig(noise=NominalNoise(0.02), grid=GridConfig(cell=0.2))
+    env = SlamObservation(LimSlamEnv("env1"), config, size=7)
+    grid = env.reset(seed=100, options={"start": (3.4, 1.0, 0.0)})[0]["grid"]
+    assert grid.shape == (1, 7, 7)
+    # The wall one metre away lies outside.
+    assert OCCUPIED not in grid
+
+
+def test_other_robots_have_other_ranges() -> None:
+    robot = RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.10, max_range=3.0))
+    env = SlamObservation(LimSlamEnv("env1", robot=robot))
+    assert env.reset(seed=100)[0]["ranges"].shape == (3,)
+
+
+def test_what_cannot_be_wrapped_is_refused() -> None:
+    with pytest.raises(ValueError, match="a grid needs at least one cell, not 0"):
+        SlamObservation(LimSlamEnv("env1"), size=0)
+    with pytest.raises(ValueError, match="ranges must be those of the robot"):
+        SlamObservation(NormalizedObservation(LimSlamEnv("env1")))
+    with pytest.raises(ValueError, match="does not tell what its robot is"):
+        SlamObservation(gym.make("CartPole-v1"))
+    with pytest.raises(ValueError, match="must hold ranges and wheels"):
+        SlamObservation(gym.wrappers.FlattenObservation(LimSlamEnv("env1")))
+
+
+def test_the_values_are_those_of_the_privileged_map() -> None:
+    env = PrivilegedLocalMap(LimSlamEnv("env1"), size=20)
+    values = set(np.unique(driven(env)[0][-1]["local_map"]))
+    assert values == {UNKNOWN, FREE, OCCUPIED}

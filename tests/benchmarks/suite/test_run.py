@@ -1,0 +1,302 @@
+"""Suites that run: the same numbers whoever does the jobs, nothing lost to a kill, one job's death its own."""
+
+import json
+import multiprocessing
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import benchmark_work
+
+from benchmarks.__main__ import main
+from benchmarks.analysis import plots, report, tables
+from benchmarks.suite.engines import ONE_THREAD, ProcessEngine
+from benchmarks.suite.jobs import Failure, Job
+from benchmarks.suite.provenance import commit, package_versions, work_alike
+from benchmarks.suite.ray_engine import RayEngine
+from benchmarks.suite.runner import run_suite
+from benchmarks.suite.store import RESULTS, STAMP, read_rows
+from benchmarks.suite.suite import Suite, parse_suite
+
+TINY = """
+name = "tiny"
+description = "Few and short, and a bit of everything."
+
+[[grid]]
+worlds = ["env1", "random:3"]
+noises = [0.0, 0.02]
+robots = [1, 2]
+seeds = [0]
+max_time = 4.0
+
+[[grid]]
+worlds = ["square"]
+noises = [0.02]
+laps = [1]
+seeds = [0, 1]
+max_time = 10.0
+
+[[grid]]
+worlds = ["env2"]
+noises = [0.02]
+presets = ["odometry"]
+policies = ["random", "wall_follower"]
+seeds = [0]
+max_time = 4.0
+"""
+KILLS, SEED = 5, 20160704
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    return parse_suite(TINY, "tiny.toml")
+
+
+@pytest.fixture(scope="module")
+def rows(tiny, tmp_path_factory):
+    """What one process makes of the tiny suite, never killed."""
+    folder = tmp_path_factory.mktemp("unkilled") / "out"
+    summary = run_suite(tiny, folder, ProcessEngine(1, 300.0))
+    assert (summary.done, summary.before, summary.failures) == (len(tiny.jobs), 0, ())
+    return comparable(folder)
+
+
+@pytest.fixture
+def ray_finds_the_tests(monkeypatch):
+    """Ray's workers are other programs: they are told where the tests' modules are."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(benchmark_work.__file__).parent), prepend=os.pathsep)
+
+
+def comparable(folder):
+    """Rows by key without their cost, and their series."""
+    rows = {}
+    for row in read_rows(folder):
+        assert row.key not in rows, "nothing is done twice"
+        with np.load(folder / row.series) as series:
+            arrays = {name: (array.shape, array.tobytes()) for name, array in series.items()}
+        rows[row.key] = replace(row, cost={}), arrays
+    return rows
+
+
+def command(suite, out, *more):
+    return [
+        sys.executable,
+        "-m",
+        "benchmarks",
+        "run",
+        "--suite",
+        str(suite),
+        "--out",
+        str(out),
+        "--workers",
+        "2",
+        *more,
+    ]
+
+
+def count_lines(path):
+    return path.read_bytes().count(b"\n") if path.is_file() else 0
+
+
+def await_end_of_group(group):
+    """Wait until no process of a group is left; a test that waits in vain fails."""
+    deadline = time.monotonic() + 20.0
+    with suppress(ProcessLookupError):
+        while time.monotonic() < deadline:
+            os.killpg(group, 0)
+            time.sleep(0.05)
+        os.killpg(group, signal.SIGKILL)
+        pytest.fail("workers have outlived the run that started them")
+
+
+def test_rows_hold_metrics_series_and_what_made_them(rows, tiny):
+    assert rows.keys() == {job.key for job in tiny.jobs}
+    for row, series in rows.values():
+        assert row.error is None
+        assert row.metrics["ate_m"] >= 0.0
+        assert row.versions == package_versions()
+        assert row.commit == commit()
+        assert len(row.config) == 16
+        steps = series["time"][0][0]
+        for name in ("true", "estimated", "odometry", "sigma"):
+            assert series[name][0] == (steps, row.robots, 3)
+        assert series["coverage"][0] == (steps,)
+        assert series["edges"][0][1] == 4
+    assert len({row.config for row, _ in rows.values()}) == 6, "one for each world, noise and preset"
+
+
+@pytest.mark.parametrize("engine", [ProcessEngine(2, 300.0), RayEngine(1, 300.0), RayEngine(2, 300.0)], ids=str)
+def test_every_engine_and_any_number_of_workers_give_the_same_to_the_bit(engine, rows, tiny, tmp_path):
+    summary = run_suite(tiny, tmp_path, engine)
+    assert summary.failures == ()
+    assert comparable(tmp_path) == rows
+
+
+def test_killed_at_five_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_path):
+    draw = np.random.default_rng(SEED)
+    suite, out = tmp_path / "tiny.toml", tmp_path / "out"
+    suite.write_text(TINY)
+    for _ in range(KILLS):
+        # Counted in rows and not in seconds alone, so that slow machines and fast ones are killed in their work.
+        enough = count_lines(out / RESULTS) + int(draw.integers(3))
+        run = subprocess.Popen(command(suite, out), stderr=subprocess.PIPE, start_new_session=True)
+        while run.poll() is None and (count_lines(out / RESULTS) < enough or not (out / STAMP).is_file()):
+            time.sleep(0.01)
+        time.sleep(draw.uniform(0.0, 0.4))
+        run.kill()
+        _, err = run.communicate()
+        await_end_of_group(run.pid)
+        assert run.returncode == -signal.SIGKILL, err.decode()
+    before = count_lines(out / RESULTS)
+    done = subprocess.run(command(suite, out), capture_output=True, text=True, check=True)
+    assert f"{len(rows)} of {len(rows)} jobs done, {before} of them before, 0 failed" in done.stdout
+    assert comparable(out) == rows
+
+
+def test_ctrl_c_keeps_what_is_done_and_ends_with_130(tmp_path):
+    suite, out = tmp_path / "tiny.toml", tmp_path / "out"
+    suite.write_text(TINY)
+    run = subprocess.Popen(command(suite, out), stderr=subprocess.PIPE, start_new_session=True)
+    while run.poll() is None and count_lines(out / RESULTS) < 1:
+        time.sleep(0.01)
+    os.killpg(run.pid, signal.SIGINT)
+    _, err = run.communicate(timeout=30.0)
+    await_end_of_group(run.pid)
+    assert run.returncode == 130
+    assert err.decode() == "benchmarks: stopped; what is done is kept, and the same command goes on\n"
+    assert len(comparable(out)) >= 1
+
+
+TROUBLED = [Job("env1", 0.0, seed=seed) for seed in range(7)]
+REASONS = {
+    ProcessEngine: {
+        benchmark_work.RAISES: "ArithmeticError: two lines",
+        benchmark_work.KILLED: "its worker was killed by SIGKILL (out of memory?)",
+        benchmark_work.EXITS: "its worker ended with exit code 7",
+        benchmark_work.HANGS: "time-out: not done after 15 s",
+    },
+    RayEngine: {
+        benchmark_work.RAISES: "ArithmeticError: two lines",
+        benchmark_work.KILLED: "WorkerCrashedError: The worker died unexpectedly while executing this task.",
+        benchmark_work.EXITS: "WorkerCrashedError: The worker died unexpectedly while executing this task.",
+        benchmark_work.HANGS: "time-out: not done after 15 s",
+    },
+}
+
+
+@pytest.mark.parametrize("engine", [ProcessEngine(2, 15.0), RayEngine(2, 15.0)], ids=str)
+@pytest.mark.usefixtures("ray_finds_the_tests")
+def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(engine, tmp_path):
+    suite, before = Suite("troubled", "", tuple(TROUBLED), "d"), {name: os.environ.get(name) for name in ONE_THREAD}
+    summary = run_suite(suite, tmp_path, engine, work=benchmark_work.troubled)
+    rows = {row.seed: row for row in read_rows(tmp_path)}
+    assert rows.keys() == {job.seed for job in TROUBLED}
+    reasons = {seed: row.error for seed, row in rows.items() if row.error is not None}
+    assert reasons.keys() == REASONS[type(engine)].keys()
+    for seed, reason in REASONS[type(engine)].items():
+        assert reasons[seed].startswith(reason)
+        assert "\n" not in reasons[seed]
+    assert dict(summary.failures) == {TROUBLED[seed].title: reason for seed, reason in reasons.items()}
+    one_thread = {**ONE_THREAD, "cv2": 1}
+    well = {seed: row.metrics for seed, row in rows.items() if row.error is None}
+    assert well == {seed: {"seed": seed, **one_thread} for seed in (0, 5, 6)}
+    assert {name: os.environ.get(name) for name in ONE_THREAD} == before, "what is set for workers stays with them"
+
+
+def test_workers_end_when_nobody_listens():
+    with closing(ProcessEngine(2, 60.0).run(TROUBLED, benchmark_work.outcome)) as results:
+        assert not isinstance(next(results)[1], Failure)
+        assert multiprocessing.active_children()
+    assert not multiprocessing.active_children()
+
+
+def test_failed_jobs_are_done_again_only_when_asked_for(tmp_path):
+    suite = Suite("troubled", "", tuple(TROUBLED[:2]), "d")
+    engine = ProcessEngine(1, 60.0)
+    assert len(run_suite(suite, tmp_path, engine, work=benchmark_work.troubled).failures) == 1
+    again = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome)
+    assert (again.before, len(again.failures)) == (2, 1)
+    retried = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome, retry_failed=True)
+    assert (retried.done, retried.before, retried.failures) == (2, 1, ())
+
+
+def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
+    (tmp_path / "tiny.toml").write_text(TINY)
+    hasty = command(tmp_path / "tiny.toml", tmp_path / "out", "--timeout", "0.01")
+    done = subprocess.run(hasty, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "failed: env1, 0 cm, paper, frontier, seed 0: time-out: not done after 0.01 s" in done.stderr
+    assert "12 of 12 jobs done, 12 failed" in done.stdout
+    assert all(row.error for row in read_rows(tmp_path / "out"))
+
+
+@pytest.fixture
+def results(tmp_path):
+    """A folder with the results of a suite of well jobs."""
+    suite = Suite("well", "", tuple(TROUBLED[:2]), "d")
+    run_suite(suite, tmp_path / "out", ProcessEngine(1, 60.0), work=benchmark_work.outcome)
+    return tmp_path / "out"
+
+
+def call(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["benchmarks", *map(str, arguments)])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest's own answers stay
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+def test_the_command_tabulates(results, monkeypatch, capsys, tmp_path):
+    for latex in (False, True):
+        expected = tables.table(read_rows(results), latex=latex)
+        assert call(monkeypatch, "table", results, *["--latex"] * latex) == 0
+        assert capsys.readouterr().out == expected.rstrip("\n") + "\n"
+        assert call(monkeypatch, "table", results, *["--latex"] * latex, "--out", tmp_path / "table") == 0
+        assert (tmp_path / "table").read_text() == expected
+        assert capsys.readouterr().out == f"table       {tmp_path}/table\n"
+
+
+def test_the_command_plots_and_reports(results, monkeypatch, capsys):
+    monkeypatch.setattr(plots, "plot", lambda folder, out, svg: [out / f"of-{folder.name}.{'svg' if svg else 'png'}"])
+    monkeypatch.setattr(report, "report", lambda folder, out: out.with_name(f"{folder.name}-{out.name}"))
+    assert call(monkeypatch, "plot", results) == 0
+    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.png\n"
+    assert call(monkeypatch, "plot", results, "--svg") == 0
+    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.svg\n"
+    assert call(monkeypatch, "report", results, "--out", results / "page.html") == 0
+    assert capsys.readouterr().out == f"report      {results}/out-page.html\n"
+
+
+def test_results_that_are_not_there_are_refused(monkeypatch, capsys, tmp_path):
+    for name in ("table", "plot", "report"):
+        assert call(monkeypatch, name, tmp_path / "nothing") == 2
+        assert capsys.readouterr().err.startswith("benchmarks: ")
+
+
+def test_a_cluster_that_is_not_there_is_refused_at_once():
+    with socket.socket() as nobody:  # bound, so that the port is nobody else's, and deaf
+        nobody.bind(("127.0.0.1", 0))
+        address = "127.0.0.1:{1}".format(*nobody.getsockname())
+        with pytest.raises(ValueError, match=rf"--address {address}: no Ray cluster answers there"):
+            next(RayEngine(2, 60.0, address).run(TROUBLED, benchmark_work.outcome))
+
+
+def test_a_worker_of_other_versions_is_refused():
+    versions = {**package_versions(), "numpy": "1.0"}
+    with pytest.raises(ValueError, match=r"this worker has other versions: numpy 1.0, now"):
+        work_alike(benchmark_work.outcome, versions, TROUBLED[0])
+    assert work_alike(benchmark_work.outcome, package_versions(), TROUBLED[0]).config == "c0ffee"
+
+
+def test_the_stamp_names_suite_and_versions(tmp_path):
+    run_suite(Suite("one", "", (TROUBLED[0],), "d"), tmp_path, ProcessEngine(1, 60.0), work=benchmark_work.outcome)
+    stamp = json.loads((tmp_path / STAMP).read_text())
+    assert (stamp["suite"], stamp["digest"], stamp["jobs"], stamp["versions"]) == ("one", "d", 1, package_versions())

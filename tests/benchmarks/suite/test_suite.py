@@ -1,0 +1,249 @@
+"""Suite files: which jobs they make, and what is refused."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+from support.data import data_folder
+
+from benchmarks.__main__ import main
+from benchmarks.suite.jobs import LogSource
+from benchmarks.suite.suite import load_suite, parse_suite, shipped_suites
+from limslam_agent.config.ablations import ABLATIONS
+
+HEAD = 'name = "tiny"\ndescription = "A few."\n'
+GRID = HEAD + '[[grid]]\nworlds = ["env1"]\nnoises = [0.02]\nseeds = [0]\n'
+LOG = '[[log]]\nname = "fr079"\nfile = "fr079/fr079_raw.clf.gz"\nbeams = [90, -90]\n'
+WORLD = (
+    'name = "box"\nsize = [4, 3]\nwalls = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, {y}]]\n'
+    "starts = [[1.0, 1.0, 0.0]]\n"
+)
+
+
+def refusal(text):
+    with pytest.raises(ValueError) as caught:
+        parse_suite(text, "my.toml")
+    assert str(caught.value).startswith("my.toml: ")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_grid_is_a_product_with_defaults():
+    suite = parse_suite(
+        HEAD
+        + '[[grid]]\nworlds = ["env1", "env2"]\nnoises = [0, 0.02]\nrobots = [1, 2]\nseeds = {first = 3, count = 2}',
+        "my.toml",
+    )
+    assert len(suite.jobs) == 2 * 2 * 2 * 2
+    assert {(job.world, job.noise, job.robots, job.seed) for job in suite.jobs} == {
+        (world, noise, robots, seed) for world in ("env1", "env2") for noise in (0.0, 0.02) for robots in (1, 2)
+        for seed in (3, 4)
+    }  # fmt: skip
+    assert {(job.preset, job.policy, job.ablation, job.laps, job.max_time, job.limit) for job in suite.jobs} == {
+        ("paper", "frontier", None, 0, 1800.0, False)
+    }
+    assert all(isinstance(job.noise, float) for job in suite.jobs), "0 and 0.0 are one noise, and one key"
+
+
+def test_every_key_of_a_grid_reaches_the_jobs():
+    more = (
+        'presets = ["odometry"]\npolicies = ["random"]\nablations = ["none", "no-ekf"]\nmax_time = 60\nlimit = true\n'
+    )
+    jobs = parse_suite(GRID + more, "my.toml").jobs
+    assert [job.ablation for job in jobs] == [None, "no-ekf"]
+    assert {(job.preset, job.policy, job.max_time, job.limit) for job in jobs} == {("odometry", "random", 60.0, True)}
+
+
+def test_laps_are_called_laps_in_the_results():
+    (job,) = parse_suite(GRID.replace("env1", "square") + "laps = [4]\n", "my.toml").jobs
+    assert (job.identity["policy"], job.identity["laps"]) == ("laps", 4)
+
+
+def test_floor_plans_by_seed():
+    jobs = parse_suite(GRID.replace("env1", "random:8..11"), "my.toml").jobs
+    assert [job.world for job in jobs] == ["random:8", "random:9", "random:10", "random:11"]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("name = ", "not TOML"),
+        (GRID + "colour = 1\n", "[[grid]] 1: unknown key 'colour'"),
+        ("speed = 1\n" + GRID, "unknown key 'speed'"),
+        ('name = "tiny"\n', "the key 'description' is missing"),
+        (GRID.replace("seeds = [0]\n", ""), "[[grid]] 1: the key 'seeds' is missing"),
+        (GRID.replace('"tiny"', '"../tiny"'), "name: '../tiny'"),
+        (GRID.replace('"tiny"', "3"), "name: must be text"),
+        (HEAD, "holds no jobs"),
+        (HEAD + "grid = 3\n", "grid: must be tables"),
+        (GRID.replace("env1", "env9"), "[[grid]] 1: worlds: no world is called 'env9'"),
+        (GRID.replace("env1", "env9.toml"), "[[grid]] 1: worlds: env9.toml: no such file"),
+        (GRID.replace("env1", "random:x"), "[[grid]] 1: worlds: 'random:x' names no floor plan"),
+        (GRID.replace("env1", "random:9..3"), "[[grid]] 1: worlds: 'random:9..3' names no floor plans"),
+        (
+            GRID.replace("0.02", "-0.02"),
+            "[[grid]] 1: noises: noise (range_std) must be a number of 0 or more, not -0.02",
+        ),
+        (GRID.replace("0.02", "nan"), "[[grid]] 1: noises: must be a list of numbers"),
+        (GRID.replace("0.02", "true"), "[[grid]] 1: noises: must be a list of numbers"),
+        (GRID.replace("[0.02]", "0.02"), "[[grid]] 1: noises: must be a list of numbers"),
+        (GRID.replace("[0.02]", "[]"), "[[grid]] 1: noises: must be a list of numbers with at least one in it"),
+        (GRID + "presets = ['best']\n", "[[grid]] 1: presets: no preset is called 'best'"),
+        (GRID + "policies = ['best']\n", "[[grid]] 1: policies: no policy is called 'best'"),
+        (GRID + "ablations = ['all']\n", "[[grid]] 1: ablations: no ablation is called 'all'"),
+        (GRID + "robots = [0]\n", "[[grid]] 1: robots: there can be 1 to 8 robots, not 0"),
+        (GRID + "robots = [1.5]\n", "[[grid]] 1: robots: must be a list of whole numbers"),
+        (GRID + "laps = [-1]\n", "[[grid]] 1: laps: laps must be 0 or more, not -1"),
+        (GRID + "laps = [2]\nrobots = [2]\n", "[[grid]] 1: env1: laps are for one robot"),
+        (GRID.replace("env1", "random:1") + "laps = [2]\n", "[[grid]] 1: random:1: world"),
+        (GRID + "max_time = 0\n", "[[grid]] 1: max_time: the longest time must be above 0 s"),
+        (GRID + "max_time = '9'\n", "[[grid]] 1: max_time: must be number"),
+        (GRID + "limit = 1\n", "[[grid]] 1: limit: must be true or false"),
+        (GRID.replace("[0]", "[-1]"), "[[grid]] 1: seeds: a seed is 0 or more, not -1"),
+        (GRID.replace("[0]", "{first = 0, count = 0}"), "[[grid]] 1: seeds: first must be 0 or more, and count 1"),
+        (GRID.replace("[0]", "{first = 0}"), "[[grid]] 1: seeds: the key 'count' is missing"),
+        (GRID.replace("[0]", "{from = 0, count = 1}"), "[[grid]] 1: seeds: unknown key 'from'"),
+        (GRID.replace("[0]", "7"), "[[grid]] 1: seeds: must be a list of whole numbers"),
+        (GRID.replace("[0]", "[0, 0]"), "2 jobs are the same to the tables: env1, 2 cm, paper, frontier, seed 0"),
+        (GRID + GRID.removeprefix(HEAD) + "max_time = 9\n", "2 jobs are the same to the tables"),
+    ],
+)
+def test_what_is_wrong_is_refused_with_file_and_key(text, reason):
+    assert refusal(text).startswith(f"my.toml: {reason}")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ('colour = "red"', "unknown key 'colour'"),
+        ('relations = "fr079/none.gz"', "none.gz: no such file"),
+        ("max_range = 0", "max_range: must be above 0 m"),
+        ("odometry_bias = [1.0]", "odometry_bias: must be two numbers"),
+        ("odometry_bias = [1.0, 0.0]", "the scale must lie between"),
+        ("noises = [-1.0]", "noises: noise (range_std)"),
+        ('presets = ["best"]', "presets: no preset is called 'best'"),
+    ],
+)
+def test_what_is_wrong_with_a_log_is_refused(change, reason):
+    data_folder()
+    message = refusal(HEAD + LOG + change)
+    assert message.startswith("my.toml: [[log]] 1: ")
+    assert reason in message
+
+
+def test_logs_make_jobs():
+    data_folder()
+    jobs = parse_suite(HEAD + LOG + 'presets = ["paper", "odometry"]\nodometry_bias = [0.99, 1]\n', "my.toml").jobs
+    assert [(job.world, job.identity["policy"], job.preset) for job in jobs] == [
+        ("log:fr079", "replay", "paper"), ("log:fr079", "replay", "odometry"),
+    ]  # fmt: skip
+    assert jobs[0].log == LogSource("fr079", "fr079/fr079_raw.clf.gz", (90.0, -90.0), odometry_bias=(0.99, 1.0))
+
+
+def test_two_logs_of_one_name_are_refused():
+    data_folder()
+    assert "2 jobs are the same to the tables: log:fr079" in refusal(HEAD + LOG + LOG + "max_range = 5\n")
+
+
+@pytest.mark.parametrize("suite", ["plans", "real"])
+def test_without_the_data_folder_one_line_says_so(suite, monkeypatch, tmp_path):
+    monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(ValueError, match=rf"{suite}.toml: .*recorded data not found in .*nowhere: set LIMSLAM_DATA"):
+        load_suite(suite)
+
+
+def test_the_digest_knows_jobs_and_the_contents_of_worlds(tmp_path):
+    box = tmp_path / "box.toml"
+    box.write_text(WORLD.format(y=0))
+    text = GRID.replace("env1", str(box))
+    suites = [
+        parse_suite(each, "my.toml") for each in (text, text.replace("A few.", "Few."), text.replace("[0]", "[1]"))
+    ]
+    assert suites[0].digest == suites[1].digest != suites[2].digest
+    box.write_text(WORLD.format(y=0.5).replace("[0, 3, 0, 0.5]", "[0, 3, 0, 0.5], [0, 0.5, 0, 0]"))
+    assert parse_suite(text, "my.toml").digest != suites[0].digest
+
+
+def test_the_shipped_suites():
+    assert set(shipped_suites()) == {
+        "smoke", "paper", "consistent", "ablations", "limits", "noise", "random", "plans", "real", "explore",
+    }  # fmt: skip
+    for name in {*shipped_suites()} - {"plans", "real"}:
+        suite = load_suite(name)
+        assert suite.name == name
+        assert suite.description
+    assert len(load_suite("smoke").jobs) >= 12
+
+
+def test_the_suites_on_recorded_data():
+    data_folder()
+    assert {job.world.partition(":")[0] for job in load_suite("plans").jobs} == {"plan"}
+    assert {job.world for job in load_suite("real").jobs} >= {"log:fr079", "log:csail"}
+
+
+def test_the_papers_suite_is_the_papers_grid():
+    jobs = load_suite("paper").jobs
+    grid = [job for job in jobs if not job.laps]
+    assert {(job.world, job.noise, job.robots, job.seed) for job in grid} == {
+        (world, noise, robots, seed) for world in ("env1", "env2", "env3") for noise in (0.0, 0.02, 0.04)
+        for robots in (1, 2) for seed in range(10)
+    }  # fmt: skip
+    laps = [job for job in jobs if job.laps]
+    assert {(job.world, job.noise, job.laps, job.seed) for job in laps} == {
+        ("square", noise, 4, seed) for noise in (0.0, 0.02, 0.04) for seed in range(10)
+    }
+    assert len(grid) + len(laps) == 210
+
+
+def test_the_ablations_are_all_there():
+    assert {job.ablation for job in load_suite("ablations").jobs} == {None, *ABLATIONS}
+
+
+def test_no_such_suite(tmp_path):
+    with pytest.raises(ValueError, match=r"no suite is called 'papers'; there are ablations, .*smoke"):
+        load_suite("papers")
+    with pytest.raises(ValueError, match=r"my.toml: cannot be read: No such file"):
+        load_suite(str(tmp_path / "my.toml"))
+    (tmp_path / "my.toml").write_bytes(b"\xff")
+    with pytest.raises(ValueError, match=r"my.toml: cannot be read"):
+        load_suite(str(tmp_path / "my.toml"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--suite", "papers"], "no suite is called 'papers'"),
+        (["--suite", "smoke", "--address", "auto"], "--address goes with --engine ray"),
+        (["--suite", "smoke", "--timeout", "0"], "--timeout: a time above 0 s"),
+        (["--suite", "smoke", "--engine", "carrier-pigeon"], "carrier-pigeon"),
+        (["--suite", "smoke", "--workers", "0"], "--workers"),
+    ],
+)
+def test_bad_arguments_end_with_2_and_one_line(arguments, reason, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "run", *arguments])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest's own answers stay
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, err = capsys.readouterr()
+    assert (ended.value.code, out, len(err.splitlines())) == (2, "", 1)
+    assert reason in err
+
+
+def test_a_bad_suite_file_ends_with_2_and_one_line(tmp_path):
+    (tmp_path / "my.toml").write_text(GRID.replace("0.02", "-1"))
+    command = [sys.executable, "-m", "benchmarks", "run", "--suite", tmp_path / "my.toml", "--out", tmp_path / "out"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+    assert "my.toml: [[grid]] 1: noises: noise (range_std) must be a number of 0 or more, not -1" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_lists_the_jobs_and_runs_none(tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "benchmarks", "run", "--suite", "smoke", "--dry-run", "--out", out]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert lines[0] == load_suite("smoke").jobs[0].title
+    assert lines[-1] == f"smoke: {len(lines) - 1} jobs"
+    assert not out.exists()

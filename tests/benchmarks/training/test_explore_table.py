@@ -1,0 +1,48 @@
+"""The table and the figure of coverage over time."""
+
+import numpy as np
+import pytest
+
+from benchmarks.training.explore_table import Curves, curve_table, draw_curves
+
+TIME = np.arange(0.0, 241.0)
+
+
+def curves(speed, plans=8, collisions=0.0):
+    """Coverage grows steadily; the later a plan, the more slowly."""
+    pace = speed * (1.0 - 0.02 * np.arange(plans))
+    names = tuple(f"random:{number}" for number in range(plans))
+    return Curves(names, TIME, np.minimum(pace[:, None] * TIME, 1.0), np.full(plans, collisions))
+
+
+def test_times_and_gains_are_counted_by_plan():
+    found = {"frontier": curves(0.8 / 100.0), "learned": curves(0.8 / 50.0, collisions=0.5)}
+    text = curve_table(found)
+    frontier, learned = text.splitlines()[2:4]
+    assert frontier.startswith("| frontier, 0.2 m/s | 8 |")
+    assert learned.startswith("| PPO on belief | 8 |")
+    cells = [cell.strip() for cell in learned.split("|")]
+    assert cells[-2] == "0.50"
+    # 100 s / 0.93 and 50 s / 0.93 in the middle.
+    assert cells[-4].startswith("-5")
+    assert cells[-4].endswith("(8)")
+    assert cells[-5] == "100%"
+    assert frontier.count("| \N{EN DASH} |") == 1
+
+
+def test_what_was_never_covered_counts_as_later():
+    slow = curves(0.5 / 240.0)
+    assert (slow.times == 240.0).all()
+    assert "| > 240 | 0% |" in curve_table({"random": slow})
+
+
+def test_the_figure_is_written(tmp_path):
+    draw_curves({"frontier": curves(0.008), "learned": curves(0.012)}, tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_folders_without_explorations_are_refused(tmp_path):
+    from benchmarks.training.explore_table import read_curves
+
+    with pytest.raises(ValueError, match=r"no explorations|results"):
+        read_curves([tmp_path])

@@ -1,0 +1,80 @@
+"""The examples run as they stand."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.replay.replay import replay_log
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLE = EXAMPLES / "live_robot.py"
+# What no robot should have to carry.
+SIMULATOR = {
+    "pymunk",
+    "numba",
+    "pygame",
+    "limslam_env.worlds.world",
+    "limslam_env.simulation.simulation",
+    "limslam_env.envs.env",
+}
+
+
+@pytest.fixture(scope="module")
+def live_run(tmp_path_factory):
+    if not EXAMPLE.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    folder = tmp_path_factory.mktemp("live") / "room"
+    code = (
+        "import runpy, sys\n"
+        f"sys.argv = ['live_robot.py', '--steps', '230', '--out', {str(folder)!r}]\n"
+        f"runpy.run_path({str(EXAMPLE)!r}, run_name='__main__')\n"
+        f"print(sorted({SIMULATOR!r} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return folder, result.stdout.splitlines()
+
+
+def test_the_live_loop_maps_its_room_without_a_simulator(live_run):
+    folder, (said, loaded) = live_run
+    assert 150 < int(said.partition(" steps: ")[0]) <= 230
+    assert loaded == "[]"
+    assert {path.name for path in folder.iterdir()} == {"map.json", "map.pgm", "map.yaml", "log.csv"}
+    segments = np.array(json.loads((folder / "map.json").read_text())["segments"])
+    lengths = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
+    # A room of 3 x 2 m.
+    assert 4 <= len(segments) <= 6
+    assert 1.0 < np.sort(lengths)[0] < np.sort(lengths)[-1] < 3.2
+
+
+def test_its_log_can_be_replayed(live_run):
+    log = read_log(live_run[0] / "log.csv", None, 1.58)
+    assert len(log) > 150
+    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [90.0, 45.0, 15.0, -15.0, -45.0, -90.0])
+    from limslam_agent.config.presets import preset
+    from limslam_env.interface import NominalNoise
+
+    assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
+
+
+def test_the_live_loop_imports_the_mind_and_the_interface_alone():
+    if not EXAMPLE.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
+    ours = {line.split()[1] for line in lines if line.startswith(("import ", "from ")) and "limslam" in line}
+    assert all(name == "limslam_env.interface" or name.split(".")[0] == "limslam_agent" for name in ours)
+
+
+def test_a_policy_of_ones_own_is_scored_beside_the_explorer_in_fifteen_lines():
+    example = EXAMPLES / "evaluate_policy.py"
+    if not example.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    assert len([line for line in example.read_text(encoding="utf-8").splitlines() if line]) <= 15
+    result = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, check=True)
+    said = {words[0]: float(words[2]) for words in map(str.split, result.stdout.splitlines())}
+    assert set(said) == {"bounce", "frontier"}
+    assert 0.1 < said["bounce"] < said["frontier"]

@@ -1,0 +1,42 @@
+"""The examples for RL libraries run for a few hundred steps, where those libraries are."""
+
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+NEEDS = {
+    "rl_sb3": ["stable_baselines3"],
+    "rl_batch": ["stable_baselines3"],
+    "rl_recurrent": ["sb3_contrib"],
+    "rl_two_robots": ["stable_baselines3", "supersuit"],
+    "rl_cleanrl": ["torch"],
+    "rl_torchrl": ["torchrl"],
+}
+
+
+def test_no_example_is_left_out():
+    if not EXAMPLES.is_dir():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    assert {path.stem for path in EXAMPLES.glob("rl_*.py")} == set(NEEDS)
+
+
+@pytest.mark.parametrize("name", NEEDS)
+def test_it_learns_for_some_steps(name, tmp_path):
+    path = EXAMPLES / f"{name}.py"
+    if not path.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    if missing := [library for library in NEEDS[name] if find_spec(library) is None]:
+        pytest.skip(f"needs {', '.join(missing)}: pip install 'limslam[rl]', or TorchRL on its own")
+    few = ["--envs", "4"] if name == "rl_batch" else []
+    command = [sys.executable, str(path), "--steps", "256", *few]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    said = result.stdout.splitlines()[-1]
+    assert int(re.match(r"(\d+) steps: ", said)[1]) >= 128
+    assert float(re.search(r"(?:reward |: )(-?[\d.]+|nan)", said)[1]) or "nan" in said

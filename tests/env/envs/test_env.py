@@ -1,0 +1,794 @@
+"""The Gymnasium environment: its checker, the contracts of its docstring, refusals, and reproducibility."""
+
+import copy
+import hashlib
+import inspect
+import pickle
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import cv2
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import limslam_env
+from limslam_env.config import NoiseConfig, RewardConfig
+from limslam_env.envs.env import LimSlamEnv
+from limslam_env.envs.parallel_env import MAX_ROBOTS, LimSlamParallelEnv
+from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
+from limslam_env.worlds.world import WorldError
+
+ID = "LimSlam-Env1-v0"
+IDS = {
+    ID: {},
+    "LimSlam-Env2-v0": {},
+    "LimSlam-Env3-v0": {},
+    "LimSlam-World-v0": {"world": "square"},
+    "LimSlam-Random-v0": {},
+}
+AHEAD = np.array([1.0, 1.0], dtype=np.float32)
+EVERYTHING = NoiseConfig.sharp(
+    encoder_resolution=0.001,
+    wheel_mismatch=0.01,
+    axle_mismatch=(-0.05, 0.05),
+    slip_rate=2.0,
+    slip_share=(0.1, 0.9),
+)
+
+
+def table(section: str, of: type = LimSlamEnv) -> list[dict[str, str]]:
+    """The rows of the table in one section of a class docstring."""
+    documentation = inspect.getdoc(of)
+    body = documentation.split(f"## {section}\n", 1)[1].split("\n## ", 1)[0]
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in re.findall(r"^\|.*\|$", body, re.MULTILINE)]
+    head, ruler, *rest = rows
+    assert set("".join(ruler)) == {"-"}
+    return [dict(zip(head, row, strict=True)) for row in rest]
+
+
+def follow(env, actions, seed: int) -> list[np.ndarray]:
+    """Everything that an episode gives, one flat array a step."""
+    rows = [env.reset(seed=seed)]
+    rows += [(observation, info) for observation, _, _, _, info in map(env.step, actions)]
+    return [
+        np.concatenate((observation["ranges"], observation["wheels"], info["pose"], [info["coverage"], info["time"]]))
+        for observation, info in rows
+    ]
+
+
+def random_actions(count: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-1.0, 1.0, (count, 2)).astype(np.float32)
+
+
+def holding_actions(count: int, seed: int = 0) -> np.ndarray:
+    """Actions that are held for a while, so that the robot gets somewhere and meets walls."""
+    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (count // 25 + 1, 2))
+    return np.repeat(held, 25, axis=0)[:count].astype(np.float32)
+
+
+def bits(result: tuple) -> bytes:
+    """All that a reset or a step gives, to the last bit."""
+    parts = []
+    for part in result:
+        values = part.items() if isinstance(part, dict) else [("", part)]
+        parts += [key.encode() + np.asarray(value).tobytes() for key, value in values]
+    return b"|".join(parts)
+
+
+def episode_digest(name: str, seed: int) -> str:
+    """A name for everything that an episode gives; another process calls this, too."""
+    env = gym.make(name, noise=EVERYTHING, **IDS[name])
+    results = [env.reset(seed=seed), *(env.step(action) for action in holding_actions(400))]
+    return hashlib.sha256(b"".join(bits(result) for result in results)).hexdigest()
+
+
+@pytest.fixture
+def display(monkeypatch):
+    """A display that nobody sees."""
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame.display.quit()
+    yield pygame.display
+    pygame.display.quit()
+
+
+@pytest.mark.usefixtures("display")
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_finds_nothing_to_warn_of(name):
+    for arguments in ({"sensor_noise": 0.02}, {"noise": EVERYTHING, "render_mode": "rgb_array"}):
+        env = gym.make(name, **IDS[name], **arguments)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            # The windows of the human mode are opened, too.
+            check_env(env.unwrapped)
+        env.close()
+
+
+@pytest.mark.usefixtures("display")
+def test_gymnasium_finds_nothing_to_warn_of_in_the_human_mode():
+    env = gym.make(ID, render_mode="human")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
+def test_the_ids_are_registered_with_the_default_limit():
+    for name in IDS:
+        assert gym.spec(name).max_episode_steps == limslam_env.MAX_EPISODE_STEPS == 18_000
+    registered = {name for name in gym.registry if name.startswith("LimSlam")}
+    assert registered == set(IDS)
+
+
+@pytest.mark.parametrize(("name", "world"), [(ID, "env1"), ("LimSlam-Env2-v0", "env2"), ("LimSlam-Env3-v0", "env3")])
+def test_an_id_is_its_world(name, world):
+    env = gym.make(name)
+    _, info = env.reset(seed=0)
+    assert env.unwrapped.world == load_world(world)
+    np.testing.assert_array_equal(info["pose"], load_world(world).starts[0])
+
+
+def test_the_world_id_takes_a_name_a_path_or_a_world(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\nsize = [2, 2]\nwalls = [[0,0,2,0],[2,0,2,2],[2,2,0,2],[0,2,0,0]]', encoding="utf-8")
+    for source, name in (("square", "square"), (str(path), "mine"), (path, "mine"), (load_world("env1"), "env1")):
+        env = gym.make("LimSlam-World-v0", world=source).unwrapped
+        env.reset(seed=0)
+        assert env.world.name == name
+
+
+def test_observations_are_what_the_contract_says():
+    env = gym.make(ID, sensor_noise=0.04)
+    observation, _ = env.reset(seed=0)
+    for action in random_actions(50):
+        assert list(observation) == ["ranges", "wheels"]
+        assert observation["ranges"].shape == (6,)
+        assert observation["wheels"].shape == (2,)
+        assert observation["ranges"].dtype == observation["wheels"].dtype == np.float32
+        assert env.observation_space.contains(observation)
+        observation = env.step(action)[0]
+
+
+def test_info_is_what_the_contract_says():
+    env = gym.make(ID)
+    _, info = env.reset(seed=0)
+    np.testing.assert_array_equal(info["pose"], load_world("env1").starts[0])
+    assert info["time"] == 0.0
+    for step in range(1, 40):
+        assert set(info) == {"pose", "time", "coverage", "collision", "wall_seen"}
+        assert info["pose"].shape == (3,)
+        assert info["pose"].dtype == np.float64
+        assert type(info["time"]) is float
+        assert type(info["coverage"]) is float
+        assert 0.0 <= info["coverage"] <= 1.0
+        assert type(info["collision"]) is bool
+        assert info["wall_seen"].shape == (6,)
+        assert np.issubdtype(info["wall_seen"].dtype, np.integer)
+        assert (info["wall_seen"] >= -1).all()
+        assert (info["wall_seen"] < 16).all()
+        info = env.step(AHEAD)[4]
+        assert info["time"] == pytest.approx(0.1 * step)
+
+
+def test_every_array_is_fresh():
+    env = gym.make(ID)
+    results = [env.reset(seed=0), *((result[0], result[4]) for result in (env.step(AHEAD) for _ in range(3)))]
+    arrays = [
+        array for observation, info in results for array in (*observation.values(), info["pose"], info["wall_seen"])
+    ]
+    for number, array in enumerate(arrays):
+        assert not any(np.shares_memory(array, other) for other in arrays[:number])
+    # What a caller does to an answer must not reach the next one.
+    expected = follow(gym.make(ID), [AHEAD] * 5, seed=1)
+    env.reset(seed=1)
+    for row in expected[1:]:
+        observation, _, _, _, info = env.step(AHEAD)
+        np.testing.assert_array_equal(observation["ranges"], row[:6])
+        np.testing.assert_array_equal(info["pose"], row[8:11])
+        for array in (*observation.values(), info["pose"], info["wall_seen"]):
+            array[:] = 0
+
+
+def test_wall_seen_names_the_wall_that_the_range_ends_on():
+    env = gym.make(ID).unwrapped
+    robot, world = env.robot, env.world
+    _, info = env.reset(seed=0, options={"start": (3.2, 1.9, 0.0)})
+    hits = set()
+    for _ in range(60):
+        observation, _, _, _, info = env.step(np.array([0.6, 1.0]))
+        x, y, theta = info["pose"]
+        angles = theta + robot.beam_angles
+        ends = [x, y] + (robot.radius + observation["ranges"])[:, None] * np.column_stack(
+            (np.cos(angles), np.sin(angles))
+        )
+        for end, wall, reading in zip(ends, info["wall_seen"], observation["ranges"], strict=True):
+            assert (wall == -1) == (reading == np.float32(1.5))
+            if wall >= 0 and reading > 0.05:
+                x1, y1, x2, y2 = world.edges[wall]
+                off = abs((x2 - x1) * (end[1] - y1) - (y2 - y1) * (end[0] - x1)) / np.hypot(x2 - x1, y2 - y1)
+                assert off < 1e-6
+                hits.add(int(wall))
+    assert len(hits) >= 3
+    assert max(hits) >= 12, "an obstacle's edge is among them: they come after the walls"
+
+
+def test_the_episode_is_truncated_at_the_limit_given_to_make():
+    env = gym.make(ID, max_episode_steps=7)
+    env.reset(seed=0)
+    flags = [env.step(AHEAD)[2:4] for _ in range(7)]
+    assert flags == [(False, False)] * 6 + [(False, True)]
+
+
+def test_the_episode_terminates_at_the_coverage_goal():
+    env = gym.make(ID, coverage_goal=0.05)
+    _, info = env.reset(seed=0)
+    terminated, steps = False, 0
+    while not terminated:
+        assert info["coverage"] < 0.05
+        _, _, terminated, truncated, info = env.step(AHEAD)
+        assert type(terminated) is bool
+        assert not truncated
+        steps += 1
+    assert info["coverage"] >= 0.05
+    assert 1 < steps < 500
+
+
+def test_without_a_goal_nothing_terminates():
+    # A small room that is wholly seen after one turn.
+    robot = RobotSpec(beams=beams_on_rim(tuple(range(-180, 180, 5)), 0.10))
+    flags, coverage = {}, {}
+    for goal in (None, 1.0):
+        env = LimSlamEnv("square", robot=robot, coverage_goal=goal)
+        env.reset(seed=0, options={"world": small_room()})
+        results = [env.step((-0.3, 0.3)) for _ in range(60)]
+        flags[goal] = any(result[2] for result in results)
+        coverage[goal] = results[-1][4]["coverage"]
+    assert coverage == {None: 1.0, 1.0: 1.0}
+    assert flags == {None: False, 1.0: True}
+
+
+def small_room():
+    corners = np.array([[0.0, 0.0], [0.8, 0.0], [0.8, 0.8], [0.0, 0.8]])
+    walls = np.hstack((corners, np.roll(corners, -1, axis=0)))
+    return type(load_world("env1"))("small", (0.8, 0.8), walls, starts=np.array([[0.4, 0.4, 0.0]]))
+
+
+@pytest.mark.parametrize("goal", [0.0, -0.1, 1.1, float("nan")])
+def test_a_goal_that_cannot_be_is_refused(goal):
+    with pytest.raises(ValueError, match="coverage_goal"):
+        LimSlamEnv("env1", coverage_goal=goal)
+
+
+def test_the_reward_is_the_sum_of_its_pieces():
+    rewards = RewardConfig(new_area=2.0, step=-0.5, collision=-10.0)
+    env = LimSlamEnv("env1", rewards=rewards)
+    _, info = env.reset(seed=0, options={"start": (1.0, 3.0, np.pi)})
+    before, collisions = info["coverage"], set()
+    for _ in range(60):
+        _, reward, _, _, info = env.step(AHEAD)
+        assert type(reward) is float
+        new_area = (info["coverage"] - before) * 4500 * 0.01
+        assert reward == pytest.approx(2.0 * new_area - 0.5 - 10.0 * info["collision"], abs=1e-9)
+        before = info["coverage"]
+        collisions.add(info["collision"])
+    assert collisions == {True, False}
+
+
+def test_reset_takes_a_start():
+    env = gym.make(ID)
+    _, info = env.reset(seed=0, options={"start": (5.0, 1.9, -2.0)})
+    np.testing.assert_array_equal(info["pose"], [5.0, 1.9, -2.0])
+    _, info = env.reset(seed=0)
+    np.testing.assert_array_equal(info["pose"], load_world("env1").starts[0])
+
+
+def test_reset_moves_to_another_world_for_one_episode():
+    env = gym.make(ID)
+    _, info = env.reset(seed=0, options={"world": "square"})
+    assert env.unwrapped.world.name == "square"
+    np.testing.assert_array_equal(info["pose"], load_world("square").starts[0])
+    for _ in range(3):
+        env.step(AHEAD)
+    _, info = env.reset(seed=1)
+    assert env.unwrapped.world.name == "env1"
+    np.testing.assert_array_equal(info["pose"], load_world("env1").starts[0])
+    _, info = env.reset(options={"world": load_world("square"), "start": (1.0, 3.0, 0.0)})
+    np.testing.assert_array_equal(info["pose"], [1.0, 3.0, 0.0])
+    # Naming the own world is no move.
+    _, info = env.reset(options={"world": "env1"})
+    np.testing.assert_array_equal(info["pose"], load_world("env1").starts[0])
+
+
+def test_an_episode_elsewhere_leaves_no_trace():
+    env, fresh = (LimSlamEnv("env1", noise=EVERYTHING) for _ in range(2))
+    env.reset(seed=5, options={"world": "env3"})
+    for action in holding_actions(200):
+        env.step(action)
+    for one, other in zip(follow(env, holding_actions(100), 7), follow(fresh, holding_actions(100), 7), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("plan", ["random", FloorPlanConfig(width=6.0, height=(6.0, 7.0))], ids=["name", "config"])
+def test_reset_may_ask_for_a_floor_plan(plan):
+    env = LimSlamEnv("env1")
+    env.reset(seed=0, options={"world": plan})
+    first = env.world
+    assert first.name.startswith("random-")
+    env.reset(options={"world": plan})
+    assert env.world != first
+    env.reset(seed=0, options={"world": plan})
+    assert env.world == first
+    env.reset()
+    assert env.world.name == "env1"
+
+
+def test_the_random_id_draws_another_plan_at_each_reset():
+    env = gym.make("LimSlam-Random-v0").unwrapped
+    plans = []
+    for seed in (3, None, None):
+        _, info = env.reset(seed=seed)
+        assert env.world.free_space(env.robot.radius).region_of(info["pose"][:2]).any()
+        plans.append(env.world)
+    assert len({plan.digest for plan in plans}) == 3
+    again = gym.make("LimSlam-Random-v0").unwrapped
+    for seed, plan in zip((3, None, None), plans, strict=True):
+        again.reset(seed=seed)
+        assert again.world == plan
+
+
+def test_a_random_plan_is_driven_through_the_same_way_with_the_same_seed():
+    runs = [follow(gym.make("LimSlam-Random-v0", noise=EVERYTHING), holding_actions(200), seed) for seed in (3, 3, 4)]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0][0], runs[2][0])
+
+
+def test_a_plan_does_not_depend_on_the_noise_nor_on_what_was_before():
+    quiet, loud = LimSlamEnv("random"), LimSlamEnv("random", noise=EVERYTHING)
+    quiet.reset(seed=1)
+    for seed in (8, 9):
+        first, second = (env.reset(seed=seed)[1]["pose"] for env in (quiet, loud))
+        assert quiet.world == loud.world
+        np.testing.assert_array_equal(first, second)
+
+
+def test_plans_follow_the_measures_given():
+    env = gym.make("LimSlam-World-v0", world=FloorPlanConfig(width=(6.0, 6.5), height=7.0, obstacles=0.0)).unwrapped
+    widths = []
+    for seed in range(4):
+        env.reset(seed=seed)
+        widths.append(env.world.size[0])
+        assert env.world.size[1] == 7.0
+        assert env.world.obstacles == ()
+    assert min(widths) >= 6.0
+    assert max(widths) <= 6.5
+    assert len(set(widths)) > 1
+
+
+def test_the_random_id_takes_another_world_for_one_episode():
+    env = gym.make("LimSlam-Random-v0").unwrapped
+    env.reset(seed=0, options={"world": "env2"})
+    assert env.world.name == "env2"
+    env.reset()
+    assert env.world.name.startswith("random-")
+
+
+def test_there_is_no_floor_plan_before_the_first_reset():
+    env = LimSlamEnv("random", render_mode="rgb_array")
+    for ask in (lambda: env.world, lambda: env.seen, lambda: env.coverage_grid, lambda: env.step(AHEAD)):
+        with pytest.raises(gym.error.ResetNeeded):
+            ask()
+
+
+def test_plans_too_narrow_for_the_robot_are_refused_at_once():
+    with pytest.raises(ValueError, match="too narrow for a robot"):
+        LimSlamEnv(FloorPlanConfig(), robot=RobotSpec(radius=0.4))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "reason"),
+    [
+        ({"begin": (1, 1, 0)}, ValueError, "unknown reset option 'begin'"),
+        ({"start": (1.0, 1.0)}, ValueError, "start"),
+        ({"start": "corner"}, ValueError, None),
+        ({"start": (3.5, 3.5, 0.0)}, WorldError, "inside an obstacle"),
+        ({"start": (0.01, 3.0, 0.0)}, WorldError, "from a wall"),
+        ({"start": (float("nan"), 3.0, 0.0)}, WorldError, "finite"),
+        ({"start": (20.0, 20.0, 0.0)}, WorldError, "outside|closed"),
+        ({"world": "nowhere"}, WorldError, "no world is called"),
+    ],
+)
+def test_a_reset_option_that_cannot_be_is_refused(options, error, reason):
+    env = LimSlamEnv("env1")
+    with pytest.raises(error, match=reason):
+        env.reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"world": "square", "start": (3.5, 3.5, 0.0)},
+        {"world": "nowhere"},
+        {"start": (3.5, 3.5, 0.0)},
+        {"start": (1.0, 1.0)},
+        {"begin": 0},
+    ],
+)
+def test_a_refused_reset_leaves_the_episode_as_it_was(options):
+    refused, plain = (LimSlamEnv("env1", noise=EVERYTHING) for _ in range(2))
+    for env in (refused, plain):
+        env.reset(seed=0)
+        env.step(AHEAD)
+    with pytest.raises(ValueError):
+        refused.reset(options=options)
+    for action in random_actions(10):
+        assert bits(refused.step(action)) == bits(plain.step(action))
+
+
+def test_a_first_reset_that_is_refused_is_no_reset():
+    env = LimSlamEnv("env1")
+    with pytest.raises(WorldError):
+        env.reset(seed=0, options={"start": (3.5, 3.5, 0.0)})
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(AHEAD)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go", [[0.0], [0.0, 1.0]]],
+)
+def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
+    env = LimSlamEnv("env1")
+    env.reset(seed=0)
+    with pytest.raises(ValueError):
+        env.step(action)
+    # A refusal moves nothing.
+    assert env.step(AHEAD)[4]["time"] == pytest.approx(0.1)
+
+
+def test_actions_out_of_range_are_clipped():
+    wild, clipped = LimSlamEnv("env1"), LimSlamEnv("env1")
+    actions = 4.0 * random_actions(60)
+    assert (np.abs(actions) > 1.0).any()
+    for one, other in zip(follow(wild, actions, 3), follow(clipped, np.clip(actions, -1.0, 1.0), 3), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("huge", [1e30, 1.7e308])
+def test_huge_actions_are_clipped_like_others(huge):
+    # Each number is finite: only their sum is not.
+    for wild, tame in (([huge, huge], [1.0, 1.0]), ([-huge, huge], [-1.0, 1.0]), ([huge, 0.2], [1.0, 0.2])):
+        np.testing.assert_array_equal(
+            follow(LimSlamEnv("env1"), [np.array(wild)] * 3, 3), follow(LimSlamEnv("env1"), [np.array(tame)] * 3, 3)
+        )
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.float16, np.int64, int])
+def test_actions_may_be_of_any_kind_of_number(kind):
+    actions = np.tile([1, 0], (5, 1))
+    np.testing.assert_array_equal(
+        follow(LimSlamEnv("env1"), actions.astype(kind), 3), follow(LimSlamEnv("env1"), actions.astype(float), 3)
+    )
+
+
+def test_actions_may_be_plain_lists():
+    lists, arrays = (
+        follow(LimSlamEnv("env1"), actions, 3) for actions in ([[0.5, 1.0]] * 5, np.tile([0.5, 1.0], (5, 1)))
+    )
+    np.testing.assert_array_equal(lists, arrays)
+
+
+def test_a_step_before_reset_is_refused():
+    with pytest.raises(gym.error.ResetNeeded):
+        LimSlamEnv("env1").step(AHEAD)
+
+
+def test_close_may_be_called_twice_and_before_reset():
+    env = LimSlamEnv("env1", render_mode="rgb_array")
+    env.close()
+    env.close()
+    made = gym.make(ID)
+    made.reset(seed=0)
+    made.close()
+    made.close()
+
+
+def test_spaces_are_the_same_objects_at_each_call():
+    env = LimSlamEnv("env1")
+    spaces = env.action_space, env.observation_space
+    env.reset(seed=0)
+    env.step(AHEAD)
+    assert env.action_space is spaces[0]
+    assert env.observation_space is spaces[1]
+
+
+def test_space_bounds_are_finite_and_those_of_the_robot():
+    env = LimSlamEnv(
+        "env1", robot=RobotSpec(beams=beams_on_rim((0.0, 90.0), 0.1, min_range=0.1, max_range=3.0), max_wheel_speed=0.5)
+    )
+    ranges, wheels = env.observation_space["ranges"], env.observation_space["wheels"]
+    np.testing.assert_allclose([ranges.low, ranges.high], [[0.1, 0.1], [3.0, 3.0]])
+    np.testing.assert_allclose([wheels.low, wheels.high], [[-0.1, -0.1], [0.1, 0.1]])
+    env.reset(seed=0)
+    assert env.step(AHEAD)[0]["ranges"].shape == (2,)
+
+
+def test_a_seed_gives_the_same_episode_again():
+    env = gym.make(ID, sensor_noise=0.04)
+    first, second = (follow(env, random_actions(100), seed=8) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(first, follow(gym.make(ID, sensor_noise=0.04), random_actions(100), seed=8))
+    assert (np.array(first) != np.array(follow(env, random_actions(100), seed=9))).any()
+
+
+def test_an_episode_is_the_same_in_another_process_to_the_last_bit():
+    code = "import test_env; print(*(test_env.episode_digest(name, 6) for name in test_env.IDS))"
+    command = [sys.executable, "-c", code]
+    there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    here = [episode_digest(name, 6) for name in IDS]
+    assert there.stdout.split() == here
+    assert len({*here, *(episode_digest(name, 7) for name in IDS)}) == 2 * len(IDS)
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])  # noqa: S301 (our own bytes)
+@pytest.mark.parametrize("name", [ID, "LimSlam-Random-v0"])
+def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
+    env = gym.make(name, noise=EVERYTHING, max_episode_steps=700)
+    env.reset(seed=2)
+    actions = holding_actions(700, seed=2)
+    for action in actions[:100]:
+        env.step(action)
+    copied, results = clone(env), []
+    for number, action in enumerate(actions[100:600]):
+        # A chain of copies: each must hold all that counts.
+        copied = clone(copied) if number % 100 == 99 else copied
+        results.append(env.step(action))
+        assert bits(copied.step(action)) == bits(results[-1])
+    assert any(info["collision"] for *_, info in results)
+    # The next episode without a seed follows from the same generator, and the limit of steps is the same.
+    for action in actions[600:]:
+        assert env.step(action)[3] == copied.step(action)[3]
+    assert bits(env.reset()) == bits(copied.reset())
+
+
+def test_a_copy_goes_its_own_way():
+    env = LimSlamEnv("env1", noise=EVERYTHING)
+    env.reset(seed=2)
+    copied = copy.deepcopy(env)
+    for _ in range(20):
+        copied.step(AHEAD)
+    expected = follow(LimSlamEnv("env1", noise=EVERYTHING), [AHEAD] * 5, seed=2)
+    for row in expected[1:]:
+        np.testing.assert_array_equal(env.step(AHEAD)[4]["pose"], row[8:11])
+
+
+def test_a_copy_may_be_made_before_the_first_reset():
+    env = LimSlamEnv("env1", render_mode="rgb_array")
+    copied = pickle.loads(pickle.dumps(env))  # noqa: S301 (our own bytes)
+    np.testing.assert_array_equal(follow(env, [AHEAD] * 5, seed=2), follow(copied, [AHEAD] * 5, seed=2))
+    np.testing.assert_array_equal(env.render(), copied.render())
+
+
+def test_noise_given_as_ranges_is_another_in_each_episode():
+    env = gym.make(ID, sensor_noise=(0.01, 0.04), noise=NoiseConfig(slip_rate=(0.0, 2.0), wheel_mismatch=(-0.1, 0.1)))
+    drawn = []
+    for seed in range(12):
+        env.reset(seed=seed, options={"start": (1.0, 3.0, 0.0)})
+        noise = env.unwrapped._stage.simulation._noise
+        assert 0.01 <= noise.sensor_noise <= 0.04
+        # Standing in front of walls, the readings' spread is that of the noise.
+        ranges = np.array([env.step([0.0, 0.0])[0]["ranges"] for _ in range(200)], dtype=float)
+        spread = ranges.std(axis=0)
+        np.testing.assert_allclose(spread[spread > 0.0], noise.sensor_noise, rtol=0.25)
+        drawn.append((noise.sensor_noise, noise.slip_rate, noise.wheel_mismatch))
+    assert len(set(drawn)) == 12
+    env.reset(seed=0)
+    assert env.unwrapped._stage.simulation._noise.sensor_noise == drawn[0][0]
+
+
+def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
+    runs = []
+    for _ in range(2):
+        env = LimSlamEnv("env1", sensor_noise=0.04)
+        runs.append([env.reset(seed=1)[0]["ranges"], env.reset()[0]["ranges"], env.reset()[0]["ranges"]])
+    np.testing.assert_array_equal(*runs)
+    assert (runs[0][1] != runs[0][2]).any()
+
+
+def test_the_world_must_be_named():
+    with pytest.raises(TypeError, match="world"):
+        LimSlamEnv(sensor_noise=0.02)
+
+
+def test_sensor_noise_overrides_that_of_noise_and_nothing_else():
+    env = LimSlamEnv("env1", sensor_noise=0.04, noise=NoiseConfig(sensor_noise=0.02, wheel_variance=1e-4))
+    assert (env.noise.sensor_noise, env.noise.wheel_variance) == (0.04, 1e-4)
+    assert LimSlamEnv("env1", noise=NoiseConfig(sensor_noise=0.02)).noise.sensor_noise == 0.02
+    assert LimSlamEnv("env1", sensor_noise=(0.0, 0.04)).noise.sensor_noise == (0.0, 0.04)
+
+
+@pytest.mark.parametrize("noise", [-0.01, float("nan"), float("inf"), (0.04, 0.02), (-0.1, 0.1)])
+def test_a_noise_that_cannot_be_is_refused(noise):
+    with pytest.raises(ValueError, match="sensor_noise"):
+        LimSlamEnv("env1", sensor_noise=noise)
+
+
+@pytest.mark.parametrize("mode", ["ansi", "", "RGB_array", "rgb_array_list"])
+@pytest.mark.parametrize("make", [LimSlamEnv, LimSlamParallelEnv])
+def test_an_unknown_render_mode_is_refused(make, mode):
+    with pytest.raises(ValueError, match="render_mode must be one of rgb_array, human or None"):
+        make("env1", render_mode=mode)
+
+
+def test_without_a_render_mode_there_is_no_picture():
+    env = LimSlamEnv("env1")
+    env.reset(seed=0)
+    assert env.render() is None
+
+
+def test_the_human_mode_shows_a_window_and_returns_no_picture(display):
+    env, drawn = LimSlamEnv("env1", render_mode="human"), LimSlamEnv("env1", render_mode="rgb_array")
+    assert env.window is None
+    assert display.get_surface() is None
+    env.reset(seed=0)
+    drawn.reset(seed=0)
+    pygame = pytest.importorskip("pygame")
+    for _ in range(3):
+        # What stands in the window is the picture that the other mode gives.
+        shown = pygame.surfarray.array3d(display.get_surface()).swapaxes(0, 1)
+        np.testing.assert_array_equal(shown, drawn.render())
+        assert env.render() is None
+        assert bits(env.step(AHEAD)) == bits(drawn.step(AHEAD))
+    assert env.window is not None
+    assert "env1" in display.get_caption()[0]
+    env.close()
+    assert display.get_surface() is None
+    assert env.window is None
+    env.close()
+
+
+@pytest.mark.usefixtures("display")
+def test_a_window_that_its_user_has_closed_stops_nothing():
+    env = LimSlamEnv("env1", render_mode="human")
+    env.reset(seed=0)
+    env.window.close()
+    for _ in range(30):
+        env.step(AHEAD)
+    assert env.window.closed
+    env.close()
+
+
+def test_an_overlay_is_drawn_over_later_pictures():
+    env = LimSlamEnv("env1", render_mode="rgb_array")
+    env.reset(seed=0)
+    plain = env.render()
+    assert tuple(env.overlay) == ()
+    belief = Overlay(pose=np.array([5.0, 6.0, 0.3]), segments=np.array([[0.5, 6.5, 3.0, 6.5]]))
+    env.overlay = belief
+    assert tuple(env.overlay) == (belief,)
+    with_belief = env.render()
+    assert (with_belief != plain).any()
+    env.overlay = [belief]
+    np.testing.assert_array_equal(env.render(), with_belief)
+    env.overlay = ()
+    np.testing.assert_array_equal(env.render(), plain)
+
+
+def test_gymnasium_records_a_video(tmp_path):
+    pytest.importorskip("moviepy")
+    env = gym.wrappers.RecordVideo(
+        gym.make(ID, render_mode="rgb_array"), str(tmp_path / "video"), episode_trigger=lambda _: True
+    )
+    env.reset(seed=0)
+    for _ in range(12):
+        env.step(AHEAD)
+    picture = env.render()
+    env.close()
+    (path,) = (tmp_path / "video").glob("*.mp4")
+    video = cv2.VideoCapture(str(path))
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(LimSlamEnv.metadata["render_fps"])
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 13
+    is_read, frame = video.read()
+    video.release()
+    assert is_read
+    assert frame.shape == picture.shape
+
+
+def test_the_table_of_actions_agrees_with_the_space():
+    space = LimSlamEnv("env1").action_space
+    assert f"`{space!r}`" in inspect.getdoc(LimSlamEnv)
+    rows = table("Action Space")
+    assert [int(row["Num"]) for row in rows] == list(range(space.shape[0]))
+    assert [row["Action"].split()[0] for row in rows] == ["left", "right"]
+    np.testing.assert_array_equal([float(row["Min"]) for row in rows], space.low)
+    np.testing.assert_array_equal([float(row["Max"]) for row in rows], space.high)
+
+
+def test_the_first_action_is_the_left_wheel():
+    env = LimSlamEnv("env1", noise=NoiseConfig(wheel_variance=0.0))
+    env.reset(seed=0)
+    observation, _, _, _, info = env.step([0.0, 1.0])
+    np.testing.assert_allclose(observation["wheels"], [0.0, 0.03])
+    assert info["pose"][2] > 0.0, "the right wheel alone turns to the left"
+
+
+def test_the_table_of_observations_agrees_with_the_space():
+    env = LimSlamEnv("env1")
+    rows = {row["Key"]: row for row in table("Observation Space")}
+    assert set(rows) == set(env.observation_space.keys())
+    robot = env.robot
+    meaning = {
+        "(n_beams,)": (len(robot.beams),),
+        "(2,)": (2,),
+        "the beams' min_range": robot.min_ranges,
+        "the beams' max_range": robot.max_ranges,
+        "max_wheel_travel": robot.max_wheel_travel,
+        "-max_wheel_travel": -robot.max_wheel_travel,
+    }
+    for key, space in env.observation_space.items():
+        assert meaning[rows[key]["Shape"]] == space.shape
+        np.testing.assert_allclose(space.low, np.broadcast_to(meaning[rows[key]["Min"]], space.shape), rtol=1e-6)
+        np.testing.assert_allclose(space.high, np.broadcast_to(meaning[rows[key]["Max"]], space.shape), rtol=1e-6)
+        assert space.dtype == np.float32
+
+
+def test_the_numbers_in_the_docstring_are_those_of_the_code():
+    text = " ".join(inspect.getdoc(LimSlamEnv).split())
+    robot, rewards = RobotSpec(), RewardConfig()
+    degrees = [f"{round(np.degrees(angle)):+d}" for angle in robot.beam_angles]
+    assert f"{', '.join(degrees[:-1])} and {degrees[-1]} degrees" in text
+    assert f"from {robot.beams[0].min_range} to {robot.beams[0].max_range} m" in text
+    assert f"`max_wheel_travel` is {robot.max_wheel_travel:g} m" in text
+    assert f"{rewards.new_area:g}, {rewards.step:g} and {rewards.collision:g}" in text
+    steps = limslam_env.MAX_EPISODE_STEPS
+    assert f"{steps} steps ({round(steps * robot.control_period / 60.0)} minutes)" in text
+    goal = LimSlamEnv("env1").task.coverage_goal
+    assert f"`coverage_goal` ({goal:g}; `None` never ends it)" in text
+
+
+def test_the_pieces_of_info_are_those_of_the_docstring():
+    body = inspect.getdoc(LimSlamEnv).split("## Info\n", 1)[1].split("\n## ", 1)[0]
+    # What comes before the first full stop is the list; what follows tells of one of them.
+    listed = re.findall(r"`(\w+)`", body.split(".", 1)[0])
+    assert listed == list(LimSlamEnv("env1").reset(seed=0)[1])
+
+
+@pytest.mark.parametrize("make", [LimSlamEnv, LimSlamParallelEnv])
+def test_the_table_of_arguments_agrees_with_the_signature(make):
+    parameters = list(inspect.signature(make).parameters.values())
+    rows = {row["Argument"]: row["Default"].strip("`") for row in table("Arguments", make)}
+    assert list(rows) == [parameter.name for parameter in parameters]
+    env = make("env1")
+    # None stands for these.
+    made = {"RobotSpec()": env.robot, "NoiseConfig()": env.noise, "RewardConfig()": env.task.reward}
+    assert made == {"RobotSpec()": RobotSpec(), "NoiseConfig()": NoiseConfig(), "RewardConfig()": RewardConfig()}
+    for parameter in parameters:
+        told = rows[parameter.name]
+        if parameter.name == "world":
+            assert (told, parameter.default) == ("the id's world", inspect.Parameter.empty)
+        elif told in made:
+            assert parameter.default is None
+        else:
+            assert str(parameter.default) == told
+
+
+@pytest.mark.parametrize("make", [LimSlamEnv, LimSlamParallelEnv])
+def test_the_render_modes_of_the_metadata_are_those_of_the_docstring(make):
+    (row,) = [row for row in table("Arguments", make) if row["Argument"] == "render_mode"]
+    assert re.findall(r'`"(\w+)"`', row["Meaning"]) == make.metadata["render_modes"]
+    for mode in (*make.metadata["render_modes"], None):
+        assert make("env1", render_mode=mode).render_mode == mode
+    # A second of pictures is a second of driving.
+    assert make.metadata["render_fps"] == pytest.approx(1.0 / RobotSpec().control_period)
+
+
+def test_the_numbers_in_the_parallel_docstring_are_those_of_the_code():
+    rows = {row["Argument"]: row["Meaning"] for row in table("Arguments", LimSlamParallelEnv)}
+    assert rows["num_robots"] == f"1 to {MAX_ROBOTS}"

@@ -1,0 +1,606 @@
+"""Several robots in one building: PettingZoo's checkers, the contract, refusals, and bodies that meet."""
+
+import copy
+import hashlib
+import importlib
+import math
+import pickle
+import subprocess
+import sys
+import warnings
+from itertools import pairwise
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pettingzoo
+import pytest
+
+import limslam_env
+from limslam_env.config import NoiseConfig, RewardConfig
+from limslam_env.envs.env import LimSlamEnv
+from limslam_env.envs.parallel_env import MAX_ROBOTS, LimSlamParallelEnv
+from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
+from limslam_env.worlds.world import World, WorldError
+
+with warnings.catch_warnings():
+    # The import brings PettingZoo's own example environments, which use what pygame calls outdated.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pettingzoo.test import api_test, parallel_api_test
+
+IDS = {
+    "limslam/Env1-v0": {},
+    "limslam/Env2-v0": {},
+    "limslam/Env3-v0": {},
+    "limslam/World-v0": {"world": "square"},
+    "limslam/Random-v0": {},
+}
+AHEAD = np.array([1.0, 1.0], dtype=np.float32)
+STOP = np.zeros(2, dtype=np.float32)
+FRONT = RobotSpec(beams=beams_on_rim((0.0, 90.0, -90.0), 0.10))
+EVERYTHING = NoiseConfig.sharp(
+    encoder_resolution=0.001,
+    wheel_mismatch=0.01,
+    axle_mismatch=(-0.05, 0.05),
+    slip_rate=2.0,
+    slip_share=(0.1, 0.9),
+)
+# What an observation of several parts cannot be.
+DICT_WARNINGS = (
+    "ignore:Observation is not a NumPy array:UserWarning",
+    "ignore:Observation space for each agent probably should be:UserWarning",
+)
+
+
+def all_alike(env: LimSlamParallelEnv, action=AHEAD) -> dict:
+    return dict.fromkeys(env.agents, action)
+
+
+def random_actions(robots: int, count: int, seed: int = 0) -> list[dict]:
+    """Actions that are held for a while, so that robots meet walls and each other."""
+    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (count // 25 + 1, robots, 2)).astype(np.float32)
+    rows = np.repeat(held, 25, axis=0)[:count]
+    return [{f"robot_{number}": action for number, action in enumerate(row)} for row in rows]
+
+
+def bits(result: tuple) -> bytes:
+    """All that a reset or a step gives, to the last bit."""
+
+    def leaves(value):
+        if isinstance(value, dict):
+            for key, part in value.items():
+                yield key.encode()
+                yield from leaves(part)
+        else:
+            yield np.asarray(value).tobytes()
+
+    return b"|".join(leaf for part in result for leaf in leaves(part))
+
+
+def episode_digest(robots: int, seed: int, steps: int, world: str = "env3") -> str:
+    """A name for everything that an episode gives; another process calls this, too."""
+    env = LimSlamParallelEnv(world, num_robots=robots, noise=EVERYTHING)
+    results = [env.reset(seed=seed), *(env.step(actions) for actions in random_actions(robots, steps))]
+    return hashlib.sha256(b"".join(bits(result) for result in results)).hexdigest()
+
+
+def hall() -> World:
+    corners = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 6.0], [0.0, 6.0]])
+    return World("hall", (6.0, 6.0), np.hstack((corners, np.roll(corners, -1, axis=0))))
+
+
+def gap(infos: dict, one: str = "robot_0", other: str = "robot_1") -> float:
+    """Distance between the centres of two robots, m."""
+    return float(np.hypot(*(infos[one]["pose"] - infos[other]["pose"])[:2]))
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3, 8])
+@pytest.mark.parametrize("max_cycles", [18_000, 60])
+def test_pettingzoo_finds_nothing_to_warn_of(robots, max_cycles):
+    env = LimSlamParallelEnv("env1", num_robots=robots, sensor_noise=0.02, max_cycles=max_cycles)
+    parallel_api_test(env, num_cycles=300)
+
+
+@pytest.mark.parametrize("arguments", [{"noise": EVERYTHING}, {"shared_reward": True}, {"coverage_goal": 0.3}])
+def test_pettingzoo_finds_nothing_to_warn_of_whatever_the_arguments(arguments):
+    parallel_api_test(LimSlamParallelEnv("random", num_robots=3, **arguments), num_cycles=200)
+
+
+@pytest.mark.filterwarnings(*DICT_WARNINGS)
+@pytest.mark.parametrize("robots", [2, 3, 8])
+def test_the_same_holds_when_robots_act_one_after_the_other(robots):
+    api_test(limslam_env.aec_env("env1", num_robots=robots, sensor_noise=0.02), num_cycles=100)
+    api_test(limslam_env.aec_env("env1", num_robots=robots, max_cycles=20), num_cycles=100)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_pettingzoo_makes_each_id(name):
+    env = pettingzoo.make("parallel", name, **IDS[name], num_robots=3)
+    observations, infos = env.reset(seed=0)
+    assert list(observations) == list(infos) == env.agents == ["robot_0", "robot_1", "robot_2"]
+    assert env._max_cycles == limslam_env.MAX_EPISODE_STEPS
+    world = IDS[name].get("world", name.split("/")[1].split("-")[0].lower())
+    assert env.world.name.startswith(world)
+    turns = pettingzoo.make("aec", name, **IDS[name])
+    turns.reset(seed=0)
+    assert turns.agents == ["robot_0", "robot_1"]
+    turns.step(AHEAD)
+    assert turns.agent_selection == "robot_1"
+
+
+def test_pettingzoo_s_limit_of_cycles_is_the_environment_s():
+    env = pettingzoo.make("parallel", "limslam/Env1-v0", max_cycles=3)
+    env.reset(seed=0)
+    flags = [set(env.step(all_alike(env))[3].values()) for _ in range(3)]
+    assert flags == [{False}, {False}, {True}]
+
+
+def test_the_package_makes_environments_by_name():
+    importlib.import_module("limslam_env.envs.parallel_env")
+    env = limslam_env.parallel_env(world="square", num_robots=2)
+    assert isinstance(env, limslam_env.LimSlamParallelEnv)
+    assert env.world.name == "square"
+    assert limslam_env.parallel_env().world.name == "env1"
+    assert limslam_env.aec_env("square").possible_agents == ["robot_0", "robot_1"]
+    with pytest.raises(AttributeError, match="parallel_universe"):
+        _ = limslam_env.parallel_universe
+
+
+def test_the_module_of_nearly_the_same_name_is_not_in_the_way():
+    code = "import limslam_env.envs.parallel_env, limslam_env as e; print(e.parallel_env('square').possible_agents)"
+    result = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert (result.stdout.strip(), result.stderr) == ("['robot_0', 'robot_1']", "")
+
+
+def test_spaces_are_the_same_objects_at_each_call_and_those_of_the_single_environment():
+    env, single = LimSlamParallelEnv("env1", num_robots=3, robot=FRONT), LimSlamEnv("env1", robot=FRONT)
+    before = {name: (env.observation_space(name), env.action_space(name)) for name in env.possible_agents}
+    env.reset(seed=0)
+    env.step(all_alike(env))
+    for name, (observations, actions) in before.items():
+        assert env.observation_space(name) is observations
+        assert env.action_space(name) is actions
+        assert observations == single.observation_space
+        assert actions == single.action_space
+    # Each has its own, so that sampling for one does not shift another.
+    assert len({id(space) for pair in before.values() for space in pair}) == 6
+
+
+def test_observations_and_info_are_what_the_contract_says():
+    env = LimSlamParallelEnv("env1", num_robots=3, noise=EVERYTHING)
+    observations, infos = env.reset(seed=0)
+    for step, actions in enumerate(random_actions(3, 200)):
+        assert list(observations) == list(infos) == env.possible_agents
+        for name in env.agents:
+            observation, info = observations[name], infos[name]
+            assert list(observation) == ["ranges", "wheels"]
+            assert env.observation_space(name).contains(observation)
+            assert observation["ranges"].dtype == observation["wheels"].dtype == np.float32
+            assert set(info) == {"pose", "time", "coverage", "collision", "wall_seen"}
+            assert info["pose"].shape == (3,)
+            assert info["pose"].dtype == np.float64
+            assert info["time"] == pytest.approx(0.1 * step)
+            assert type(info["time"]) is type(info["coverage"]) is float
+            assert type(info["collision"]) is bool
+            assert info["wall_seen"].shape == (6,)
+            assert (info["wall_seen"] >= -2).all()
+            assert info["coverage"] == infos["robot_0"]["coverage"]
+        observations, rewards, terminations, truncations, infos = env.step(actions)
+        assert list(rewards) == list(terminations) == list(truncations) == env.possible_agents
+        assert {type(reward) for reward in rewards.values()} == {float}
+        assert {type(flag) for flags in (terminations, truncations) for flag in flags.values()} == {bool}
+
+
+def test_every_array_is_fresh():
+    env = LimSlamParallelEnv("env1", num_robots=2)
+    results = [env.reset(seed=0)]
+    results += [(result[0], result[4]) for result in (env.step(all_alike(env)) for _ in range(3))]
+    arrays = [
+        array
+        for observations, infos in results
+        for name in env.agents
+        for array in (*observations[name].values(), infos[name]["pose"], infos[name]["wall_seen"])
+    ]
+    for number, array in enumerate(arrays):
+        assert not any(np.shares_memory(array, other) for other in arrays[:number])
+    # What a caller does to an answer must not reach the next one.
+    plain = LimSlamParallelEnv("env1", num_robots=2)
+    plain.reset(seed=1)
+    env.reset(seed=1)
+    for _ in range(5):
+        result = env.step(all_alike(env))
+        assert bits(result) == bits(plain.step(all_alike(plain)))
+        for name in env.agents:
+            for array in (*result[0][name].values(), result[4][name]["pose"], result[4][name]["wall_seen"]):
+                array[:] = 0
+
+
+@pytest.mark.parametrize("robots", [2, 8])
+def test_the_same_seed_gives_the_same_thousand_steps_to_the_last_bit(robots):
+    assert episode_digest(robots, 5, 1000) == episode_digest(robots, 5, 1000)
+    assert episode_digest(robots, 5, 1000) != episode_digest(robots, 6, 1000)
+
+
+def test_another_process_gives_the_same_bits_too():
+    code = "import test_parallel_env as t; print(t.episode_digest(3, 5, 1000), t.episode_digest(3, 5, 100, 'random'))"
+    command = [sys.executable, "-c", code]
+    there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    assert there.stdout.split() == [episode_digest(3, 5, 1000), episode_digest(3, 5, 100, "random")]
+
+
+def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
+    runs = []
+    for _ in range(2):
+        env = LimSlamParallelEnv("env1", sensor_noise=0.04)
+        runs.append([bits(env.reset(seed=1)), bits(env.reset()), bits(env.reset())])
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) == 3
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])  # noqa: S301 (our own bytes)
+def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone):
+    env = LimSlamParallelEnv("env3", num_robots=3, noise=EVERYTHING, max_cycles=650)
+    env.reset(seed=2)
+    actions = random_actions(3, 650, seed=1)
+    for action in actions[:100]:
+        env.step(action)
+    copied, touched = clone(env), False
+    for number, action in enumerate(actions[100:600]):
+        # A chain of copies: each must hold all that counts.
+        copied = clone(copied) if number % 100 == 99 else copied
+        result = env.step(action)
+        assert bits(copied.step(action)) == bits(result)
+        touched |= any(info["collision"] for info in result[4].values())
+    assert touched
+    for action in actions[600:]:
+        assert env.step(action)[3] == copied.step(action)[3]
+    assert env.agents == copied.agents == []
+    assert bits(env.reset()) == bits(copied.reset())
+
+
+@pytest.mark.parametrize("world", ["env1", "env2", hall(), "random"], ids=["env1", "env2", "no starts", "random"])
+@pytest.mark.parametrize("robots", [1, 2, 5])
+def test_the_first_robot_starts_where_it_would_alone(world, robots):
+    env, single = LimSlamParallelEnv(world, num_robots=robots), LimSlamEnv(world)
+    for seed in (4, None, 7):
+        _, infos = env.reset(seed=seed)
+        _, info = single.reset(seed=seed)
+        np.testing.assert_array_equal(infos["robot_0"]["pose"], info["pose"])
+        assert env.world == single.world
+
+
+@pytest.mark.parametrize("robots", [2, 8])
+@pytest.mark.parametrize("world", ["env1", "env2", "env3", "random"])
+def test_robots_start_apart_and_where_they_can_meet(world, robots):
+    env = LimSlamParallelEnv(world, num_robots=robots)
+    _, infos = env.reset(seed=1)
+    names, space = env.agents, env.world.free_space(env.robot.radius)
+    for number, name in enumerate(names):
+        assert all(gap(infos, name, other) > 2.0 * env.robot.radius for other in names[:number])
+    assert len({space.label_of(infos[name]["pose"][:2]) for name in names}) == 1
+
+
+def test_robots_that_drive_head_on_stop_each_other():
+    env = LimSlamParallelEnv("square", robot=FRONT, noise=NoiseConfig(wheel_variance=0.0))
+    env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (4.0, 1.0, math.pi)]})
+    for step in range(60):
+        *_, infos = env.step(all_alike(env))
+        assert gap(infos) >= 2.0 * FRONT.radius - 1e-3
+        # 1.8 m are free between them, and each drives 3 cm a step: the thirtieth brings them together.
+        if step not in {29, 30}:
+            assert {info["collision"] for info in infos.values()} == {step > 30}
+    assert gap(infos) == pytest.approx(2.0 * FRONT.radius, abs=1e-3)
+    # They part again.
+    for _ in range(5):
+        *_, infos = env.step(all_alike(env, -AHEAD))
+    assert {info["collision"] for info in infos.values()} == {False}
+    assert gap(infos) == pytest.approx(2.0 * FRONT.radius + 0.3, abs=2e-3)
+
+
+def test_a_robot_that_stands_is_pushed_and_says_so():
+    env = LimSlamParallelEnv("square", robot=FRONT)
+    env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (2.5, 1.0, 0.0)]})
+    for _ in range(40):
+        *_, infos = env.step({"robot_0": AHEAD, "robot_1": STOP})
+        assert gap(infos) >= 2.0 * FRONT.radius - 1e-3
+    assert infos["robot_1"]["pose"][0] > 2.51
+    assert infos["robot_0"]["collision"]
+    assert infos["robot_1"]["collision"]
+
+
+def test_robots_see_each_other_s_bodies():
+    env = LimSlamParallelEnv("square", robot=FRONT)
+    observations, infos = env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (3.0, 1.0, math.pi)]})
+    for _ in range(20):
+        for name in env.agents:
+            assert infos[name]["wall_seen"][0] == -2
+            assert observations[name]["ranges"][0] == pytest.approx(gap(infos) - 2.0 * FRONT.radius, abs=1e-6)
+        observations, *_, infos = env.step({"robot_0": AHEAD, "robot_1": STOP})
+    # Robots that only look past each other see walls.
+    _, infos = env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (3.0, 1.5, 0.0)]})
+    assert all((info["wall_seen"] != -2).all() for info in infos.values())
+
+
+def test_a_robot_alone_sees_and_does_what_the_single_environment_s_does():
+    env, single = LimSlamParallelEnv("env1", num_robots=1, noise=EVERYTHING), LimSlamEnv("env1", noise=EVERYTHING)
+    observations, infos = env.reset(seed=3)
+    assert bits((observations["robot_0"], infos["robot_0"])) == bits(single.reset(seed=3))
+    for actions in random_actions(1, 200):
+        result = tuple(part["robot_0"] for part in env.step(actions))
+        assert bits(result) == bits(single.step(actions["robot_0"]))
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_rewards_are_the_sum_of_their_pieces(shared):
+    pieces = RewardConfig(new_area=2.0, step=-0.5, collision=-10.0)
+    env = LimSlamParallelEnv("env1", num_robots=3, rewards=pieces, shared_reward=shared)
+    _, infos = env.reset(seed=0)
+    before, cells, seen_apart, touched = infos["robot_0"]["coverage"], env.coverage_grid.total, False, set()
+    for actions in random_actions(3, 400, seed=3):
+        _, rewards, _, _, infos = env.step(actions)
+        collisions = [infos[name]["collision"] for name in env.agents]
+        new_area = 0.01 * cells * (infos["robot_0"]["coverage"] - before)
+        before = infos["robot_0"]["coverage"]
+        own = [rewards[name] for name in env.agents]
+        # What one of them was the first to see is nobody else's.
+        assert sum(own) == pytest.approx(2.0 * new_area - 3 * 0.5 - 10.0 * sum(collisions), abs=1e-9)
+        if shared:
+            assert len(set(own)) == 1
+        else:
+            areas = [0.5 * (r + 0.5 + 10.0 * c) for r, c in zip(own, collisions, strict=True)]
+            assert min(areas) > -1e-9
+            seen_apart |= len({round(area, 6) for area in areas}) > 1
+            touched.update(collisions)
+    assert shared or (seen_apart and touched == {True, False})
+
+
+def test_all_terminate_when_they_have_seen_enough_together():
+    env = LimSlamParallelEnv("env1", num_robots=3, coverage_goal=0.3)
+    alone = LimSlamEnv("env1", coverage_goal=None)
+    env.reset(seed=0)
+    alone.reset(seed=0)
+    own, together = 0.0, []
+    while env.agents:
+        assert env.agents == env.possible_agents
+        _, _, terminations, truncations, infos = env.step(all_alike(env, np.array([0.9, 1.0])))
+        own = alone.step([0.9, 1.0])[4]["coverage"]
+        together.append(infos["robot_0"]["coverage"])
+        assert terminations == dict.fromkeys(env.possible_agents, together[-1] >= 0.3)
+        assert truncations == dict.fromkeys(env.possible_agents, False)
+    assert together[0] < 0.3 <= together[-1]
+    assert own < 0.3
+
+
+def test_all_are_truncated_after_max_cycles():
+    env = LimSlamParallelEnv("env1", max_cycles=7)
+    for _ in range(2):
+        env.reset(seed=0)
+        flags = [env.step(all_alike(env))[2:4] for _ in range(7)]
+        for step, (terminations, truncations) in enumerate(flags, start=1):
+            assert terminations == dict.fromkeys(env.possible_agents, False)
+            assert truncations == dict.fromkeys(env.possible_agents, step == 7)
+        assert env.agents == []
+
+
+def test_nothing_is_truncated_without_max_cycles_and_nothing_terminates_without_a_goal():
+    # Robots that see all around have seen a closet of a room at once.
+    side = 0.9
+    walls = side * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]])
+    closet = World("closet", (side, side), walls)
+    robot = RobotSpec(beams=beams_on_rim(tuple(range(-180, 180, 4)), 0.10))
+    env = LimSlamParallelEnv(closet, robot=robot, max_cycles=None, coverage_goal=None)
+    env.reset(seed=0)
+    for _ in range(300):
+        _, _, terminations, truncations, infos = env.step(all_alike(env, np.array([-0.4, 0.5])))
+        assert not any((*terminations.values(), *truncations.values()))
+    assert infos["robot_0"]["coverage"] > 0.99
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"robot_1": None},
+        {"robot_0": None, "robot_1": None},
+        {"robot_2": AHEAD},
+        {"robot_1": None, "robot_7": AHEAD},
+        {"robot_1": None, 1: AHEAD},
+        {0: AHEAD, "robot_0": None, "robot_1": None},
+    ],
+    ids=["missing", "none", "unknown", "other", "a number for a name", "a number only"],
+)
+def test_actions_must_be_those_of_the_robots_that_are_there(change):
+    env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
+    for one in (env, plain):
+        one.reset(seed=0)
+    actions = {name: action for name, action in {**all_alike(env), **change}.items() if action is not None}
+    with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
+        env.step(actions)
+    # A refusal moves nothing.
+    assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
+
+
+@pytest.mark.parametrize(
+    "action", [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go"]
+)
+@pytest.mark.parametrize("name", ["robot_0", "robot_1"])
+def test_an_action_that_is_not_two_finite_numbers_is_refused(name, action):
+    env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
+    for one in (env, plain):
+        one.reset(seed=0)
+    with pytest.raises(ValueError, match="two finite numbers"):
+        env.step({**all_alike(env), name: action})
+    assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
+
+
+def test_the_order_of_actions_does_not_matter():
+    env, other = LimSlamParallelEnv("env1", num_robots=3), LimSlamParallelEnv("env1", num_robots=3)
+    env.reset(seed=0)
+    other.reset(seed=0)
+    for actions in random_actions(3, 20):
+        assert bits(env.step(actions)) == bits(other.step(dict(reversed(actions.items()))))
+
+
+def test_actions_out_of_range_are_clipped():
+    wild, tame = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
+    wild.reset(seed=0)
+    tame.reset(seed=0)
+    for actions in random_actions(2, 60):
+        clipped = {name: np.clip(4.0 * action, -1.0, 1.0) for name, action in actions.items()}
+        assert bits(wild.step({name: 4.0 * action for name, action in actions.items()})) == bits(tame.step(clipped))
+
+
+def test_a_step_before_reset_and_after_the_end_is_refused():
+    env = LimSlamParallelEnv("env1", max_cycles=2)
+    actions = dict.fromkeys(env.possible_agents, AHEAD)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(actions)
+    env.reset(seed=0)
+    env.step(actions)
+    env.step(actions)
+    for wanted in (actions, {}):
+        with pytest.raises(gym.error.ResetNeeded):
+            env.step(wanted)
+    env.reset()
+    env.step(actions)
+
+
+def test_reset_takes_starts_for_one_or_several():
+    env = LimSlamParallelEnv("env1", num_robots=3)
+    starts = [(5.0, 1.9, -2.0), (1.0, 3.5, 0.0), (6.0, 3.5, 1.0)]
+    _, infos = env.reset(seed=0, options={"start": starts})
+    np.testing.assert_allclose([infos[name]["pose"] for name in env.agents], starts, atol=1e-12)
+    for some in (starts[:2], np.array(starts[:2])):
+        _, infos = env.reset(seed=0, options={"start": some})
+        np.testing.assert_allclose([infos[name]["pose"] for name in env.agents[:2]], starts[:2], atol=1e-12)
+        assert gap(infos, "robot_2", "robot_0") > 0.2
+        assert gap(infos, "robot_2", "robot_1") > 0.2
+    _, infos = env.reset(seed=0, options={"start": starts[0]})
+    np.testing.assert_allclose(infos["robot_0"]["pose"], starts[0], atol=1e-12)
+    _, infos = env.reset(seed=0)
+    np.testing.assert_array_equal(infos["robot_0"]["pose"], load_world("env1").starts[0])
+
+
+@pytest.mark.parametrize(
+    ("start", "error", "reason"),
+    [
+        ([(5.0, 1.9, 0.0)] * 3, ValueError, "up to 2 rows"),
+        ([(5.0, 1.9)], ValueError, "up to 2 rows"),
+        ([], ValueError, "up to 2 rows"),
+        ("corner", ValueError, "up to 2 rows"),
+        ([[(5.0, 1.9, 0.0)]], ValueError, "up to 2 rows"),
+        ([(5.0, 1.9, 0.0), (5.1, 1.9, 0.0)], WorldError, "two robots are to start in one place"),
+        ([(5.0, 1.9, 0.0), (3.5, 3.5, 0.0)], WorldError, "inside an obstacle"),
+        ([(5.0, 1.9, math.nan), (1.0, 3.5, 0.0)], WorldError, "finite"),
+    ],
+)
+def test_starts_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(start, error, reason):
+    env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
+    for one in (env, plain):
+        one.reset(seed=0)
+    with pytest.raises(error, match=reason):
+        env.reset(options={"start": start})
+    assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
+
+
+def test_reset_takes_another_world_for_one_episode():
+    env = LimSlamParallelEnv("env1")
+    env.reset(seed=0, options={"world": "square"})
+    assert env.world.name == "square"
+    env.reset(options={"world": FloorPlanConfig()})
+    assert env.world.name.startswith("random-")
+    env.reset()
+    assert env.world.name == "env1"
+
+
+def test_options_that_nobody_knows_are_ignored():
+    # PettingZoo's checker insists on that.
+    env = LimSlamParallelEnv("env1")
+    assert bits(env.reset(seed=0, options={"colour": "red"})) == bits(env.reset(seed=0))
+
+
+def test_more_robots_than_have_room_are_refused():
+    side = 0.7
+    walls = side * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]])
+    env = LimSlamParallelEnv(World("closet", (side, side), walls), num_robots=8)
+    with pytest.raises(WorldError, match="no room for 8 robots"):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize("robots", [0, 9, -1])
+def test_a_number_of_robots_that_cannot_be_is_refused(robots):
+    with pytest.raises(ValueError, match=f"there can be 1 to {MAX_ROBOTS} robots, not {robots}"):
+        LimSlamParallelEnv("env1", num_robots=robots)
+
+
+@pytest.mark.parametrize("cycles", [0, -5])
+def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
+    with pytest.raises(ValueError, match=f"max_cycles must be 1 or more, or None, not {cycles}"):
+        LimSlamParallelEnv("env1", max_cycles=cycles)
+
+
+@pytest.mark.parametrize("arguments", [{"coverage_goal": 0.0}, {"sensor_noise": -1.0}, {"render_mode": "ansi"}])
+def test_other_arguments_that_cannot_be_are_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        LimSlamParallelEnv("env1", **arguments)
+
+
+def test_a_picture_shows_every_robot():
+    starts = [(1.0, 3.5, 0.0), (6.0, 3.5, 0.0), (3.5, 6.0, 0.0)]
+    env = LimSlamParallelEnv("env1", num_robots=3, render_mode="rgb_array")
+    env.reset(seed=0, options={"start": starts})
+    for _ in range(3):
+        env.step(all_alike(env))
+    picture = env.render()
+    assert picture.dtype == np.uint8
+    assert picture.ndim == 3
+    # Moving one of them changes the picture near it and nowhere else but in the caption.
+    for number, (x, y, _) in enumerate(starts):
+        moved = [(px, py - 0.3 * (other == number), 0.0) for other, (px, py, _) in enumerate(starts)]
+        env.reset(seed=0, options={"start": moved})
+        for _ in range(3):
+            env.step(all_alike(env))
+        rows, columns = np.nonzero((env.render() != picture).any(axis=2)[60:])
+        height, width = picture.shape[0] - 60, picture.shape[1]
+        assert abs(columns.mean() / width - (0.05 + 0.9 * x / 7.0)) < 0.12
+        assert abs(rows.mean() / height - (0.95 - 0.9 * y / 7.0)) < 0.15
+
+
+def test_overlays_are_drawn_over_later_pictures():
+    env = LimSlamParallelEnv("env1", render_mode="rgb_array")
+    env.reset(seed=0)
+    plain = env.render()
+    beliefs = [Overlay(pose=np.array([5.0, 6.0, 0.3])), Overlay(pose=np.array([2.0, 6.0, 0.3]))]
+    pictures = [plain]
+    for some in (beliefs[:1], beliefs):
+        env.overlay = some
+        pictures.append(env.render())
+    assert all((one != other).any() for one, other in pairwise(pictures))
+    env.overlay = ()
+    np.testing.assert_array_equal(env.render(), plain)
+
+
+def test_without_a_render_mode_there_is_no_picture_and_closing_is_free():
+    env = LimSlamParallelEnv("env1")
+    env.close()
+    env.reset(seed=0)
+    assert env.render() is None
+    env.close()
+    env.close()
+
+
+def test_the_human_mode_shows_a_window(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame.display.quit()
+    env = LimSlamParallelEnv("env1", render_mode="human")
+    env.reset(seed=0)
+    before = pygame.surfarray.array3d(pygame.display.get_surface())
+    env.step(all_alike(env))
+    assert (pygame.surfarray.array3d(pygame.display.get_surface()) != before).any()
+    assert env.render() is None
+    env.close()
+    env.close()
+    assert pygame.display.get_surface() is None

@@ -1,0 +1,85 @@
+"""Batches as Stable-Baselines3 takes them. Only where that is installed (extra rl)."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import limslam_env  # noqa: F401 (registers the environments)
+
+pytest.importorskip("stable_baselines3", reason="needs the extra rl", exc_type=ImportError)
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import is_wrapped
+
+from limslam_env.envs.sb3 import Sb3VecEnv
+
+AHEAD = np.full((3, 2), 0.5, dtype=np.float32)
+
+
+def batch(**arguments):
+    settings = {"num_envs": 3, "autoreset_mode": "SameStep", "max_episode_steps": 4, "coverage_goal": None}
+    return gym.make_vec("LimSlam-Env1-v0", **{**settings, **arguments})
+
+
+def test_it_passes_on_what_the_batch_says():
+    env, plain = Sb3VecEnv(batch()), batch()
+    env.seed(7)
+    told, expected = env.reset(), plain.reset(seed=7)[0]
+    for _ in range(6):
+        for key in ("ranges", "wheels"):
+            np.testing.assert_array_equal(told[key], expected[key])
+        told, rewards, ends, _ = env.step(AHEAD)
+        expected, wanted, terminated, truncated, _ = plain.step(AHEAD)
+        np.testing.assert_allclose(rewards, wanted, rtol=1e-6)
+        np.testing.assert_array_equal(ends, terminated | truncated)
+
+
+def test_the_last_step_of_an_episode_says_so():
+    env, plain = Sb3VecEnv(batch()), batch(max_episode_steps=None)
+    env.seed(7)
+    env.reset()
+    plain.reset(seed=7)
+    total = np.zeros(3)
+    for step in range(1, 5):
+        _, rewards, ends, infos = env.step(AHEAD)
+        last = plain.step(AHEAD)[0]
+        total += rewards
+        assert ends.tolist() == [step == 4] * 3
+        assert [bool(info) for info in infos] == [step == 4] * 3
+    for number, info in enumerate(infos):
+        np.testing.assert_array_equal(info["terminal_observation"]["ranges"], last["ranges"][number])
+        assert info["TimeLimit.truncated"] is True
+        assert info["episode"] == {"r": pytest.approx(total[number]), "l": 4}
+    assert env.step(AHEAD)[3][0] == {}
+
+
+def test_reaching_the_goal_is_no_cut():
+    env = Sb3VecEnv(batch(coverage_goal=0.001))
+    env.reset()
+    _, _, ends, infos = env.step(AHEAD)
+    assert ends.all()
+    assert not any(info["TimeLimit.truncated"] for info in infos)
+
+
+def test_attributes_and_methods_are_the_batchs():
+    env = Sb3VecEnv(batch())
+    assert env.get_attr("num_envs") == [3, 3, 3]
+    assert env.get_attr("num_envs", indices=0) == [3]
+    env.set_attr("nickname", "three")
+    assert env.get_attr("nickname", [0, 2]) == ["three", "three"]
+    assert len(env.env_method("reset", seed=1)) == 3
+    assert not is_wrapped(env, gym.Wrapper)
+    assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
+    env.close()
+
+
+def test_episodes_that_begin_a_step_later_are_refused():
+    with pytest.raises(ValueError, match="autoreset_mode"):
+        Sb3VecEnv(batch(autoreset_mode="NextStep"))
+
+
+def test_ppo_learns_on_it():
+    model = PPO("MultiInputPolicy", Sb3VecEnv(batch()), n_steps=8, batch_size=12, n_epochs=1, seed=0, device="cpu")
+    model.learn(48)
+    assert model.num_timesteps == 48
+    assert len(model.ep_info_buffer) > 0

@@ -1,0 +1,155 @@
+"""Kernels of the batch: random numbers, tiles, contact, and the sources that a compiled step is made of."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from limslam_env.batch.noise import BatchNoise
+from limslam_env.batch.worlds import Sites, from_tiles, prepare, to_tiles
+from limslam_env.config import DrawnNoise, NoiseConfig
+from limslam_env.interface import RobotSpec
+from limslam_env.kernels import batch_step as batch_kernels
+from limslam_env.kernels.random_numbers import derive_keys, fill_units, mixed, normal
+from limslam_env.kernels.rays import compiled, mark_disc, mark_ray
+from limslam_env.kernels.tiles import take_disc, take_ray
+from limslam_env.simulation.odometry import wheel_noise
+from limslam_env.simulation.sensors import build_wall_index, range_noise, walls_around
+from limslam_env.worlds.formats.loading import load_world
+
+SOURCES = ("kernels/rays", "geometry/se2", "kernels/random_numbers", "kernels/contact", "kernels/tiles")
+CELL = 0.1
+AREA = np.array([-0.3, 0.2, CELL])
+
+
+@compiled
+def normals(key: np.uint64, numbers: np.ndarray) -> None:
+    for place in range(len(numbers)):
+        numbers[place] = normal(mixed(key + np.uint64(place + 1) * np.uint64(0x9E3779B97F4A7C15)))
+
+
+@compiled
+def marked(seen, x, y, dx, dy, reach, radius):
+    new = mark_ray(seen, np.ones_like(seen), AREA, x, y, dx, dy, reach)
+    return new + mark_disc(seen, np.ones_like(seen), AREA, x, y, radius)
+
+
+@compiled
+def taken(left, tile_columns, tile_rows, x, y, dx, dy, reach, radius):
+    x, y = (x - AREA[0]) / CELL, (y - AREA[1]) / CELL
+    new = take_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
+    return new + take_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
+
+
+def padded(tiles: np.ndarray) -> np.ndarray:
+    """Tiles as the batch holds them: with words behind them that may be looked at."""
+    memory = np.zeros(tiles.size + 3 * tiles.shape[1] + 3, dtype=np.uint64)
+    memory[: tiles.size] = tiles.ravel()
+    return memory[: tiles.size].reshape(1, -1)
+
+
+def test_the_compiled_step_is_of_these_sources():
+    folder = Path(batch_kernels.__file__).parents[1]
+    text = b"".join((folder / f"{name}.py").read_bytes() for name in SOURCES)
+    digest = hashlib.sha256(text.replace(b"\r\n", b"\n")).hexdigest()[:16]
+    assert digest == batch_kernels.SOURCES, f'write SOURCES = "{digest}" in batch_step.py'
+
+
+def test_normal_numbers_are_normal():
+    numbers = np.empty(1_000_000)
+    normals(np.uint64(7), numbers)
+    assert stats.kstest(numbers, "norm").pvalue > 0.001
+    # The tail is made in another way than the rest, and so are the edges of layers.
+    for limit in (2.5, 3.4426, 4.0):
+        expected = 2.0 * stats.norm.sf(limit) * len(numbers)
+        assert abs((np.abs(numbers) > limit).sum() - expected) < 5.0 * np.sqrt(expected)
+
+
+def test_uniform_numbers_are_uniform_and_of_their_key():
+    keys = derive_keys(np.arange(100, dtype=np.uint64), np.ones(100, dtype=np.int64), 1)
+    numbers, again = np.empty((100, 100)), np.empty((1, 100))
+    fill_units(keys, numbers)
+    fill_units(keys[41:42], again)
+    np.testing.assert_array_equal(numbers[41], again[0])
+    assert len(np.unique(numbers)) == numbers.size
+    assert stats.kstest(numbers.ravel(), "uniform").pvalue > 0.001
+    assert abs(np.corrcoef(numbers[:50].ravel(), numbers[50:].ravel())[0, 1]) < 0.05
+
+
+@given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**32 - 1))
+def test_tiles_hold_every_cell(rows, columns, seed):
+    cells = np.random.default_rng(seed).random((rows, columns)) < 0.5
+    np.testing.assert_array_equal(from_tiles(to_tiles(cells), cells.shape), cells)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.02, 0.5, 1.0])
+@pytest.mark.parametrize("reach", [1.6, 6.0])
+def test_what_is_taken_is_what_the_single_environment_marks(share, reach):
+    generator = np.random.default_rng(3)
+    shape, extent = (75, 61), np.array([61.0, 75.0]) * CELL
+    for _ in range(300):
+        coverable = generator.random(shape) < share
+        seen, tiles = ~coverable, to_tiles(coverable)
+        x, y = AREA[:2] + generator.uniform(0.0, 1.0, 2) * extent
+        angle, length = generator.uniform(-np.pi, np.pi), generator.uniform(0.0, reach)
+        # Rays stay within the walls, which the grid holds; some run along an axis.
+        angle = generator.choice([angle, 0.0, np.pi / 2])
+        dx, dy = np.cos(angle), np.sin(angle)
+        left = padded(tiles)
+        new = taken(left, tiles.shape[1], tiles.shape[0], x, y, dx, dy, length, 0.1)
+        assert new == marked(seen, x, y, dx, dy, length, 0.1)
+        np.testing.assert_array_equal(from_tiles(left.reshape(tiles.shape), shape), ~seen)
+
+
+def test_walls_around_a_cell_are_all_that_a_beam_can_meet_from_it():
+    world, reach = load_world("env3"), RobotSpec().reach
+    index = build_wall_index(world.edges)
+    starts, numbers = walls_around(index, reach)
+    generator, columns = np.random.default_rng(0), int(index.grid[3])
+    origins = generator.uniform(0.0, world.size, (2000, 2))
+    angles = generator.uniform(-np.pi, np.pi, 2000)
+    _, hits = index.cast(origins, np.column_stack((np.cos(angles), np.sin(angles))), np.full(2000, reach))
+    column, row = ((origins - index.grid[:2]) / index.grid[2]).astype(int).T
+    cells = row * columns + column
+    for cell, hit in zip(cells, hits, strict=True):
+        assert hit < 0 or hit in numbers[starts[cell] : starts[cell + 1]]
+
+
+def test_a_world_can_move_out_and_a_larger_one_in():
+    robot, sites = RobotSpec(), Sites()
+    small, large = (prepare(load_world(name), robot, 1) for name in ("square", "env3"))
+    for slot in range(3):
+        sites.put(slot, small)
+    before = [array.copy() for array in sites.scene]
+    sites.put(1, large)
+    sites.put(1, small)
+    layout, edges, tiles = sites.scene[0], sites.scene[3], sites.scene[-1]
+    count = len(small.walls.edges)
+    for slot in range(3):
+        np.testing.assert_array_equal(edges[layout[slot, 0] :][:count], small.walls.edges)
+        np.testing.assert_array_equal(tiles[slot, : before[-1].shape[1]], before[-1][0])
+        np.testing.assert_array_equal(sites.to_cells(slot, tiles[slot]), small.grid.coverable)
+
+
+def test_noise_of_many_is_the_noise_of_each():
+    robot = RobotSpec()
+    each = [NoiseConfig(sensor_noise=0.02), NoiseConfig.sharp(axle_mismatch=0.1, slip_rate=2.0)]
+    table = BatchNoise(each, robot).drawn(np.array([1, 0]), np.zeros(2, dtype=np.uint64))
+    for row, noise in zip(table, reversed(each), strict=True):
+        drawn = DrawnNoise(**vars(noise))
+        one = np.concatenate((range_noise(drawn), wheel_noise(drawn, robot.max_wheel_travel)))
+        np.testing.assert_allclose(row[:11], one)
+        np.testing.assert_allclose(row[11:], [noise.slip_rate, noise.slip_share, 0.16 * (1.0 + noise.axle_mismatch)])
+
+
+def test_ranges_of_noise_are_drawn_from_evenly_and_for_each():
+    keys = derive_keys(np.arange(2000, dtype=np.uint64), np.zeros(2000, dtype=np.int64), 1)
+    noise = NoiseConfig(sensor_noise=(0.01, 0.03), wheel_mismatch=(-0.1, 0.1))
+    table = BatchNoise([noise], RobotSpec()).drawn(np.arange(2000), keys)
+    assert stats.kstest(table[:, 0], stats.uniform(0.01, 0.02).cdf).pvalue > 0.001
+    np.testing.assert_allclose(table[:, 6] + table[:, 7], 2.0)
+    assert abs(np.corrcoef(table[:, 0], table[:, 6])[0, 1]) < 0.1

@@ -1,0 +1,427 @@
+"""Pictures: their format, walls where walls are, and a robot that moves."""
+
+import math
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from limslam_env.envs.env import LimSlamEnv
+from limslam_env.interface import RobotSpec, SensorSpec
+from limslam_env.rendering import rendering
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.rendering.rendering import RenderState, render, thumbnail
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.world import World
+
+AHEAD = np.array([1.0, 1.0])
+
+
+def picture_of(start: tuple[float, float, float], steps: int = 0, world: str | World = "env1") -> np.ndarray:
+    env = LimSlamEnv(world, render_mode="rgb_array")
+    env.reset(seed=0, options={"start": start})
+    for _ in range(steps):
+        env.step(AHEAD)
+    return env.render()
+
+
+def wall_box(picture: np.ndarray) -> tuple[int, int, int, int]:
+    """First and last row and column of the outer walls, by their darkness."""
+    dark = picture.max(axis=2) < 110
+    # The caption above the walls is dark in places too, but never along half a row.
+    rows = np.nonzero(dark.mean(axis=1) > 0.5)[0]
+    columns = np.nonzero(dark.mean(axis=0) > 0.5)[0]
+    return rows[0], rows[-1], columns[0], columns[-1]
+
+
+@pytest.mark.parametrize("world", ["env1", "square"])
+def test_a_picture_is_rgb_with_even_sides(world):
+    picture = picture_of((1.2, 2.0, 0.0) if world == "env1" else (1.0, 1.0, 0.0), world=world)
+    assert picture.dtype == np.uint8
+    assert picture.ndim == 3
+    assert picture.shape[2] == 3
+    # Video codecs refuse odd sides.
+    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
+
+
+@pytest.mark.parametrize("size", [(5.03, 3.17), (3.3, 5.0), (30.0, 2.0)])
+def test_sides_are_even_whatever_the_shape_of_the_world(size):
+    width, height = size
+    walls = np.array([[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]])
+    picture = picture_of((1.0, 1.0, 0.3), world=World("oblong", size, walls))
+    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
+    top, bottom, left, right = wall_box(picture)
+    assert (right - left) / (bottom - top) == pytest.approx(width / height, rel=0.03)
+
+
+def test_walls_are_dark_where_they_stand_and_the_floor_is_light():
+    world = load_world("env1")
+    picture = picture_of((1.2, 2.0, 0.0)).max(axis=2).astype(int)
+    top, bottom, left, right = wall_box(picture_of((1.2, 2.0, 0.0)))
+
+    def darkest_near(x: float, y: float) -> int:
+        row = round(bottom + (top - bottom) * y / 7.0)
+        column = round(left + (right - left) * x / 7.0)
+        return int(picture[row - 2 : row + 3, column - 2 : column + 3].min())
+
+    for x1, y1, x2, y2 in world.edges:
+        for fraction in (0.25, 0.5, 0.75):
+            assert darkest_near(x1 + fraction * (x2 - x1), y1 + fraction * (y2 - y1)) < 110
+    for x, y in ((6.3, 3.5), (3.5, 6.0), (0.6, 6.3), (3.5, 3.5)):
+        assert darkest_near(x, y) > 180
+
+
+def test_y_points_up():
+    low, high = (picture_of((1.0, y, 0.0)).astype(int) for y in (2.0, 3.5))
+    empty = picture_of((6.0, 5.5, 0.0)).astype(int)
+    left = np.s_[:, : empty.shape[1] // 3]
+    rows = [np.nonzero(np.abs(picture - empty)[left].sum(axis=(1, 2)) > 600)[0].mean() for picture in (low, high)]
+    assert rows[0] > rows[1] + 50
+
+
+def test_the_picture_follows_the_robot_and_draws_its_path():
+    env = LimSlamEnv("env1", render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    for _ in range(30):
+        env.step(AHEAD)
+    after = env.render()
+    assert after.shape == before.shape
+    changed = (before != after).any(axis=2)
+    assert 500 < changed.sum() < 0.2 * changed.size
+    # From (1.2, 2.0) the robot drove 0.9 m to the right; a path lies behind it that a robot put there has not.
+    placed = picture_of((2.1, 2.0, 0.0))
+    behind = (after != placed).any(axis=2)
+    behind[:40] = False  # the caption
+    columns = np.nonzero(behind.any(axis=0))[0]
+    _, _, left, right = wall_box(before)
+    metres = (columns - left) * 7.0 / (right - left)
+    # What was seen from the start lies behind it too, as far as the body reaches and half a cell more.
+    assert metres.min() == pytest.approx(1.1, abs=0.15)
+
+
+def test_a_new_episode_forgets_the_old_path():
+    env = LimSlamEnv("env1", render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    for _ in range(20):
+        env.step(AHEAD)
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.render(), before)
+
+
+def test_rendering_changes_nothing_in_the_episode_nor_in_earlier_pictures():
+    drawn, plain = LimSlamEnv("env1", sensor_noise=0.02, render_mode="rgb_array"), LimSlamEnv("env1", sensor_noise=0.02)
+    drawn.reset(seed=0)
+    plain.reset(seed=0)
+    first = drawn.render()
+    copy = first.copy()
+    for _ in range(20):
+        with_picture, without = drawn.step(AHEAD), plain.step(AHEAD)
+        drawn.render()
+        np.testing.assert_array_equal(with_picture[0]["ranges"], without[0]["ranges"])
+        np.testing.assert_array_equal(with_picture[4]["pose"], without[4]["pose"])
+    np.testing.assert_array_equal(first, copy)
+
+
+def test_without_a_render_mode_there_is_no_picture():
+    env = LimSlamEnv("env1")
+    env.reset(seed=0)
+    assert env.render() is None
+
+
+def test_gymnasium_hands_the_picture_through():
+    env = gym.make("LimSlam-Env1-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(AHEAD.astype(np.float32))
+    assert env.render().dtype == np.uint8
+    env.close()
+
+
+# What follows draws states made by hand, in a hall of 6 x 4 m whose lower left corner is not the origin.
+
+LOW = np.array([-1.0, 2.0])
+ONE_BEAM = RobotSpec(beams=(SensorSpec(0.1, 0.0, 0.0),))
+
+
+def outline(*corners) -> np.ndarray:
+    points = np.array(corners, dtype=float)
+    return np.hstack((points, np.roll(points, -1, axis=0)))
+
+
+HALL = World(
+    "hall",
+    (6.0, 4.0),
+    outline((-1.0, 2.0), (5.0, 2.0), (5.0, 6.0), (-1.0, 6.0)),
+    obstacles=(np.array([(2.5, 3.0), (3.5, 3.0), (3.5, 4.0), (2.5, 4.0)]),),
+)
+
+
+def state_of(*poses, world: World = HALL, **changes) -> RenderState:
+    poses = np.array(poses or [(0.0, 5.0, 0.0)])
+    nothing = np.full((len(poses), 1), -1)
+    state = RenderState(world, ONE_BEAM, poses, nothing, np.full((len(poses), 1), 1.5), [], 0.0, 0.0)
+    return replace(state, **changes)
+
+
+def colours_at(picture: np.ndarray, x: float, y: float, world: World = HALL, reach: int = 1) -> np.ndarray:
+    """Colours (k, 3) of the pixels around a place, m; where it falls is told by the walls."""
+    top, bottom, left, right = wall_box(picture)
+    corners = world.edges.reshape(-1, 2)
+    share = (np.array([x, y]) - corners.min(axis=0)) / np.ptp(corners, axis=0)
+    column, row = round(left + share[0] * (right - left)), round(bottom - share[1] * (bottom - top))
+    return picture[row - reach : row + reach + 1, column - reach : column + reach + 1].reshape(-1, 3).astype(int)
+
+
+def is_like(pixels: np.ndarray, colour) -> np.ndarray:
+    """Which pixels are nearer to a colour than to the floor: a thin line shares its pixels with it."""
+    paleness = np.abs(np.array(rendering._UNSEEN) - colour).sum()
+    return np.abs(pixels - colour).sum(axis=1) < 0.6 * paleness
+
+
+def shows(picture: np.ndarray, x: float, y: float, colour, **how) -> bool:
+    return bool(is_like(colours_at(picture, x, y, **how), colour).any())
+
+
+def seen_in_hall(*places) -> np.ndarray:
+    seen = np.zeros((40, 60), dtype=bool)
+    for x, y in places:
+        column, row = np.floor((np.array([x, y]) - LOW) / 0.1).astype(int)
+        seen[row - 1 : row + 2, column - 1 : column + 2] = True
+    return seen
+
+
+def test_seen_floor_is_lighter_where_it_was_seen_and_nowhere_else():
+    picture = render(state_of(seen=seen_in_hall((4.0, 2.55), (4.45, 5.55)), seen_low=LOW))
+    unseen = render(state_of())
+    for x, y in ((4.0, 2.55), (4.45, 5.55)):
+        assert (colours_at(picture, x, y).sum(axis=1) > colours_at(unseen, x, y).sum(axis=1) + 30).all()
+        for aside in ((0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.0, -0.3)):
+            place = (x + aside[0], y + aside[1])
+            np.testing.assert_array_equal(colours_at(picture, *place), colours_at(unseen, *place))
+
+
+def test_seen_cells_may_start_elsewhere_and_have_another_size():
+    seen = np.zeros((6, 7), dtype=bool)
+    seen[3:6, 1:4] = True
+    picture = render(state_of(seen=seen, seen_low=np.array([3.7, 2.2]), seen_cell=0.2))
+    unseen = render(state_of())
+    brighter = (picture.astype(int) - unseen).sum(axis=2) > 30
+    rows, columns = np.nonzero(brighter)
+    _, bottom, left, right = wall_box(unseen)
+    scale = (right - left) / 6.0
+    assert LOW[0] + (columns.mean() - left) / scale == pytest.approx(4.2, abs=0.03)
+    assert LOW[1] + (bottom - rows.mean()) / scale == pytest.approx(3.1, abs=0.03)
+    assert brighter.sum() == pytest.approx((0.6 * scale) ** 2, rel=0.1)
+
+
+def test_walls_and_obstacles_look_the_same_seen_or_not():
+    everything = render(state_of(seen=np.ones((40, 60), dtype=bool), seen_low=LOW))
+    unseen = render(state_of())
+    np.testing.assert_array_equal(colours_at(everything, 3.0, 3.5, reach=4), colours_at(unseen, 3.0, 3.5, reach=4))
+    for picture in (everything, unseen):
+        assert shows(picture, 3.5, 3.5, rendering._WALL)
+        assert shows(picture, -1.0, 4.0, rendering._WALL)
+
+
+def test_seen_cells_without_a_place_are_refused():
+    with pytest.raises(ValueError, match="seen_low"):
+        state_of(seen=np.ones((40, 60), dtype=bool))
+
+
+def test_beams_are_coloured_by_what_they_hit():
+    ends = {}
+    for hit, colour in ((-1, rendering._NO_HIT), (4, rendering._WALL_HIT), (-2, rendering._ROBOT_HIT)):
+        picture = render(state_of(hits=np.array([[hit]]), ranges=np.array([[1.2]])))
+        for x in (0.3, 0.7, 1.2):
+            assert shows(picture, x, 5.0, colour)
+        assert not shows(picture, 1.4, 5.0, colour)
+        ends[hit] = is_like(colours_at(picture, 1.3, 5.0, reach=3), colour).sum()
+    # What was hit is marked with a dot.
+    assert min(ends[4], ends[-2]) > 2 * ends[-1]
+
+
+def test_a_beam_turns_with_the_robot_and_starts_on_its_rim():
+    picture = render(state_of((0.0, 4.0, math.pi / 2), hits=np.array([[0]])))
+    assert shows(picture, 0.0, 5.0, rendering._WALL_HIT)
+    assert shows(picture, 0.0, 5.6, rendering._WALL_HIT)
+    assert not shows(picture, 0.0, 5.75, rendering._WALL_HIT)
+
+
+def test_several_robots_have_a_colour_each_and_trails_in_it():
+    poses = [(0.0, 2.5 + 0.5 * number, 0.0) for number in range(6)]
+    paths = [np.array([(-0.8, y), (x, y)]) for x, y, _ in poses]
+    picture = render(state_of(*poses, paths=paths))
+    bodies = [tuple(colours_at(picture, x, y + 0.07, reach=0)[0]) for x, y, _ in poses]
+    assert len(set(bodies)) == 6
+    trails = [tuple(colours_at(picture, -0.5, y, reach=0)[0]) for _, y, _ in poses]
+    assert len(set(trails)) == 6
+    # More robots than colours begin anew.
+    many = [(-0.7 + 0.25 * number, 5.0, 0.0) for number in range(9)]
+    assert render(state_of(*many)).shape == picture.shape
+
+
+def test_the_heading_shows():
+    pictures = [render(state_of((0.0, 3.0, theta), ranges=np.array([[0.05]]))) for theta in (0.0, 1.0, 2.0, math.pi)]
+    for number, picture in enumerate(pictures):
+        for other in pictures[:number]:
+            assert (colours_at(picture, 0.0, 3.0, reach=6) != colours_at(other, 0.0, 3.0, reach=6)).any()
+
+
+def test_an_overlay_is_drawn_where_it_says_and_only_there():
+    overlay = Overlay(
+        segments=np.array([(1.0, 2.5, 4.0, 2.6)]),
+        frontier=np.array([(4.5, 4.5), (4.5, 4.7)]),
+        plan=np.array([(0.0, 5.0), (1.0, 5.5), (2.0, 5.5)]),
+    )
+    picture, plain = render(state_of(overlay=[overlay])), render(state_of())
+    for x, y in ((1.0, 2.5), (2.5, 2.55), (4.0, 2.6)):
+        assert shows(picture, x, y, rendering._BELIEF)
+    for x, y in overlay.frontier:
+        assert shows(picture, x, y, rendering._FRONTIER)
+    for x, y in ((0.5, 5.25), (1.5, 5.5), (2.0, 5.5)):
+        assert (colours_at(picture, x, y) != colours_at(plain, x, y)).any()
+    for x, y in ((2.5, 2.8), (4.5, 4.9), (4.2, 4.5), (1.5, 5.2), (4.5, 2.6)):
+        np.testing.assert_array_equal(colours_at(picture, x, y), colours_at(plain, x, y))
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.6, -1.2])
+def test_the_ellipse_holds_95_percent(turned):
+    axes = np.array([[math.cos(turned), math.sin(turned)], [-math.sin(turned), math.cos(turned)]])
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = axes.T @ np.diag([0.3**2, 0.1**2]) @ axes
+    picture = render(state_of((4.5, 5.5, 0.0), overlay=[Overlay(np.array([1.0, 3.5, turned]), covariance)]))
+    # A normal distribution of the plane lies within 2.448 standard deviations with a probability of 95 %.
+    for axis, std in ((axes[0], 0.3), (-axes[0], 0.3), (axes[1], 0.1), (-axes[1], 0.1)):
+        tip = np.array([1.0, 3.5]) + 2.448 * std * axis
+        assert shows(picture, *tip, rendering._BELIEF)
+        assert not shows(picture, *(tip + 0.06 * axis), rendering._BELIEF)
+
+
+def test_the_ghost_is_an_outline_with_a_heading():
+    picture = render(state_of((4.5, 5.5, 0.0), overlay=[Overlay(np.array([1.0, 3.5, math.pi / 2]))]))
+    for angle in np.arange(0.0, 6.0, 0.7):
+        assert shows(picture, 1.0 + 0.1 * math.cos(angle), 3.5 + 0.1 * math.sin(angle), rendering._BELIEF)
+    assert shows(picture, 1.0, 3.64, rendering._BELIEF)
+    assert not shows(picture, 1.05, 3.5, rendering._BELIEF, reach=0)
+
+
+def test_a_pose_that_is_certain_has_an_ellipse_of_no_size():
+    certain = Overlay(np.array([1.0, 3.5, 0.0]), np.diag([0.0, -1e-20, 0.0]))
+    assert render(state_of(overlay=[certain])).dtype == np.uint8
+
+
+@pytest.mark.parametrize("far", [1e4, 1e12])
+def test_a_belief_that_is_far_off_is_drawn_as_far_as_it_can_be_seen(far):
+    lost = Overlay(
+        np.array([far, -far, 1.0]), far**2 * np.eye(3), np.array([(2.0, 2.5, 2.0, far)]), np.full((2, 2), -far),
+        np.array([(4.0, 2.5), (far, 2.5)]),
+    )  # fmt: skip
+    picture, plain = render(state_of(overlay=[lost])), render(state_of())
+    assert shows(picture, 2.0, 5.0, rendering._BELIEF)
+    assert (colours_at(picture, 4.6, 2.5) != colours_at(plain, 4.6, 2.5)).any()
+    np.testing.assert_array_equal(colours_at(picture, 0.5, 3.5), colours_at(plain, 0.5, 3.5))
+
+
+def test_plans_have_the_colour_of_their_robot():
+    plans = [Overlay(plan=np.array([(x, 5.0), (x, 2.5)])) for x in (0.0, 1.0)]
+    picture = render(state_of((0.0, 5.0, 0.0), (1.0, 5.0, 0.0), overlay=plans, ranges=np.full((2, 1), 0.05)))
+    blue, green = (min(colours_at(picture, x, 3.5), key=sum) for x in (0.0, 1.0))
+    assert blue[2] > blue[1] + 20
+    assert green[1] > green[2] + 20
+
+
+def test_the_same_state_gives_the_same_picture_whatever_was_drawn_between():
+    state = state_of(seen=seen_in_hall((4.0, 2.5)), seen_low=LOW, overlay=[Overlay(np.array([1.0, 3.5, 0.0]))])
+    first = render(state)
+    copy = first.copy()
+    other = render(state_of((4.0, 4.0, 1.0), paths=[np.array([(0.0, 3.0), (4.0, 4.0)])]))
+    assert (other != first).any()
+    np.testing.assert_array_equal(render(state), copy)
+    np.testing.assert_array_equal(first, copy)
+    first[:] = 0
+    np.testing.assert_array_equal(render(state), copy)
+
+
+def test_a_long_trail_reaches_from_its_first_to_its_last_point():
+    turns = np.linspace(0.0, 40.0, 12_001)
+    path = np.column_stack((0.8 + 0.6 * np.cos(turns), 4.0 + 0.04 * turns))
+    path[0], path[-1] = (-0.5, 2.5), (4.5, 2.5)
+    picture, plain = render(state_of(paths=[path])), render(state_of())
+    for x, y in ((-0.45, 2.55), (4.45, 2.55)):
+        assert (colours_at(picture, x, y, reach=4) != colours_at(plain, x, y, reach=4)).any()
+
+
+def test_time_and_coverage_stand_above_the_world():
+    plain = render(state_of())
+    top = wall_box(plain)[0]
+    for changed in (state_of(time=12.5), state_of(coverage=0.4)):
+        rows = np.nonzero((render(changed) != plain).any(axis=(1, 2)))[0]
+        assert len(rows)
+        assert rows.max() < top - 1
+
+
+def large_world() -> World:
+    """268 x 202 m, with some 2000 walls."""
+    random = np.random.default_rng(0)
+    starts = np.column_stack((random.uniform(5, 263, 2000), random.uniform(5, 197, 2000)))
+    along = random.integers(0, 2, 2000)
+    ends = starts + 4.0 * np.column_stack((along, 1 - along))
+    walls = np.vstack((outline((0, 0), (268, 0), (268, 202), (0, 202)), np.hstack((starts, ends))))
+    return World("large", (268.0, 202.0), walls)
+
+
+def test_in_a_large_world_walls_robots_and_beams_can_still_be_seen():
+    world = large_world()
+    there = state_of((100.0, 100.0, 0.0), world=world, hits=np.array([[0]]), paths=[np.array([(90, 90), (100, 100)])])
+    picture, elsewhere = render(there), render(state_of((200.0, 50.0, 0.0), world=world))
+    assert max(picture.shape) <= 1600
+    body = is_like(colours_at(picture, 100.0, 100.0, world, reach=5), rendering._ROBOTS[0])
+    assert body.sum() >= 16  # a disc of a few pixels, although 0.1 m is a third of one
+    assert (colours_at(picture, 95.0, 95.0, world) != colours_at(elsewhere, 95.0, 95.0, world)).any()
+    # A wall is a pixel wide at least: as dark as its share of it.
+    middles = 0.5 * (world.walls[4:, :2] + world.walls[4:, 2:])
+    darkness = [colours_at(elsewhere, *middle, world).max(axis=1).min() for middle in middles[:200]]
+    assert np.median(darkness) < 130
+
+
+def test_the_outside_of_a_building_is_no_floor():
+    corners = [(0, 0), (4, 0), (4, 2), (2, 2), (2, 4), (0, 4)]
+    # The doorway is no hole: beyond it lies the outside all the same.
+    world = World("ell", (4.0, 4.0), outline(*corners)[1:], doors=np.array([[0.0, 0.0, 4.0, 0.0]]))
+    for picture, floor in (
+        (render(state_of((1.0, 1.0, 0.0), world=world)), rendering._UNSEEN),
+        (thumbnail(world), rendering._SEEN),
+    ):
+        height, width = picture.shape[:2]
+        assert tuple(picture[int(0.3 * height), int(0.7 * width)]) == rendering._PAPER
+        assert tuple(picture[int(0.7 * height), int(0.7 * width)]) == floor
+        assert tuple(picture[int(0.3 * height), int(0.25 * width)]) == floor
+
+
+def test_a_thumbnail_shows_a_world_with_its_doors_and_starts():
+    walls = outline((0, 0), (6, 0), (6, 4), (0, 4))
+    bare = thumbnail(World("hall", (6.0, 4.0), walls))
+    assert bare.shape[0] == 240
+    assert bare.shape[1] == pytest.approx(360, abs=15)
+    top, bottom, left, right = wall_box(bare)
+    assert (right - left) / (bottom - top) == pytest.approx(1.5, rel=0.02)
+    furnished = World(
+        "hall", (6.0, 4.0), walls, doors=[[3.0, 1.0, 3.0, 2.0]], starts=[[1.0, 3.0, 0.0], [5.0, 1.0, 2.0]]
+    )
+    changed = (thumbnail(furnished) != bare).any(axis=2)
+
+    def near(x: float, y: float) -> np.ndarray:
+        column, row = round(left + x / 6.0 * (right - left)), round(bottom - y / 4.0 * (bottom - top))
+        return changed[row - 30 : row + 31, column - 30 : column + 31]
+
+    for place in ((3.0, 1.5), (1.0, 3.0), (5.0, 1.0)):
+        assert near(*place).sum() > 10
+        near(*place)[:] = False
+    assert not changed.any()
+
+
+@pytest.mark.parametrize("height", [120, 241, 480])
+def test_a_thumbnail_is_as_high_as_asked(height):
+    assert thumbnail(load_world("env1"), height).shape[0] == pytest.approx(height, abs=1)

@@ -1,0 +1,328 @@
+"""Physics: exact arcs in the open, and bodies that neither enter walls nor each other."""
+
+import copy
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
+from limslam_env.geometry.segment import distances, inside_polygon
+from limslam_env.simulation.physics import Physics
+from limslam_env.worlds.formats.loading import load_world
+
+RADIUS, AXLE, PERIOD, TOP = 0.10, 0.16, 0.1, 0.03  # TOP is the wheel travel of one step, m
+DEEPEST = 1e-3
+
+
+def ring(corners: list[tuple[float, float]]) -> FloatArray:
+    points = np.array(corners)
+    return np.hstack((points, np.roll(points, -1, axis=0)))
+
+
+BOX = ring([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)])
+# Corners of 17 and of 73 degrees: pushing out of one wall pushes into the other.
+WEDGE = ring([(0.0, 0.0), (2.0, 0.0), (2.0, 0.6)])
+CELL = ring([(0.0, 0.0), (0.8, 0.0), (0.8, 0.8), (0.0, 0.8)])
+
+
+def physics(edges: FloatArray, *poses: tuple[float, float, float], radius: float = RADIUS) -> Physics:
+    model = Physics(edges, radius, len(poses))
+    model.place(np.array(poses, dtype=float), AXLE)
+    return model
+
+
+def drive(model: Physics, left: float, right: float, steps: int) -> np.ndarray:
+    """All robots alike; whether each of them touched something, step by step."""
+    robots = len(model.poses)
+    return np.array([model.step([(left, right)] * robots, PERIOD) for _ in range(steps)])
+
+
+def depth_in_walls(poses: FloatArray, edges: FloatArray) -> float:
+    return RADIUS - float(distances(poses[:, :2], edges).min())
+
+
+def overlap(poses: FloatArray) -> float:
+    gaps = [np.hypot(*(a - b)) for number, a in enumerate(poses[:, :2]) for b in poses[:number, :2]]
+    return 2.0 * RADIUS - min(gaps)
+
+
+def random_actions(seed: int, robots: int, steps: int, hold: int = 20):
+    """Wheel travel that mostly pushes on, so that walls and robots are leant on for a while."""
+    generator = np.random.default_rng(seed)
+    for step in range(steps):
+        if step % hold == 0:
+            action = generator.uniform(-1.0, 1.0, (robots, 2)) + generator.choice([-1, 0, 1], (robots, 1))
+        yield (np.clip(action, -1.0, 1.0) * TOP).tolist()
+
+
+def pickled(model: Physics) -> Physics:
+    return pickle.loads(pickle.dumps(model))  # noqa: S301 (our own bytes)
+
+
+def test_without_contact_the_pose_follows_the_exact_arcs():
+    model = physics(BOX * 100.0, (200.0, 200.0, 0.4))
+    expected = model.poses[0]
+    generator = np.random.default_rng(0)
+    for travel in generator.uniform(-TOP, TOP, (3000, 2)):
+        contact = model.step([travel.tolist()], PERIOD)
+        expected = compose(expected, arc(*wheels_to_arc(travel, AXLE)))
+        assert contact == [False]
+        difference = model.poses[0] - expected
+        assert np.abs(difference[:2]).max() < 1e-9
+        assert abs(wrap_angle(difference[2])) < 1e-9
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-TOP, TOP), st.floats(-TOP, TOP), st.floats(0.02, 1.0))
+@settings(deadline=None)
+def test_one_step_is_the_exact_arc_whatever_its_length_in_time(heading, left, right, period):
+    model = physics(BOX, (2.0, 2.0, heading))
+    model.step([(left, right)], period)
+    expected = compose(np.array([2.0, 2.0, heading]), arc(*wheels_to_arc(np.array([left, right]), AXLE)))
+    np.testing.assert_allclose(model.poses[0][:2], expected[:2], atol=1e-12)
+    assert abs(wrap_angle(model.poses[0][2] - expected[2])) < 1e-12
+
+
+def test_headings_are_wrapped():
+    model = physics(BOX, (2.0, 2.0, 3.0))
+    drive(model, -TOP, TOP, 50)
+    assert -math.pi < model.poses[0, 2] <= math.pi
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["forwards", "backwards"])
+@pytest.mark.parametrize("quarter", range(4))
+def test_driving_head_on_into_a_wall_stops_there(quarter, sign):
+    heading = quarter * math.pi / 2
+    model = physics(BOX, (2.0, 2.0, heading))
+    contact = drive(model, sign * TOP, sign * TOP, 90)
+    stop = 2.0 + sign * 1.9 * np.array([math.cos(heading), math.sin(heading)])
+    np.testing.assert_allclose(model.poses[0, :2], stop, atol=DEEPEST)
+    assert not contact[:60].any(), "1.8 m of 1.9 m are free"
+    assert contact[65:].all()
+
+
+def test_an_oblique_wall_contact_slides_along_the_wall():
+    model = physics(BOX, (1.0, 0.2, -math.pi / 4))
+    drive(model, TOP, TOP, 10)
+    before = model.poses[0]
+    contact = drive(model, TOP, TOP, 40)
+    after = model.poses[0]
+    assert contact.all()
+    assert after[1] == pytest.approx(RADIUS, abs=DEEPEST)
+    assert after[0] - before[0] == pytest.approx(40 * TOP * math.cos(math.pi / 4), rel=1e-3)
+    assert after[2] == pytest.approx(-math.pi / 4)
+
+
+def test_a_robot_in_contact_turns_on_the_spot():
+    model = physics(BOX, (2.0, RADIUS, -math.pi / 2))
+    drive(model, TOP, TOP, 3)
+    before = model.poses[0]
+    contact = drive(model, -TOP / 2, TOP / 2, 7)
+    after = model.poses[0]
+    assert contact.all()
+    np.testing.assert_allclose(after[:2], before[:2], atol=1e-6)
+    assert wrap_angle(after[2] - before[2]) == pytest.approx(7 * TOP / AXLE, abs=1e-9)
+
+
+def test_a_robot_can_leave_a_wall_again():
+    model = physics(BOX, (0.5, 2.0, math.pi))
+    assert drive(model, TOP, TOP, 30)[-1].all()
+    contact = drive(model, -TOP, -TOP, 10)
+    assert not contact[1:].any()
+    assert model.poses[0, 0] == pytest.approx(RADIUS + 10 * TOP, abs=2 * DEEPEST)
+
+
+@pytest.mark.parametrize(
+    ("edges", "start"),
+    [
+        (load_world("env1").edges, (1.2, 2.0, 0.0)),
+        (load_world("square").edges, (1.0, 1.0, 0.0)),
+        (WEDGE, (1.6, 0.2, math.pi)),
+        (CELL, (0.4, 0.4, 0.0)),
+    ],
+    ids=["env1", "square", "wedge", "cell"],
+)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_walk_never_enters_a_wall_nor_leaves(edges, start, seed):
+    model = physics(edges, start)
+    touched = False
+    corners = edges.reshape(-1, 2)
+    outline = WEDGE[:, :2] if edges is WEDGE else ring_of(corners)
+    for travel in random_actions(seed, 1, 1500, hold=40):
+        touched |= model.step(travel, PERIOD)[0]
+        assert depth_in_walls(model.poses, edges) < DEEPEST
+        assert inside_polygon(model.poses[:, :2], outline)[0]
+    assert touched, "a walk that touches nothing shows nothing"
+
+
+def ring_of(corners: FloatArray) -> FloatArray:
+    (left, low), (right, high) = corners.min(axis=0), corners.max(axis=0)
+    return np.array([[left, low], [right, low], [right, high], [left, high]])
+
+
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), min_size=1, max_size=8), st.floats(-3.2, 3.2))
+@settings(deadline=None, max_examples=60)
+def test_no_sequence_of_pushes_gets_deep_into_a_wedge(actions, heading):
+    model = physics(WEDGE, (1.8, 0.25, heading))
+    for action in actions:
+        for _ in range(25):
+            model.step([(TOP * action[0], TOP * action[1])], PERIOD)
+            assert depth_in_walls(model.poses, WEDGE) < DEEPEST
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.9, 1.0, 1.5, 3.0])
+def test_a_fast_robot_does_not_pass_through_a_wall(speed):
+    # Nothing keeps a RobotSpec from moving further in a step than the body is wide.
+    for start in (2.0, 2.017, 2.05, 2.1):
+        model = physics(BOX, (start, 2.0, 0.0))
+        contact = drive(model, speed * PERIOD, speed * PERIOD, 100)
+        assert model.poses[0, 0] == pytest.approx(4.0 - RADIUS, abs=DEEPEST)
+        assert contact[-1].all()
+
+
+def test_two_robots_head_on_stop_each_other():
+    model = physics(BOX, (1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
+    contact = drive(model, TOP, TOP, 60)
+    assert contact[-1].all(), "both are told"
+    assert -1e-4 < overlap(model.poses) < DEEPEST
+    np.testing.assert_allclose(model.poses[:, :2].mean(axis=0), [2.0, 2.0], atol=DEEPEST)
+
+
+@pytest.mark.parametrize(
+    ("edges", "starts"),
+    [
+        (BOX, [(1.0, 1.0, 0.0), (1.5, 1.0, math.pi)]),
+        (CELL, [(0.2, 0.2, 0.0), (0.5, 0.2, 1.0), (0.5, 0.5, 2.0), (0.2, 0.5, 0.0)]),
+        (load_world("env1").edges, [(1.2, 2.0, 0.0), (1.5, 2.0, math.pi), (1.2, 1.7, 1.0)]),
+    ],
+    ids=["box", "four in a cell", "env1"],
+)
+@pytest.mark.parametrize("seed", range(4))
+def test_robots_never_overlap_nor_enter_walls(edges, starts, seed):
+    model = physics(edges, *starts)
+    touched = False
+    for travel in random_actions(seed, len(starts), 1500):
+        touched |= any(model.step(travel, PERIOD))
+        assert overlap(model.poses) < DEEPEST
+        assert depth_in_walls(model.poses, edges) < DEEPEST
+    assert touched
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 16, 26, 32, 34, 58])
+def test_robots_that_push_each_other_into_a_wedge_do_not_overlap(seed):
+    # Wedged, a robot cannot give way: what is done about the walls must not be at the other robot's cost.
+    model = physics(WEDGE, (1.6, 0.2, math.pi), (1.85, 0.2, math.pi))
+    for travel in random_actions(seed, 2, 1500):
+        model.step(travel, PERIOD)
+        assert overlap(model.poses) < DEEPEST
+        assert depth_in_walls(model.poses, WEDGE) < DEEPEST
+        assert inside_polygon(model.poses[:, :2], WEDGE[:, :2]).all()
+
+
+def test_the_same_drive_gives_the_same_bits():
+    ends = []
+    for _ in range(2):
+        model = physics(CELL, (0.2, 0.2, 0.0), (0.5, 0.5, 2.0))
+        for travel in random_actions(7, 2, 300):
+            model.step(travel, PERIOD)
+        ends.append(model.poses)
+    np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+def test_fast_robots_do_not_pass_through_each_other(speed):
+    for start in (2.5, 2.55, 2.613, 2.7):
+        model = physics(BOX, (1.0, 2.0, 0.0), (start, 2.0, math.pi))
+        contact = drive(model, speed * PERIOD, speed * PERIOD, 40)
+        assert contact[-1].all()
+        assert model.poses[0, 0] < model.poses[1, 0]
+        assert -1e-4 < overlap(model.poses) < DEEPEST
+
+
+def test_robots_apart_follow_their_own_exact_arcs():
+    model = physics(BOX * 100.0, (200.0, 200.0, 0.4), (202.0, 200.0, 2.0), (200.0, 195.0, -1.0))
+    expected = model.poses
+    generator = np.random.default_rng(0)
+    for travel in generator.uniform(-TOP, TOP, (1000, 3, 2)):
+        assert model.step(travel.tolist(), PERIOD) == [False] * 3
+        expected = np.array(
+            [compose(pose, arc(*wheels_to_arc(own, AXLE))) for pose, own in zip(expected, travel, strict=True)]
+        )
+    np.testing.assert_allclose(model.poses[:, :2], expected[:, :2], atol=1e-9)
+    assert np.abs(wrap_angle(model.poses[:, 2] - expected[:, 2])).max() < 1e-9
+
+
+@pytest.mark.parametrize("axle", [0.05, 0.3])
+def test_the_axle_is_that_of_the_last_placing(axle):
+    model = physics(BOX, (1.0, 1.0, 0.0))
+    model.place(np.array([[2.0, 2.0, 0.5]]), axle)
+    model.step([(0.01, 0.02)], PERIOD)
+    expected = compose(np.array([2.0, 2.0, 0.5]), arc(*wheels_to_arc(np.array([0.01, 0.02]), axle)))
+    np.testing.assert_allclose(model.poses[0], expected, atol=1e-12)
+
+
+def test_placing_wraps_headings_and_forgets_what_was_near():
+    model = physics(BOX, (2.0, 2.0, 0.0))
+    drive(model, TOP, TOP, 5)
+    # Right before a wall, where the last place had room for a while.
+    model.place(np.array([[3.895, 2.0, 2.0 * math.pi]]), AXLE)
+    assert model.poses[0, 2] == pytest.approx(0.0)
+    assert drive(model, TOP, TOP, 1).all()
+    assert model.poses[0, 0] == pytest.approx(4.0 - RADIUS, abs=DEEPEST)
+
+
+@pytest.mark.parametrize(
+    ("edges", "starts"),
+    [
+        (BOX, [(1.0, 1.0, 0.0)]),
+        (load_world("env3").edges, [(0.5, 0.5, 0.0), (6.4, 4.9, -2.3), (1.0, 2.2, 0.0)]),
+        (CELL, [(0.2, 0.2, 0.0), (0.5, 0.5, 2.0)]),
+    ],
+    ids=["box", "env3", "cell"],
+)
+def test_not_asking_pymunk_where_nothing_is_near_changes_nothing(edges, starts):
+    short, full = physics(edges, *starts), physics(edges, *starts)
+    contacts = 0
+    for travel in random_actions(5, len(starts), 2000, hold=30):
+        full._room = 0.0
+        contact = short.step(travel, PERIOD)
+        assert contact == full.step(travel, PERIOD)
+        np.testing.assert_allclose(short.poses, full.poses, atol=1e-9)
+        contacts += sum(contact)
+    assert contacts > 20
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, pickled], ids=["copy", "pickle"])
+@pytest.mark.parametrize(
+    ("edges", "starts"),
+    [
+        (CELL, [(0.2, 0.2, 0.0), (0.5, 0.5, 2.0), (0.5, 0.2, 1.0)]),
+        (WEDGE, [(1.6, 0.2, math.pi)]),
+        (load_world("env3").edges, [(0.5, 0.5, 0.0), (6.4, 4.9, -2.3)]),
+    ],
+    ids=["cell", "wedge", "env3"],
+)
+def test_a_copy_goes_on_bit_for_bit_and_on_its_own(clone, edges, starts):
+    model = physics(edges, *starts)
+    actions = list(random_actions(3, len(starts), 900))
+    for travel in actions[:300]:
+        model.step(travel, PERIOD)
+    before, again = model.poses, clone(model)
+    contacts = [again.step(travel, PERIOD) for travel in actions[300:]]
+    np.testing.assert_array_equal(model.poses, before)
+    assert [model.step(travel, PERIOD) for travel in actions[300:]] == contacts
+    np.testing.assert_array_equal(model.poses, again.poses)
+
+
+def test_what_was_driven_before_a_placing_leaves_no_trace():
+    fresh, used = (physics(CELL, (0.2, 0.2, 0.0), (0.5, 0.5, 2.0)) for _ in range(2))
+    for travel in random_actions(1, 2, 400):
+        used.step(travel, PERIOD)
+    used.place(fresh.poses, AXLE)
+    for travel in random_actions(7, 2, 400):
+        assert fresh.step(travel, PERIOD) == used.step(travel, PERIOD)
+        np.testing.assert_array_equal(fresh.poses, used.poses)

@@ -1,0 +1,276 @@
+"""The simulation: the same seed gives the same bits, noise levels are pairs, robots start where they may."""
+
+import math
+
+import numpy as np
+import pytest
+
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import distances
+from limslam_env.interface import RobotSpec
+from limslam_env.simulation.simulation import Simulation
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.world import World, WorldError
+
+ROBOT = RobotSpec()
+BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
+# All noise of readings: what moves the robot otherwise (slips, the axle) is not among it.
+ALL_NOISE = NoiseConfig.sharp(
+    sensor_noise=0.04, dropout=0.05, cone=0.0, wheel_variance=1e-4, encoder_resolution=0.001, wheel_mismatch=0.01
+)
+EVERYTHING = NoiseConfig.sharp(
+    wheel_variance=1e-4,
+    encoder_resolution=0.001,
+    wheel_mismatch=0.01,
+    axle_mismatch=(-0.05, 0.05),
+    slip_rate=2.0,
+    slip_share=(0.1, 0.9),
+)
+
+
+def box_world(*starts: tuple[float, float, float], extra: FloatArray | None = None) -> World:
+    walls = BOX if extra is None else np.vstack((BOX, extra))
+    return World("box", (4.0, 4.0), walls, starts=np.array(starts).reshape(-1, 3))
+
+
+def start_poses(world: World, robots: int, seed: int = 0, start: FloatArray | None = None) -> FloatArray:
+    simulation = Simulation(world, ROBOT, robots)
+    return simulation.reset(np.random.SeedSequence(seed), NoiseConfig(), start)[1].poses
+
+
+def assert_apart(poses: FloatArray, world: World) -> None:
+    for number, pose in enumerate(poses[:, :2]):
+        for other in poses[:number, :2]:
+            assert np.hypot(*(pose - other)) > 2.0 * ROBOT.radius
+    assert distances(poses[:, :2], world.edges).min() >= ROBOT.radius
+
+
+def record(noise: NoiseConfig, seed: int, steps: int, robots: int = 1) -> dict[str, np.ndarray]:
+    """Everything that a run gives, as arrays."""
+    simulation = Simulation(load_world("env1"), ROBOT, robots)
+    results = [simulation.reset(np.random.SeedSequence(seed), noise)]
+    generator = np.random.default_rng(1)
+    for step in range(steps):
+        if step % 10 == 0:
+            actions = generator.uniform(-0.5, 1.0, (robots, 2)).tolist()
+        results.append(simulation.step(actions))
+    return {
+        "ranges": np.array([readings.ranges for readings, _ in results]),
+        "wheels": np.array([readings.wheels for readings, _ in results]),
+        "poses": np.array([truth.poses for _, truth in results]),
+        "coverage": np.array([truth.coverage for _, truth in results]),
+        "wall_seen": np.array([truth.wall_seen for _, truth in results]),
+        "contact": np.array([truth.contact for _, truth in results]),
+        "time": np.array([truth.time for _, truth in results]),
+    }
+
+
+@pytest.mark.parametrize("robots", [1, 2, 8])
+@pytest.mark.parametrize("noise", [ALL_NOISE, EVERYTHING], ids=["readings", "everything"])
+def test_the_same_seed_gives_the_same_bits(robots, noise):
+    first, second = (record(noise, 5, 300, robots) for _ in range(2))
+    for name, values in first.items():
+        assert values.tobytes() == second[name].tobytes(), name
+
+
+def test_another_seed_gives_other_noise():
+    first, second = (record(ALL_NOISE, seed, 20) for seed in (5, 6))
+    assert (first["ranges"] != second["ranges"]).any()
+    assert (first["wheels"] != second["wheels"]).any()
+
+
+def test_a_second_reset_with_the_same_seed_is_the_same_episode():
+    simulation = Simulation(load_world("env1"), ROBOT)
+    runs = []
+    for _ in range(2):
+        simulation.reset(np.random.SeedSequence(9), EVERYTHING)
+        results = [simulation.step([(1.0, 0.8)]) for _ in range(400)]
+        runs.append(
+            [(one.ranges.tobytes(), one.wheels.tobytes(), truth.poses.tobytes(), truth.time) for one, truth in results]
+        )
+    assert runs[0] == runs[1]
+
+
+def test_noise_levels_with_one_seed_share_the_truth():
+    quiet, loud = record(NoiseConfig(wheel_variance=0.0), 3, 200), record(ALL_NOISE, 3, 200)
+    for name in ("poses", "coverage", "wall_seen", "contact"):
+        np.testing.assert_array_equal(quiet[name], loud[name])
+    assert (quiet["ranges"] != loud["ranges"]).any()
+    assert (quiet["wheels"] != loud["wheels"]).any()
+
+
+def test_noise_levels_with_one_seed_share_a_drawn_start():
+    world = box_world()
+    poses = [
+        Simulation(world, ROBOT).reset(np.random.SeedSequence(4), noise)[1].poses
+        for noise in (NoiseConfig(), ALL_NOISE)
+    ]
+    np.testing.assert_array_equal(*poses)
+
+
+def test_the_wheel_noise_does_not_depend_on_the_range_noise():
+    quiet, loud = record(NoiseConfig(sensor_noise=0.0), 3, 50), record(NoiseConfig(sensor_noise=0.04), 3, 50)
+    np.testing.assert_array_equal(quiet["wheels"], loud["wheels"])
+
+
+def test_settings_given_as_ranges_are_drawn_at_each_reset():
+    noise = NoiseConfig(
+        sensor_noise=(0.01, 0.04), wheel_variance=(1e-5, 3e-5), wheel_mismatch=(-0.02, 0.02), dropout=0.1
+    )
+    simulation = Simulation(load_world("env1"), ROBOT)
+    drawn = []
+    for seed in range(40):
+        simulation.reset(np.random.SeedSequence(seed), noise)
+        drawn.append(
+            (simulation._noise.sensor_noise, simulation._noise.wheel_variance, simulation._noise.wheel_mismatch)
+        )
+        assert simulation._noise.dropout == 0.1
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert (low >= [0.01, 1e-5, -0.02]).all()
+    assert (high <= [0.04, 3e-5, 0.02]).all()
+    # Forty draws leave less than a fifth of the range unvisited at either end.
+    assert (high - low > 0.8 * np.array([0.03, 2e-5, 0.04])).all()
+    simulation.reset(np.random.SeedSequence(0), noise)
+    assert simulation._noise.sensor_noise == drawn[0][0]
+
+
+def test_a_drawn_noise_is_the_noise_that_is_made():
+    noise = NoiseConfig(sensor_noise=(0.02, 0.04))
+    simulation = Simulation(load_world("env1"), ROBOT)
+    simulation.reset(np.random.SeedSequence(2), noise)
+    ranges = np.array([simulation.step([(0.0, 0.0)])[0].ranges[0] for _ in range(400)], dtype=float)
+    hit = ranges.std(axis=0) > 0.0
+    assert hit.any()
+    np.testing.assert_allclose(ranges.std(axis=0)[hit], simulation._noise.sensor_noise, rtol=0.2)
+
+
+@pytest.mark.parametrize("robots", [2, 3])
+@pytest.mark.parametrize("name", ["env1", "square"])
+def test_several_robots_start_apart_and_the_first_where_it_would_alone(name, robots):
+    world = load_world(name)
+    poses = start_poses(world, robots)
+    assert poses.shape == (robots, 3)
+    np.testing.assert_array_equal(poses[0], start_poses(world, 1)[0])
+    np.testing.assert_array_equal(poses[0], world.starts[0])
+    np.testing.assert_array_equal(poses[1], world.starts[1])
+    assert_apart(poses, world)
+
+
+@pytest.mark.parametrize("robots", [2, 3, 8])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_in_a_world_without_starts_the_first_robot_starts_where_it_would_alone(robots, seed):
+    world = box_world()
+    poses = start_poses(world, robots, seed)
+    np.testing.assert_array_equal(poses[0], start_poses(world, 1, seed)[0])
+    assert_apart(poses, world)
+
+
+def test_drawn_starts_depend_on_the_seed_and_cover_the_room_and_all_headings():
+    poses = np.vstack([start_poses(box_world(), 1, seed) for seed in range(60)])
+    assert len(np.unique(poses, axis=0)) == 60
+    assert (np.ptp(poses[:, :2], axis=0) > 3.0).all()
+    assert np.ptp(poses[:, 2]) > 5.0
+    assert (np.abs(poses[:, 2]) <= math.pi).all()
+
+
+def test_drawn_starts_lie_in_the_largest_region():
+    # A wall leaves 1 m of 4 m on its right.
+    world = box_world(extra=np.array([[3.0, 0.0, 3.0, 4.0]]))
+    poses = np.vstack([start_poses(world, 1, seed) for seed in range(25)])
+    assert (poses[:, 0] < 3.0).all()
+
+
+def test_extra_robots_start_where_the_first_can_get_to():
+    world = box_world((3.5, 2.0, 0.0), extra=np.array([[3.0, 0.0, 3.0, 4.0]]))
+    poses = start_poses(world, 3)
+    assert (poses[:, 0] > 3.0).all()
+    assert_apart(poses, world)
+
+
+def test_two_starts_at_one_place_are_not_both_used():
+    # A world's starts may differ in heading only.
+    world = box_world((1.0, 1.0, 0.0), (1.05, 1.0, math.pi), (3.0, 3.0, 0.0))
+    for robots in (2, 3):
+        poses = start_poses(world, robots)
+        np.testing.assert_array_equal(poses[0], [1.0, 1.0, 0.0])
+        assert_apart(poses, world)
+
+
+def test_a_given_start_is_taken_and_the_others_keep_away_from_it():
+    world = load_world("env1")
+    poses = start_poses(world, 2, start=np.array([1.25, 2.0, 1.0]))
+    np.testing.assert_array_equal(poses[0], [1.25, 2.0, 1.0])
+    assert_apart(poses, world)
+
+
+def test_given_starts_that_overlap_are_refused():
+    with pytest.raises(WorldError):
+        start_poses(box_world(), 2, start=np.array([[1.0, 1.0, 0.0], [1.05, 1.0, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    "start", [[3.5, 3.5, 0.0], [0.05, 3.0, 0.0], [math.nan, 1.0, 0.0], [8.0, 8.0, 0.0], [1.0, 1.0]]
+)
+def test_a_given_start_that_cannot_be_is_refused(start):
+    with pytest.raises(WorldError):
+        start_poses(load_world("env1"), 1, start=np.array(start))
+
+
+def test_more_robots_than_fit_are_refused():
+    small = World("small", (0.7, 0.7), BOX * (0.7 / 4.0))
+    with pytest.raises(WorldError, match="no room for 20 robots"):
+        start_poses(small, 20)
+
+
+def test_time_and_shapes_and_a_still_first_observation():
+    run = record(NoiseConfig(), 0, 30, robots=2)
+    np.testing.assert_allclose(run["time"], 0.1 * np.arange(31), atol=1e-12)
+    assert run["ranges"].shape == (31, 2, 6)
+    assert run["wheels"].shape == (31, 2, 2)
+    assert run["wall_seen"].shape == (31, 2, 6)
+    assert run["ranges"].dtype == run["wheels"].dtype == np.float32
+    np.testing.assert_array_equal(run["wheels"][0], 0.0)
+    assert not run["contact"][0].any()
+
+
+def test_actions_beyond_the_top_speed_are_clipped():
+    ends = []
+    for action in ((5.0, -9.0), (1.0, -1.0)):
+        simulation = Simulation(load_world("env1"), ROBOT)
+        simulation.reset(np.random.SeedSequence(0), NoiseConfig())
+        ends.append(simulation.step([action])[1].poses)
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_run_s_answers_are_its_own():
+    simulation = Simulation(load_world("env1"), ROBOT, 2)
+    results = [simulation.reset(np.random.SeedSequence(0), ALL_NOISE)]
+    results += [simulation.step([(1.0, 1.0), (0.5, 1.0)]) for _ in range(3)]
+    arrays = [array for one, truth in results for array in (*one, truth.poses, truth.wall_seen)]
+    for number, array in enumerate(arrays):
+        assert not any(np.shares_memory(array, other) for other in arrays[:number])
+
+
+def test_more_robots_change_nothing_about_the_first_while_they_do_not_meet():
+    ends = []
+    for count in (1, 2):
+        simulation = Simulation(load_world("square"), ROBOT, count)
+        simulation.reset(np.random.SeedSequence(0), NoiseConfig())
+        ends.append([simulation.step([(0.9, 1.0)] * count)[1].poses[0] for _ in range(30)])
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_robot_that_does_not_fit_the_world_is_refused():
+    with pytest.raises(WorldError, match="collides"):
+        Simulation(load_world("env1"), RobotSpec(radius=0.9))
+
+
+def test_a_world_that_a_robot_could_leave_is_refused():
+    with pytest.raises(WorldError, match="not closed"):
+        Simulation(World("open", (4.0, 4.0), BOX[:3], starts=np.array([[2.0, 2.0, 0.0]])), ROBOT)
+
+
+def test_more_starts_than_robots_are_refused():
+    with pytest.raises(WorldError, match="2 starts for 1 robots"):
+        start_poses(box_world(), 1, start=np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))

@@ -1,0 +1,699 @@
+"""Other people's maps: read as what they show, or refused with file and reason; plans of real buildings are usable."""
+
+import codecs
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.data import data_folder
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import distances, inside_polygon, lengths
+from limslam_env.worlds.formats import map_server, readers
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.formats.map_server import read_map_server, read_pgm
+from limslam_env.worlds.formats.readers import read_house_expo, read_json, read_wall_list
+from limslam_env.worlds.free_space import cell_for, free_space
+from limslam_env.worlds.world import World, WorldError
+
+RADIUS = 0.10
+PLAN = {"id": "plan", "wall_thickness": 0.1, "walls": [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]}
+HOUSE = {
+    "id": "house",
+    "room_num": 1,
+    "bbox": {"min": [0, 0], "max": [4, 3]},
+    "verts": [[0, 0], [4, 0], [4, 3], [0, 3]],
+    "room_category": {"Hall": [[0, 0, 4, 3]]},
+}
+MAP = {
+    "image": "map.pgm",
+    "resolution": 0.5,
+    "origin": [1.0, 2.0, 0.0],
+    "negate": 0,
+    "occupied_thresh": 0.65,
+    "free_thresh": 0.196,
+}
+ROOM = """
+    ##########
+    #........#
+    #..###...#
+    #..###...#
+    #........#
+    ##########
+"""
+TOML = 'name = "n"\nsize = [4, 3]\nwalls = [[0, 0, 4, 0], [4, 0, 4, 3]]\nstarts = [[1, 1, 0.5]]\n'
+
+
+def levels(picture: str, largest: int = 255) -> np.ndarray:
+    """Cells from a drawing: # is occupied, . is free, ? is unknown."""
+    shades = {"#": 0.0, ".": 254 / 255, "?": 205 / 255}
+    return np.array([[round(shades[c] * largest) for c in row] for row in picture.split()])
+
+
+def binary_pgm(cells: np.ndarray, largest: int = 255) -> bytes:
+    kind = ">u1" if largest < 256 else ">u2"
+    return b"P5\n%d %d\n%d\n" % (cells.shape[1], cells.shape[0], largest) + cells.astype(kind).tobytes()
+
+
+def plain_pgm(cells: np.ndarray, largest: int = 255) -> bytes:
+    rows = "\n".join(" ".join(map(str, row)) for row in cells.tolist())
+    return f"P2\n{cells.shape[1]} {cells.shape[0]}\n{largest}\n{rows}\n".encode()
+
+
+def write_map(folder, pgm: bytes | str, **changes):
+    """A map's two files; a change to None takes the key away."""
+    table = {key: value for key, value in {**MAP, **changes}.items() if value is not None}
+    (folder / "map.pgm").write_bytes(binary_pgm(levels(pgm)) if isinstance(pgm, str) else pgm)
+    path = folder / "map.yaml"
+    path.write_text(yaml.safe_dump(table), encoding="utf-8")
+    return path
+
+
+def write_json(folder, table, name: str = "plan.json"):
+    path = folder / name
+    path.write_text(table if isinstance(table, str) else json.dumps(table), encoding="utf-8")
+    return path
+
+
+def segment_set(edges: FloatArray) -> set[frozenset[tuple[float, float]]]:
+    """Segments without direction, to the micrometre."""
+    return {frozenset(map(tuple, pair.tolist())) for pair in np.round(edges.reshape(-1, 2, 2), 6) + 0.0}
+
+
+def box(x1: float, y1: float, x2: float, y2: float) -> set[frozenset[tuple[float, float]]]:
+    return segment_set(np.array([[x1, y1, x2, y1], [x2, y1, x2, y2], [x2, y2, x1, y2], [x1, y2, x1, y1]]))
+
+
+def obstacle_edges(world: World) -> FloatArray:
+    return world.edges[len(world.walls) :]
+
+
+class TestMapServer:
+    def test_a_room_with_a_pillar_is_where_it_stands(self, tmp_path):
+        world = read_map_server(write_map(tmp_path, ROOM))
+        # 10 x 6 cells of 0.5 m from (1, 2). Outlines run a quarter of a cell, 0.125 m, inside the occupied cells.
+        assert (world.name, world.size) == ("map", (5.0, 3.0))
+        assert segment_set(world.walls) == box(1.125, 2.125, 5.875, 4.875) | box(1.375, 2.375, 5.625, 4.625)
+        # The pillar: columns 3 to 5, rows 2 and 3 from the top: 2.5 to 4 m, and 3 to 4 m.
+        assert segment_set(obstacle_edges(world)) == box(2.625, 3.125, 3.875, 3.875)
+        assert len(world.obstacles) == 1
+        world.check(RADIUS)
+        assert load_world(tmp_path / "map.yaml") == world
+
+    def test_the_origins_yaw_turns_the_map_round_its_lower_left_corner(self, tmp_path):
+        world = read_map_server(write_map(tmp_path, ROOM, origin=[1.0, 2.0, math.pi / 2]))
+        # (u, v) of the picture becomes (1 - v, 2 + u).
+        np.testing.assert_allclose(world.size, (3.0, 5.0))
+        assert segment_set(world.walls) == box(0.875, 2.125, -1.875, 6.875) | box(0.625, 2.375, -1.625, 6.625)
+        assert segment_set(obstacle_edges(world)) == box(-0.125, 3.625, -0.875, 4.875)
+
+    def test_a_yaw_of_any_angle_keeps_every_length(self, tmp_path):
+        straight = read_map_server(write_map(tmp_path, ROOM))
+        turned = read_map_server(write_map(tmp_path, ROOM, origin=[1.0, 2.0, 0.3]))
+        np.testing.assert_allclose(lengths(turned.edges), lengths(straight.edges))
+        along = turned.walls[:, 2:] - turned.walls[:, :2]
+        angles = np.arctan2(along[:, 1], along[:, 0]) % (math.pi / 2)
+        np.testing.assert_allclose(angles, 0.3)
+
+    def test_a_building_left_of_and_below_zero_stays_there(self, tmp_path):
+        world = read_map_server(write_map(tmp_path, ROOM, origin=[-100.0, -50.0, 0.0]))
+        np.testing.assert_allclose(world.walls.reshape(-1, 2).min(axis=0), [-99.875, -49.875])
+
+    @pytest.mark.parametrize(
+        "pgm",
+        [
+            plain_pgm(levels(ROOM)),
+            plain_pgm(levels(ROOM, 7), 7),
+            plain_pgm(levels(ROOM, 65535), 65535),
+            binary_pgm(levels(ROOM, 100), 100),
+            binary_pgm(levels(ROOM, 1000), 1000),
+            # With the bytes of 255 the wrong way round, black would be white.
+            binary_pgm(np.where(levels(ROOM) == 0, 255, 65280), 65535),
+            binary_pgm(levels(ROOM)).replace(b"P5\n", b"P5# made by hand\n#\n \t"),
+            binary_pgm(levels(ROOM)).replace(b"10 6\n", b"10 # columns\r\n# 5 5\n6\n"),
+            plain_pgm(levels(ROOM)).replace(b"255\n", b"255\n# the first row # is all walls\n", 1),
+            binary_pgm(levels(ROOM)) + b"\nwhat follows is another picture",
+        ],
+        ids=["P2", "3 bits", "P2, 16 bits", "100", "1000", "byte order", "comments", "between", "within", "trailing"],
+    )
+    def test_every_kind_of_pgm_shows_the_same_world(self, tmp_path, pgm):
+        expected = read_map_server(write_map(tmp_path, ROOM))
+        assert read_map_server(write_map(tmp_path, pgm)) == expected
+
+    def test_a_negated_map_has_white_walls(self, tmp_path):
+        expected = read_map_server(write_map(tmp_path, ROOM))
+        negative = binary_pgm(255 - levels(ROOM))
+        assert read_map_server(write_map(tmp_path, negative, negate=1)) == expected
+        assert read_map_server(write_map(tmp_path, negative, negate=True)) == expected
+        assert read_map_server(write_map(tmp_path, negative)) != expected
+
+    def test_only_cells_above_the_threshold_are_walls(self, tmp_path):
+        pgm = plain_pgm(np.array([[4, 4, 4, 4], [4, 1, 1, 4], [4, 2, 2, 4]]), 4)
+        # Shades of 3/4 and 2/4 are above 0.4; 3/4 alone is above 0.5, which 2/4 is not.
+        both = read_map_server(write_map(tmp_path, pgm, occupied_thresh=0.4))
+        upper = read_map_server(write_map(tmp_path, pgm, occupied_thresh=0.5))
+        assert segment_set(both.edges) == box(1.625, 2.125, 2.375, 2.875)
+        assert upper.edges[:, [1, 3]].min() > 2.5
+
+    def test_unknown_cells_are_no_walls(self, tmp_path):
+        assert read_map_server(write_map(tmp_path, ROOM.replace(".", "?"))) == read_map_server(
+            write_map(tmp_path, ROOM)
+        )
+
+    @pytest.mark.parametrize("changes", [{"mode": "trinary"}, {"mode": "scale"}, {"resolution": "5e-1"}, {"extra": 1}])
+    def test_what_changes_no_wall_is_read_alike(self, tmp_path, changes):
+        expected = read_map_server(write_map(tmp_path, ROOM))
+        path = write_map(tmp_path, ROOM, **changes)
+        path.write_text(path.read_text(encoding="utf-8").replace("'5e-1'", "5e-1"), encoding="utf-8")
+        assert read_map_server(path) == expected
+
+    def test_the_image_may_lie_in_another_folder(self, tmp_path):
+        expected = read_map_server(write_map(tmp_path, ROOM))
+        (tmp_path / "images").mkdir()
+        path = write_map(tmp_path, ROOM, image="images/big.PGM")
+        (tmp_path / "map.pgm").rename(tmp_path / "images" / "big.PGM")
+        assert read_map_server(path) == expected
+        path.write_bytes(codecs.BOM_UTF8 + path.read_bytes().replace(b"\n", b"\r\n"))
+        assert read_map_server(path) == expected
+
+    def test_a_long_thin_wall_is_one_wall(self, tmp_path):
+        world = read_map_server(write_map(tmp_path, "\n".join(["." * 42, "." + "#" * 40 + ".", "." * 42])))
+        # Its cells' middles: from (1.75, 2.75) to (21.25, 2.75).
+        assert len(world.edges) == 1
+        assert distances(world.edges.reshape(-1, 2), np.array([[1.75, 2.75, 21.25, 2.75]])).max() < 0.5
+        assert lengths(world.edges) > 19.0
+
+    def test_a_slanting_staircase_becomes_straight(self, tmp_path):
+        cells = np.full((60, 120), 254)
+        column = np.arange(5, 115)
+        for thickness in range(4):
+            cells[column // 3 + 10 + thickness, column] = 0
+        world = read_map_server(write_map(tmp_path, binary_pgm(cells)))
+        assert len(world.edges) == 4
+        assert np.sort(lengths(world.edges))[2:] == pytest.approx(0.5 * math.hypot(109, 36), abs=0.75)
+
+    def test_a_single_cell_is_still_in_the_way(self, tmp_path):
+        world = read_map_server(write_map(tmp_path, "...\n.#.\n..."))
+        assert segment_set(obstacle_edges(world)) == box(1.625, 2.625, 1.875, 2.875)
+
+    def test_patches_that_meet_at_a_corner_are_one_obstacle(self, tmp_path):
+        world = read_map_server(write_map(tmp_path, "####....\n" * 4 + "....####\n" * 4))
+        (polygon,) = world.obstacles
+        # Of 2 x 2 m each: their middles are inside, and those of the empty quarters are not.
+        middles = np.array([[2.0, 5.0], [4.0, 3.0], [2.0, 3.0], [4.0, 5.0]])
+        assert inside_polygon(middles, polygon).tolist() == [True, True, False, False]
+        assert distances(middles, world.edges).min(axis=1) == pytest.approx(0.875, abs=0.26)
+
+    @pytest.mark.parametrize(
+        ("corners", "expected"),
+        [
+            ([[0, 0], [4, 0], [4, 4], [0, 4]], True),
+            ([[0, 4], [4, 4], [4, 0], [0, 0]], True),
+            ([[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]], True),
+            ([[0, 0], [2, 0], [4, 0], [4, 4]], True),
+            ([[0, 0], [4, 4], [4, 0], [0, 4]], False),
+            ([[0, 0], [4, 0], [4, 4], [2, 0], [0, 4]], False),
+            ([[0, 0], [4, 0], [6, 0], [4, 0], [4, 4]], False),
+            ([[0, 0], [4, 0], [8, 0]], False),
+            ([[0, 0], [2, 2], [4, 0], [4, 4], [2, 2], [0, 4]], False),
+            ([[0, 0], [4, 0]], False),
+        ],
+        ids=["square", "other way", "notch", "straight on", "bow", "touching", "spike", "flat", "pinch", "line"],
+    )
+    def test_only_simple_polygons_are_obstacles(self, corners, expected):
+        assert map_server._is_simple(np.array(corners)) == expected
+
+    def test_the_shape_of_a_corridor_with_a_narrow_part_is_kept(self, tmp_path):
+        picture = """
+            ################
+            #......##......#
+            #..............#
+            #......##......#
+            ################
+        """
+        world = read_map_server(write_map(tmp_path, picture, resolution=0.25))
+        world.check(RADIUS)
+        space = world.free_space(RADIUS)
+        # The gap is one cell, 0.25 m, wide: the robot passes from the left part (1.5, 2.6) to the right one.
+        left, right = (space.label_of(np.array([x, 2.625])) for x in (1.5, 4.5))
+        assert left == right > 0
+
+    def test_a_polygon_of_many_corners_is_walls(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(map_server, "_PILLAR_CORNERS", 3)
+        world = read_map_server(write_map(tmp_path, ROOM))
+        assert not world.obstacles
+        assert len(world.walls) == 12
+
+
+def yaml_with(line: str) -> str:
+    """The map's YAML with another line for the key that the line begins with."""
+    key = line.partition(":")[0]
+    rows = yaml.safe_dump(MAP, default_flow_style=None).splitlines()
+    return "\n".join(line if row.startswith(key) else row for row in rows)
+
+
+class TestMapsRefused:
+    @pytest.mark.parametrize("key", list(MAP))
+    def test_every_key_is_needed(self, tmp_path, key):
+        with pytest.raises(WorldError, match=rf"map\.yaml: the key '{key}' is missing"):
+            read_map_server(write_map(tmp_path, ROOM, **{key: None}))
+
+    @pytest.mark.parametrize(
+        ("text", "reason"),
+        [
+            (yaml_with("image: 3"), "image must be a file's name"),
+            (yaml_with("image: map.png"), r"image 'map\.png': not a \.pgm file"),
+            (yaml_with("image: other.pgm"), r"image 'other\.pgm': no such file"),
+            (yaml_with("image: folder.pgm"), r"image 'folder\.pgm': no such file"),
+            (yaml_with('image: "nul\\0.pgm"'), r"image 'nul\\x00\.pgm': no such file"),
+            (yaml_with('image: "\\ud800.pgm"'), r"image '\\ud800\.pgm': "),
+            (yaml_with(f"image: {'x' * 5000}.pgm"), "cannot be read|no such file"),
+            (yaml_with("resolution: 0"), r"resolution must be a number from 0\.001 to 10"),
+            (yaml_with("resolution: -0.05"), "resolution must be a number"),
+            (yaml_with("resolution: .nan"), "resolution must be a number"),
+            (yaml_with("resolution: .inf"), "resolution must be a number"),
+            (yaml_with("resolution: 1e999"), "resolution must be a number"),
+            (yaml_with("resolution: true"), "resolution must be a number"),
+            (yaml_with("resolution: fine"), "resolution must be a number"),
+            (yaml_with("resolution: [0.05]"), "resolution must be a number"),
+            (yaml_with("resolution: 2001-01-01"), "resolution must be a number"),
+            (yaml_with("resolution: 2001-99-99"), "not a map's YAML"),
+            (yaml_with(f"resolution: {'9' * 5000}"), "not a map's YAML"),
+            (yaml_with(f"resolution: {'9' * 500}"), "resolution must be a number"),
+            (yaml_with("origin: [0, 0]"), "origin must be three numbers"),
+            (yaml_with("origin: 0"), "origin must be three numbers"),
+            (yaml_with("origin: [0, 0, up]"), "origin must be a number"),
+            (yaml_with("origin: [0, .nan, 0]"), "origin must be a number"),
+            (yaml_with("origin: [1e5, 0, 0]"), "walls reach further than 500 m"),
+            (yaml_with("origin: [[0], 0, 0]"), "nested deeper"),
+            (yaml_with("negate: 2"), "negate must be a number from 0 to 1"),
+            (yaml_with("negate: 0.5"), "negate must be 0 or 1"),
+            (yaml_with("occupied_thresh: 1.5"), "occupied_thresh must be a number from 0 to 1"),
+            (yaml_with("free_thresh: 0.7"), r"free_thresh must be a number from 0 to 0\.65"),
+            (yaml_with("negate: 0") + "\nmode: raw", "mode must be trinary or scale"),
+            (yaml_with("negate: 0") + "\nmode: [scale]", "mode must be trinary or scale"),
+            (yaml_with("origin: &a [*a, 0, 0]"), "neither aliases nor tags"),
+            (yaml_with("negate: !!int ''"), "neither aliases nor tags"),
+            (yaml_with("image: !!python/object/apply:os.getcwd []"), "neither aliases nor tags"),
+            (yaml_with("negate: 0b_"), "not a map's YAML"),
+            (yaml_with("negate: 0") + "\n? [a, b]\n: c", "not a map's YAML"),
+            ("[" * 90_000, "nested deeper than a map is"),
+            ("a: " * 1000, "not a map's YAML"),
+            ("{" * 3, "not a map's YAML"),
+            ("[image, resolution]", "no table of keys and values"),
+            ("just a text", "no table of keys and values"),
+            ("", "no table of keys and values"),
+            ("\x07", "not a map's YAML"),
+            ("a: 1\n---\na: 2", "not a map's YAML"),
+            ("#" * 100_001, r"larger than 0\.1 MB"),
+        ],
+        ids=lambda value: re.sub(r"\W+", "-", value)[-30:],
+    )
+    def test_yaml_that_describes_no_map_is_refused(self, tmp_path, text, reason):
+        path = write_map(tmp_path, ROOM)
+        (tmp_path / "folder.pgm").mkdir()
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(WorldError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
+            read_map_server(path)
+
+    @pytest.mark.parametrize(
+        ("pgm", "reason"),
+        [
+            (b"", "no PGM file"),
+            (b"P5\n4 4", "no PGM file"),
+            (b"P6\n4 4\n255\n" + bytes(48), "no PGM file"),
+            (b"P5\n-4 4\n255\n" + bytes(16), "no PGM file"),
+            (b"P5\n4.0 4\n255\n" + bytes(16), "no PGM file"),
+            (b"P5#" + b"x" * 100_000, "no PGM file"),
+            (b"\x89PNG\r\n\x1a\n" + bytes(40), "no PGM file"),
+            (b"P5\n0 4\n255\n", "0 x 4 pixels; 1 to"),
+            (b"P5\n100000 100000\n255\n", "100000 x 100000 pixels; 1 to"),
+            (b"P2\n999999999 999999999\n255\n", "pixels; 1 to"),
+            (b"P5\n4 4\n0\n" + bytes(16), "white is 0"),
+            (b"P5\n4 4\n65536\n" + bytes(64), "white is 65536"),
+            (b"P5\n4 4\n255\n" + bytes(15), "ends after 15 of 16 pixels"),
+            (b"P5\n4 4\n256\n" + bytes(31), "ends after 15 of 16 pixels"),
+            (b"P5\n4 4\n255\n", "ends after 0 of 16 pixels"),
+            (b"P2\n4 4\n255\n" + b"0 " * 15, "ends after 15 of 16 pixels"),
+            (b"P2\n4 4\n255\n", "ends after 0 of 16 pixels"),
+            (b"P2\n4 4\n255\n" + b"0 " * 15 + b"x", "'x' is no sample"),
+            (b"P2\n4 4\n255\n" + b"0 " * 15 + b"-1", "'-' is no sample"),
+            (b"P2\n4 4\n255\n" + b"0 " * 15 + b"9" * 50, "'999999' is no sample"),
+            (b"P2\n4 4\n255\n" + b" " * 100_000, "too long for 16 pixels"),
+            (b"P2\n4 4\n255\n" + b"0 " * 15 + b"256", "the level 256, above its white of 255"),
+            (b"P5\n4 4\n9\n" + bytes(15) + b"\x0a", "the level 10, above its white of 9"),
+            (b"P5\n4 4\n255\n" + b"\xff" * 16, "no cell is occupied"),
+        ],
+        ids=range(24),
+    )
+    def test_a_picture_that_is_no_map_is_refused(self, tmp_path, pgm, reason):
+        with pytest.raises(WorldError, match=rf"^[^\n]*map\.yaml: [^\n]*{reason}[^\n]*$"):
+            read_map_server(write_map(tmp_path, pgm))
+
+    def test_a_map_wider_than_a_world_is_refused(self, tmp_path):
+        cells = np.full((4, 60), 254)
+        cells[1] = 0
+        with pytest.raises(WorldError, match=r"map\.yaml: size must be two lengths up to 500 m"):
+            read_map_server(write_map(tmp_path, binary_pgm(cells), resolution=10.0))
+
+    def test_noise_is_refused_before_it_takes_minutes(self, tmp_path):
+        cells = np.random.default_rng(0).integers(0, 2, (2000, 2000)) * 254
+        with pytest.raises(WorldError, match="more than 1000000 corners"):
+            read_map_server(write_map(tmp_path, binary_pgm(cells), resolution=0.05))
+        dots = np.full((400, 600), 254)
+        dots[::3, ::3] = 0
+        with pytest.raises(WorldError, match="26800 separate outlines"):
+            read_map_server(write_map(tmp_path, binary_pgm(dots), resolution=0.05))
+
+    def test_a_checkerboard_has_as_many_corners_as_it_looks(self):
+        board = np.indices((5, 7)).sum(axis=0) % 2 == 1
+        assert map_server._corner_count(board) == 2 * 4 * 6
+        square = np.zeros((6, 6), dtype=bool)
+        square[2:4, 1:5] = True
+        assert map_server._corner_count(square) == 4
+
+    def test_read_pgm_gives_the_numbers_of_the_file(self, tmp_path):
+        path = tmp_path / "numbers.pgm"
+        path.write_bytes(b"P5 3 2 999 " + np.array([1, 2, 3, 500, 998, 999], dtype=">u2").tobytes())
+        samples, largest = read_pgm(path)
+        assert (samples.tolist(), largest) == ([[1, 2, 3], [500, 998, 999]], 999)
+
+
+class TestPlans:
+    def test_a_wall_list_is_its_walls(self, tmp_path):
+        world = read_wall_list(write_json(tmp_path, PLAN))
+        assert (world.name, world.size, world.obstacles) == ("plan", (4.0, 3.0), ())
+        np.testing.assert_array_equal(world.walls, PLAN["walls"])
+        world.check(RADIUS)
+        assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
+
+    def test_walls_without_length_are_dropped(self, tmp_path):
+        walls = [*PLAN["walls"][:2], [1, 1, 1, 1], *PLAN["walls"][2:], [2, 2, 2 + 1e-7, 2]]
+        assert read_wall_list(write_json(tmp_path, {**PLAN, "walls": walls})) == read_wall_list(
+            write_json(tmp_path, PLAN)
+        )
+
+    def test_a_house_is_its_closed_outline(self, tmp_path):
+        world = read_house_expo(write_json(tmp_path, HOUSE))
+        assert (world.name, world.size) == ("house", (4.0, 3.0))
+        assert segment_set(world.walls) == box(0.0, 0.0, 4.0, 3.0)
+        assert len(world.walls) == 4
+        world.check(RADIUS)
+        assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
+
+    @pytest.mark.parametrize(
+        "verts",
+        [
+            [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]],
+            [[0, 0], [0, 0], [4, 0], [4, 3], [4, 3], [4, 3], [0, 3]],
+        ],
+        ids=["closed", "doubled"],
+    )
+    def test_a_corner_given_twice_adds_no_wall(self, tmp_path, verts):
+        world = read_house_expo(write_json(tmp_path, {**HOUSE, "verts": verts}))
+        assert segment_set(world.walls) == box(0.0, 0.0, 4.0, 3.0)
+        assert len(world.walls) == 4
+
+    def test_a_shifted_building_keeps_its_coordinates(self, tmp_path):
+        shift = np.array([-120.5, 33.25])
+        plan = {**PLAN, "walls": (np.array(PLAN["walls"]) + np.tile(shift, 2)).tolist()}
+        house = {**HOUSE, "verts": (np.array(HOUSE["verts"]) + shift).tolist()}
+        for world in (read_wall_list(write_json(tmp_path, plan)), read_house_expo(write_json(tmp_path, house))):
+            assert world.size == (4.0, 3.0)
+            np.testing.assert_array_equal(world.walls.reshape(-1, 2).min(axis=0), shift)
+            world.check(RADIUS)
+
+    def test_what_is_not_used_may_be_missing_or_anything(self, tmp_path):
+        expected = read_wall_list(write_json(tmp_path, PLAN))
+        assert read_wall_list(write_json(tmp_path, {**PLAN, "wall_thickness": [None]})) == expected
+        assert read_wall_list(write_json(tmp_path, {"id": "plan", "walls": PLAN["walls"]})) == expected
+
+    def test_a_byte_order_mark_is_no_part_of_the_text(self, tmp_path):
+        path = write_json(tmp_path, PLAN)
+        path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())
+        assert read_json(path).name == "plan"
+
+    @pytest.mark.parametrize(
+        ("content", "reason"),
+        [
+            (b"", "not JSON"),
+            (b"{", "not JSON"),
+            (b"\xff\xfe", "cannot be read: 'utf-8'"),
+            (json.dumps(PLAN).encode("utf-16"), "cannot be read: 'utf-8'"),
+            (b"[" * 100_000, "not JSON"),
+            (b'{"walls":' * 100_000, "not JSON"),
+            (b"[1, 2]", "no table of keys and values"),
+            (b'"walls"', "no table of keys and values"),
+            (b"{}", "neither 'walls'.* nor 'verts'"),
+            (b'{"id": "n", "walls": [[NaN, 0, 1, 1]]}', "not JSON: NaN is no number"),
+            (b'{"id": "n", "walls": [[0, 0, -Infinity, 1]]}', "not JSON: -Infinity is no number"),
+            (b'{"id": "n", "walls": [[0, 0, 1e999, 1]]}', "walls reaches further than 500 m"),
+            (b'{"id": "n", "walls": [[0, 0, -1e308, 1e308]]}', "walls reaches further than 500 m"),
+            (b'{"id": "n", "walls": [[0, 0, 501, 1]]}', "walls reaches further than 500 m"),
+            (b'{"id": "n", "walls": [[0, 0, %s, 1]]}' % (b"9" * 400), "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": [[0, 0, %s, 1]]}' % (b"9" * 5000), "not JSON"),
+            (b'{"id": "n", "walls": [[0, 0, true, 1]]}', "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": [[0, 0, "1", 1]]}', "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": [[0, 0, null, 1]]}', "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": [0, 0, 1, 1]}', "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": {"0": [0, 0, 1, 1]}}', "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": null}', "walls must be a list of lists of numbers"),
+            (b'{"id": "n", "walls": [[0, 0, 1, 1], [0, 0, 1]]}', "walls: rows of different lengths"),
+            (b'{"id": "n", "walls": [[0, 0, 1]]}', "walls must have 4 numbers a row, not 3"),
+            (b'{"id": "n", "walls": []}', "walls is empty"),
+            (b'{"id": "n", "walls": [[]]}', "walls is empty"),
+            (b'{"id": "n", "walls": [[1, 1, 1, 1]]}', "stand on one line and enclose nothing"),
+            (b'{"id": "n", "walls": [[0, 1, 2, 1]]}', "stand on one line and enclose nothing"),
+            (b'{"walls": [[0, 0, 1, 1]]}', "the key 'id' is missing"),
+            (b'{"id": 7, "walls": [[0, 0, 1, 1]]}', "id must be a text"),
+            (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds a character that is none"),
+            (b'{"id": "n", "verts": []}', "verts is empty"),
+            (b'{"id": "n", "verts": [[0, 0, 0]]}', "verts must have 2 numbers a row, not 3"),
+            (b'{"id": "n", "verts": [[0, 0], [1, 1]]}', "fewer than three corners"),
+            (b'{"id": "n", "verts": [[0, 0], [1, 1], [1, 1], [0, 0]]}', "fewer than three corners"),
+            (b'{"id": "n", "verts": [[0, 0], [1, 0], [2, 0]]}', "stand on one line and enclose nothing"),
+            (b'{"verts": [[0, 0], [1, 1], [1, 0]]}', "the key 'id' is missing"),
+        ],
+        ids=range(37),
+    )
+    def test_json_that_is_no_plan_is_refused(self, tmp_path, content, reason):
+        path = tmp_path / "plan.json"
+        path.write_bytes(content)
+        with pytest.raises(WorldError, match=rf"^[^\n]*plan\.json: [^\n]*{reason}[^\n]*$"):
+            load_world(path)
+
+    def test_the_readers_ask_for_their_own_keys(self, tmp_path):
+        with pytest.raises(WorldError, match=r"plan\.json: the key 'verts' is missing"):
+            read_house_expo(write_json(tmp_path, PLAN))
+        with pytest.raises(WorldError, match=r"plan\.json: the key 'walls' is missing"):
+            read_wall_list(write_json(tmp_path, HOUSE))
+
+    @pytest.mark.parametrize("read", [read_json, read_wall_list, read_house_expo, read_map_server])
+    def test_a_file_that_is_not_there_is_named(self, tmp_path, read):
+        for name in ("missing.json", "", "nul\0", "x" * 5000):
+            with pytest.raises(WorldError, match=r"no such file|cannot be read"):
+                read(tmp_path / name)
+
+    def test_more_bytes_or_walls_than_can_be_used_are_refused(self, tmp_path, monkeypatch):
+        path = write_json(tmp_path, {"id": "n", "walls": [[0, 0, 1, 1]] * 100_001})
+        with pytest.raises(WorldError, match=r"plan\.json: 100001 walls and obstacle edges"):
+            load_world(path)
+        monkeypatch.setattr(readers, "MAX_FILE_BYTES", 100)
+        with pytest.raises(WorldError, match=r"plan\.json: larger than 0\.0001 MB"):
+            load_world(path)
+
+    @pytest.mark.parametrize("name", ["map.png", "plan.jsonl", "plan"])
+    def test_other_files_are_refused_with_those_that_can_be_read(self, tmp_path, name):
+        with pytest.raises(WorldError, match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)"):
+            load_world(write_json(tmp_path, PLAN, name))
+
+
+class TestRealPlans:
+    def test_all_plans_load_and_hold_a_robot(self):
+        files = sorted((data_folder() / "kth").glob("*.json"))
+        assert len(files) == 40
+        dropped = 0
+        for path in files:
+            world = load_world(path)
+            world.check(RADIUS)
+            table = json.loads(path.read_text(encoding="utf-8"))
+            assert world.name == table["id"]
+            dropped += len(table["walls"]) - len(world.walls)
+        assert dropped == 1
+
+    @pytest.mark.parametrize("turn", [0.0, 0.4])
+    @pytest.mark.parametrize("radius", [0.07, 0.25])
+    def test_a_disc_fits_where_no_edge_is_near_and_no_polygon_around(self, radius, turn):
+        generator = np.random.default_rng(3)
+        polygons = [generator.uniform(0.0, 4.0, 2) + generator.uniform(-1.0, 1.0, (n, 2)) for n in (3, 4, 7)]
+        polygons.append(np.array([[0.5, 0.5], [1.0, 0.5], [1.0, 1.0], [0.5, 1.0]]))
+        walls = np.vstack((generator.uniform(0.0, 5.0, (20, 4)), [[0, 0, 5, 0], [0, 0, 0, 5], [2, 2, 2, 2.000002]]))
+        rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        world = World(
+            "n",
+            (5.0, 5.0),
+            (walls.reshape(-1, 2) @ rotation).reshape(-1, 4),
+            tuple(polygon @ rotation for polygon in polygons),
+        )
+        space = free_space(world.edges, radius, cell_for(world.edges, radius), world.obstacles)
+        centres = space.centres(np.ones_like(space.free))
+        expected = (distances(centres, world.edges) >= radius).all(axis=1)
+        for polygon in world.obstacles:
+            expected &= ~inside_polygon(centres, polygon)
+        np.testing.assert_array_equal(space.free.ravel(), expected)
+        np.testing.assert_array_equal(space.first_centre(space.free), space.centres(space.free)[0])
+
+
+GOOD = {
+    "world.toml": TOML.encode(),
+    "plan.json": json.dumps(PLAN).encode(),
+    "house.json": json.dumps(HOUSE).encode(),
+    "map.yaml": yaml.safe_dump(MAP).encode(),
+    "map.pgm": binary_pgm(levels(ROOM)),
+    "plain.pgm": plain_pgm(levels(ROOM)),
+}
+NASTY = [
+    *(
+        "!!int ''",
+        "!!timestamp x",
+        "0b_",
+        "0x_",
+        "2001-99-99",
+        "2001-01-01 0:0:0 +99:99",
+        "&a [*a]",
+        "[" * 2000,
+        "[" * 3,
+    ),
+    *(
+        "1e999",
+        "? [a]\n: b",
+        '"\\ud800"',
+        '"\\0.pgm"',
+        "9" * 5000,
+        "9" * 400,
+        "190:20:30",
+        ".nan",
+        "-.inf",
+        "<<: {a: 1}",
+    ),
+    *(
+        "%YAML 9.9\n---",
+        "\t",
+        "!<tag:x> y",
+        "*a",
+        "|\n a",
+        "true",
+        "NaN",
+        "null",
+        "{}",
+        "[]",
+        "'",
+        '"',
+        "---\n",
+        "\x85",
+    ),
+    *("../map.yaml", "/dev/zero", "map.pgm", "-0", "1_0.5", "\ufeff", "P5", "=", "#"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("fuzz")
+
+
+def outcome(folder, name: str, content: bytes) -> None:
+    """Load one file, the others being good; a world or a one-line refusal, anything else fails the test."""
+    for other, good in GOOD.items():
+        (folder / other).write_bytes(content if other == name else good)
+    path = folder / name
+    if name.endswith(".pgm"):
+        path = folder / "map.yaml"
+        path.write_bytes(GOOD["map.yaml"].replace(b"map.pgm", name.encode()))
+    try:
+        world = load_world(path)
+    except WorldError as error:
+        assert path.name in str(error)  # noqa: PT017 - a world is as good an outcome
+        assert "\n" not in str(error)  # noqa: PT017
+        return
+    assert isinstance(world, World)
+    assert np.isfinite(world.edges).all()
+
+
+@st.composite
+def mutated(draw, content: bytes) -> bytes:
+    """Good content with a few pieces cut out, doubled, or replaced."""
+    for _ in range(draw(st.integers(1, 3))):
+        first = draw(st.integers(0, len(content)))
+        last = min(first + draw(st.integers(0, 10)), len(content))
+        nasty = st.sampled_from(NASTY).map(lambda text: text.encode("utf-8", "surrogatepass"))
+        piece = draw(st.one_of(st.binary(max_size=4), nasty, st.just(content[first:last] * 2)))
+        content = content[:first] + piece + content[last:]
+    return content
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_the_good_files_of_the_fuzz_tests_are_good(folder, name):
+    for other, good in GOOD.items():
+        (folder / other).write_bytes(good)
+    if name.endswith(".pgm"):
+        (folder / "map.yaml").write_bytes(GOOD["map.yaml"].replace(b"map.pgm", name.encode()))
+        name = "map.yaml"
+    assert len(load_world(folder / name).walls)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_file_cut_off_anywhere_is_a_world_or_refused(folder, name):
+    for length in range(len(GOOD[name])):
+        outcome(folder, name, GOOD[name][:length])
+
+
+@pytest.mark.parametrize("name", GOOD)
+@given(data=st.data())
+@settings(deadline=None, max_examples=80)
+def test_a_damaged_file_is_a_world_or_refused(folder, name, data):
+    outcome(folder, name, data.draw(mutated(GOOD[name])))
+
+
+@pytest.mark.parametrize("name", GOOD)
+@given(content=st.binary(max_size=100))
+@settings(deadline=None, max_examples=30)
+def test_any_bytes_are_refused(folder, name, content):
+    outcome(folder, name, content)
+
+
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=5)
+    | st.sampled_from([10**400, -1, 0, 1, "map.pgm", "trinary"]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=8,
+)
+ROWS = st.lists(st.lists(st.floats() | st.integers(-600, 600), max_size=5), max_size=5)
+
+
+@given(key=st.sampled_from(["id", "walls", "verts"]), value=VALUES | ROWS)
+@settings(deadline=None, max_examples=150)
+def test_any_json_value_is_a_world_or_refused(folder, key, value):
+    for name, good in (("plan.json", PLAN), ("house.json", HOUSE)):
+        outcome(folder, name, json.dumps({**good, key: value}).encode())
+        outcome(folder, name, json.dumps(value).encode())
+
+
+@given(key=st.sampled_from([*MAP, "mode"]), value=VALUES)
+@settings(deadline=None, max_examples=100)
+def test_any_yaml_value_is_a_world_or_refused(folder, key, value):
+    outcome(folder, "map.yaml", yaml.safe_dump({**MAP, key: value}).encode("utf-8", "surrogatepass"))
+
+
+@pytest.mark.parametrize("nasty", NASTY, ids=range(len(NASTY)))
+def test_the_ways_to_upset_a_yaml_parser_upset_nothing(folder, nasty):
+    for content in (nasty, *(yaml_with(f"{key}: {nasty}") for key in MAP), f"{yaml_with('negate: 0')}\n{nasty}"):
+        outcome(folder, "map.yaml", content.encode("utf-8", "surrogatepass"))

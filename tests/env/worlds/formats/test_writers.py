@@ -1,0 +1,245 @@
+"""Files out: TOML that reads back as the same world, maps that show it; and copies that are as unchangeable."""
+
+import copy
+import pickle
+import stat
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from limslam_env.geometry.segment import distances, sample
+from limslam_env.worlds.formats import map_server
+from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+from limslam_env.worlds.formats.writers import world_toml, write_world
+from limslam_env.worlds.world import World, WorldError, parse_world
+
+BOX = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
+ARRAYS = ("walls", "doors", "starts", "loop")
+
+
+def box_world(**changes) -> World:
+    return World(**{"name": "box", "size": (1.0, 1.0), "walls": BOX, **changes})
+
+
+LENGTHS = st.floats(-250.0, 250.0)
+ANY = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def rows(width: int, numbers=LENGTHS, **limits):
+    return st.lists(st.tuples(*[numbers] * width), **limits).map(lambda found: np.array(found).reshape(-1, width))
+
+
+@st.composite
+def worlds(draw) -> World:
+    try:
+        return World(
+            name=draw(st.text(max_size=20)),
+            size=draw(st.tuples(*[st.floats(0.0, 500.0, exclude_min=True)] * 2)),
+            walls=draw(rows(4, max_size=4)),
+            obstacles=tuple(draw(st.lists(rows(2, min_size=3, max_size=5), max_size=3))),
+            doors=draw(rows(4, ANY, max_size=2)),
+            starts=draw(rows(3, ANY, max_size=3)),
+            loop=draw(rows(2, ANY, max_size=3)),
+        )
+    except WorldError:  # nothing that stops a beam, or an edge without length
+        assume(condition=False)
+        raise
+
+
+class TestToml:
+    @given(worlds())
+    @settings(deadline=None, max_examples=150)
+    def test_every_world_reads_back_as_itself(self, world):
+        assert parse_world(world_toml(world), "again") == world
+
+    @pytest.mark.parametrize(
+        "name",
+        [
+            "",
+            'a "quoted" name',
+            "back\\slash \\n \\u0041",
+            "two\nlines\r\nand\ttabs",
+            '"""',
+            "'''",
+            "# no comment = [1]",
+            "ünïcödé 建物 🏠",
+            "\ufeffmark \u2028 \u0085 \x7f",
+            "".join(map(chr, range(32))),
+        ],
+        ids=range(10),
+    )
+    def test_every_name_reads_back_from_a_file(self, tmp_path, name):
+        world = box_world(name=name)
+        write_world(world, tmp_path / "w.toml")
+        assert load_world(tmp_path / "w.toml") == world
+
+    @pytest.mark.parametrize("name", shipped_worlds())
+    def test_shipped_worlds_read_back_from_files(self, tmp_path, name):
+        world = load_world(name)
+        write_world(world, str(tmp_path / "w.toml"))
+        assert load_world(tmp_path / "w.toml") == world
+
+    def test_it_is_written_as_people_write_it(self):
+        world = box_world(walls=BOX[:2], obstacles=(np.array([[0.25, 0.25], [0.5, 0.25], [0.5, 1e-7]]),))
+        assert world_toml(world) == (
+            'name = "box"\n'
+            "size = [1.0, 1.0]\n"
+            "walls = [\n"
+            "    [0.0, 0.0, 1.0, 0.0],\n"
+            "    [1.0, 0.0, 1.0, 1.0],\n"
+            "]\n"
+            "obstacles = [\n"
+            "    [[0.25, 0.25], [0.5, 0.25], [0.5, 1e-07]],\n"
+            "]\n"
+        )
+
+    def test_floats_are_exact(self):
+        odd = np.array([[0.1, 1.0 / 3.0, -0.0, 5e-324]])
+        world = parse_world(world_toml(box_world(doors=odd)), "again")
+        assert world.doors.tobytes() == odd.tobytes()
+
+    @pytest.mark.parametrize("name", [7, None, b"box", "half a \ud800 pair"])
+    def test_no_world_has_a_name_that_no_file_can_hold(self, name):
+        with pytest.raises(WorldError, match="name"):
+            box_world(name=name)
+
+
+class TestMaps:
+    def test_a_map_is_the_picture_that_it_should_be(self, tmp_path):
+        # A room of 1 x 0.75 m, in which a short wall stands on the lower left; cells of 0.25 m.
+        walls = np.array([[0, 0, 1, 0], [1, 0, 1, 0.75], [1, 0.75, 0, 0.75], [0, 0.75, 0, 0], [0.25, 0, 0.25, 0.25]])
+        write_world(box_world(walls=walls - 10.0), tmp_path / "map.yaml", resolution=0.25)
+        picture = """
+            ?????????????
+            ?????????????
+            ?????????????
+            ?????????????
+            ????#####????
+            ????#...#????
+            ????##..#????
+            ????#####????
+            ?????????????
+            ?????????????
+            ?????????????
+            ?????????????
+        """
+        expected = [[{"#": 0, ".": 254, "?": 205}[letter] for letter in row] for row in picture.split()]
+        assert (tmp_path / "map.pgm").read_bytes() == b"P5\n13 12\n255\n" + np.array(expected, np.uint8).tobytes()
+        # OpenCV reads it as we do, and the corner is four and a half cells from the walls.
+        np.testing.assert_array_equal(cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED), expected)
+        assert yaml.safe_load((tmp_path / "map.yaml").read_text(encoding="utf-8")) == {
+            "image": "map.pgm",
+            "resolution": 0.25,
+            "origin": [-11.125, -11.125, 0.0],
+            "negate": 0,
+            "occupied_thresh": 0.65,
+            "free_thresh": 0.196,
+        }
+
+    def test_an_obstacle_is_black_all_through(self, tmp_path):
+        block = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]])
+        write_world(box_world(obstacles=(block,)), tmp_path / "map.yaml", resolution=0.1)
+        levels = cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED)
+        # Walls at cells 4 and 14 of 19, the block from 6 to 12.
+        assert levels.shape == (19, 19)
+        assert (levels[6:13, 6:13] == 0).all()
+        assert (levels == 0).sum() == 7 * 7 + 4 * 10
+        assert (levels == 254).sum() == 9 * 9 - 7 * 7
+
+    def test_an_open_world_has_no_inside(self, tmp_path):
+        write_world(box_world(walls=BOX[:3]), tmp_path / "map.yaml", resolution=0.1)
+        assert set(cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED).ravel()) == {0, 205}
+
+    def test_slanting_walls_are_tight(self, tmp_path):
+        turned = np.array([[0.0, 0.0], [3.1, 1.3], [1.8, 4.4], [-1.3, 3.1]])
+        world = box_world(size=(5.0, 5.0), walls=np.hstack((turned, np.roll(turned, 1, axis=0))))
+        write_world(world, tmp_path / "map.yaml")
+        free = cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED) == 254
+        # Its area is 3.1^2 + 1.3^2 = 11.3 m^2, and the walls take about a cell all around.
+        assert free.sum() * 0.05**2 == pytest.approx(11.3, abs=4 * 3.36 * 0.05)
+
+    @pytest.mark.parametrize("resolution", [0.05, 0.02, 0.1])
+    @pytest.mark.parametrize("name", ["env1", "square"])
+    def test_a_map_reads_back_with_its_walls_where_they_were(self, tmp_path, name, resolution):
+        world = load_world(name)
+        write_world(world, tmp_path / "map.yaml", resolution)
+        again = load_world(tmp_path / "map.yaml")
+        for first, second in ((world, again), (again, world)):
+            points, _ = sample(first.edges, 0.5 * resolution)
+            assert distances(points, second.edges).min(axis=1).max() <= 1.5 * resolution
+        again.check(0.10)
+        # Straight walls are single ones, and the block in the middle is still a block.
+        assert len(again.edges) <= 2 * len(world.edges)
+        assert [len(polygon) for polygon in again.obstacles] == [4]
+        np.testing.assert_allclose(again.size, np.array(world.size) + 9.0 * resolution)
+
+    @pytest.mark.parametrize("name", ["two words", "a: b # c", "'\"", "-", "ü"])
+    def test_any_file_name_will_do(self, tmp_path, name):
+        write_world(box_world(), tmp_path / f"{name}.yml")
+        assert load_world(tmp_path / f"{name}.yml").name == name
+
+
+class TestRefused:
+    @pytest.mark.parametrize("name", ["w.json", "w.pgm", "w", ".toml"])
+    def test_an_unknown_suffix(self, tmp_path, name):
+        with pytest.raises(WorldError, match=rf"{name}: a world is written as \.toml or \.yaml"):
+            write_world(box_world(), tmp_path / name)
+        assert not list(tmp_path.iterdir())
+
+    @pytest.mark.parametrize("resolution", [0.0, -0.05, 0.0009, 10.1, float("nan"), float("inf")])
+    def test_a_resolution_that_no_map_has(self, tmp_path, resolution):
+        with pytest.raises(WorldError, match=r"m\.yaml: cells must measure 0\.001 to 10 m"):
+            write_world(box_world(), tmp_path / "m.yaml", resolution)
+
+    def test_more_cells_than_can_be_read(self, tmp_path, monkeypatch):
+        large = box_world(size=(500.0, 500.0), walls=BOX * 500.0)
+        with pytest.raises(WorldError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"):
+            write_world(large, tmp_path / "m.yaml", 0.001)
+        # What is written just can be read.
+        monkeypatch.setattr("limslam_env.worlds.formats.writers.MAX_PIXELS", 19 * 19)
+        monkeypatch.setattr(map_server, "MAX_PIXELS", 19 * 19)
+        write_world(box_world(), tmp_path / "m.yaml", 0.1)
+        load_world(tmp_path / "m.yaml")
+        with pytest.raises(WorldError, match="20 x 20 cells"):
+            write_world(box_world(walls=1.1 * BOX), tmp_path / "m.yaml", 0.1)
+
+    @pytest.mark.parametrize("name", ["w.toml", "w.yaml"])
+    def test_a_place_where_nothing_can_be_written(self, tmp_path, name):
+        with pytest.raises(WorldError, match=rf"{name[0]}\.\w+: cannot be written"):
+            write_world(box_world(), tmp_path / "missing" / name)
+        (tmp_path / name).mkdir()
+        (tmp_path / "w.pgm").mkdir()
+        with pytest.raises(WorldError, match="cannot be written"):
+            write_world(box_world(), tmp_path / name)
+        assert {path.name for path in tmp_path.iterdir()} == {name, "w.pgm"}
+
+    def test_a_file_is_replaced_whole_and_readable_like_others(self, tmp_path):
+        path, other = tmp_path / "w.toml", tmp_path / "other"
+        other.write_text("")
+        path.write_text("old")
+        write_world(box_world(), path)
+        assert load_world(path) == box_world()
+        assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
+        assert {found.name for found in tmp_path.iterdir()} == {"w.toml", "other"}
+
+
+class TestCopies:
+    @pytest.mark.parametrize(
+        "duplicate",
+        [lambda world: pickle.loads(pickle.dumps(world)), copy.copy, copy.deepcopy],  # noqa: S301 - our own
+        ids=["pickle", "copy", "deepcopy"],
+    )
+    def test_a_copy_is_equal_and_as_unchangeable(self, duplicate):
+        world = box_world(
+            obstacles=(np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8]]),), starts=np.array([[0.1, 0.5, 0.0]])
+        )
+        assert len(world.edges) == 7
+        again = duplicate(world)
+        assert again == world
+        assert hash(again) == hash(world)
+        for array in (*(getattr(again, name) for name in ARRAYS), *again.obstacles, again.edges):
+            assert not array.flags.writeable

@@ -1,0 +1,372 @@
+"""Random floor plans: closed, all of one piece, as the settings say, and the same everywhere."""
+
+import math
+import re
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges, sample
+from limslam_env.worlds.generation.floor_plans import SPARE, FloorPlanConfig, floor_plan
+from limslam_env.worlds.generation.room_layout import (
+    DOOR_MARGIN,
+    Measures,
+    Room,
+    Span,
+    layout,
+    opened,
+    sections,
+    with_openings,
+)
+from limslam_env.worlds.world import World
+
+RADIUS = 0.10
+DEFAULT = FloorPlanConfig()
+BARE = FloorPlanConfig(slanted=0.0, obstacles=0.0)
+TINY = FloorPlanConfig(width=3.0, height=3.0)
+FULL = FloorPlanConfig(loops=1.0, slanted=1.0, obstacles=20.0, corridor=1.0)
+# Every setting at its ends, and the settings that press hardest on one another. (config, radius, seeds)
+EXTREMES = {
+    "default": (DEFAULT, RADIUS, 60),
+    "a tree": (FloorPlanConfig(loops=0.0, slanted=0.0, obstacles=0.0, corridor=0.0), RADIUS, 20),
+    "everything": (FULL, RADIUS, 20),
+    "tiny": (TINY, RADIUS, 20),
+    "tiny and full": (replace(FULL, width=3.0, height=3.0), RADIUS, 20),
+    "tiny robot": (FULL, 0.035, 20),
+    "large robot": (FULL, 0.20, 20),
+    "narrowest doors": (replace(FULL, door_width=0.3, corridor_width=0.3), RADIUS, 20),
+    "smallest rooms": (replace(FULL, width=4.0, height=4.0, min_room=0.7, door_width=0.4), RADIUS, 20),
+    "long": (replace(FULL, width=12.0, height=3.0), RADIUS, 20),
+    "large things": (replace(FULL, obstacle_size=(0.2, 6.0), min_room=4.0, width=12.0, height=12.0), RADIUS, 20),
+    "huge": (FloorPlanConfig(width=40.0, height=40.0), RADIUS, 1),
+}
+
+
+def plan(seed: int, config: FloorPlanConfig = DEFAULT, radius: float = RADIUS) -> World:
+    return floor_plan(config, np.random.default_rng(seed), radius)
+
+
+def region_sizes(world: World, radius: float) -> FloatArray:
+    """Cells of each region that a disc cannot leave the world from, largest first."""
+    labels = world.free_space(radius).labels
+    sizes = np.bincount(labels.ravel())
+    border = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
+    sizes[[0, *np.unique(border)]] = 0
+    return np.sort(sizes[sizes > 0])[::-1]
+
+
+def room_count(world: World, radius: float) -> int:
+    """How many regions there are when all doors are walled up."""
+    return len(region_sizes(replace(world, walls=np.vstack((world.walls, world.doors))), radius))
+
+
+def is_slanted(segments: FloatArray) -> np.ndarray:
+    return (np.abs(segments[:, 2:] - segments[:, :2]) > 0.0).all(axis=1)
+
+
+def apart(first: FloatArray, second: FloatArray) -> float:
+    """Least distance (m) of two sets of segments that do not cross."""
+    ends = distances(first.reshape(-1, 2), second).min(), distances(second.reshape(-1, 2), first).min()
+    return float(min(ends))
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+def test_the_building_is_closed_and_a_robot_gets_everywhere(name):
+    config, radius, seeds = EXTREMES[name]
+    for seed in range(seeds):
+        world = plan(seed, config, radius)
+        world.check(radius)
+        sizes = region_sizes(world, radius)
+        assert sizes[0] / sizes.sum() > 0.999, seed
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+def test_doors_are_truly_open_and_of_the_asked_width(name):
+    config, radius, seeds = EXTREMES[name]
+    narrowest, widest = np.broadcast_to(config.door_width, 2)
+    for seed in range(min(seeds, 20)):
+        world = plan(seed, config, radius)
+        assert ((lengths(world.doors) >= narrowest - 1e-9) & (lengths(world.doors) <= widest + 1e-9)).all()
+        assert not is_slanted(world.doors).any()
+        for door in world.doors:
+            points, _ = sample(door[None], 0.02)
+            to_jambs = np.linalg.norm(points[:, None] - door.reshape(2, 2), axis=-1).min(axis=1)
+            nearest = distances(points, world.edges).min(axis=1)
+            # Nothing but the jambs is near, and both are there: the ends of two walls on the door's line.
+            np.testing.assert_allclose(nearest, np.minimum(to_jambs, nearest.max()), atol=1e-9)
+            assert nearest[0] < 1e-9
+            assert nearest[-1] < 1e-9
+
+
+def test_no_wall_meets_another_at_a_door():
+    for seed in range(40):
+        world = plan(seed, FULL)
+        for door in world.doors:
+            others = world.walls[distances(door[None, :2], world.walls)[0] > 1e-9]
+            others = others[distances(door[None, 2:], others)[0] > 1e-9]
+            assert apart(door[None], others) >= DOOR_MARGIN / 1000.0 - 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_without_loops_the_doors_are_a_tree(seed):
+    world = plan(seed, FloorPlanConfig(loops=0.0))
+    assert len(world.doors) == room_count(world, RADIUS) - 1 > 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_more_loops_open_more_doors(seed):
+    counts = [len(plan(seed, replace(BARE, loops=loops)).doors) for loops in (0.0, 0.5, 1.0)]
+    assert counts[0] < counts[1] < counts[2]
+    assert counts[1] - counts[0] == round(0.5 * (counts[2] - counts[0]))
+
+
+def test_every_door_between_the_tree_and_all_of_them():
+    for seed in range(6):
+        world = plan(seed)
+        assert len(world.doors) >= room_count(world, RADIUS) - 1
+
+
+def measures(corridor: float) -> Measures:
+    return Measures(min_room=1800, corridor_width=(1000, 1400), corridor=corridor)
+
+
+@pytest.mark.parametrize("corridor", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("size", [(3000, 3000), (6000, 6000), (10000, 7000), (30000, 20000)])
+def test_rooms_fill_the_building_and_can_all_be_joined(size, corridor):
+    for seed in range(20):
+        generator = np.random.default_rng(seed)
+        rooms, walls = layout(size, measures(corridor), generator)
+        assert sum(room.side(0) * room.side(1) for room in rooms) == size[0] * size[1]
+        for room in rooms:
+            sides = sorted((room.side(0), room.side(1)))
+            assert sides[0] >= (1000 if room.is_corridor else 1800)
+            assert not (room.is_corridor and sides[0] > 1400)
+        candidates = sections(rooms, 1800)
+        assert len(opened(candidates, rooms, 0.0, generator)) == len(rooms) - 1
+        assert len(opened(candidates, rooms, 1.0, generator)) == len(candidates)
+        assert bool(walls) == (len(rooms) > 1)
+
+
+def test_corridors_are_there_as_often_as_asked():
+    def share(corridor: float) -> float:
+        plans = (layout((9000, 8000), measures(corridor), np.random.default_rng(seed))[0] for seed in range(100))
+        return sum(any(room.is_corridor for room in rooms) for rooms in plans) / 100
+
+    assert share(0.0) == 0.0
+    assert share(1.0) == 1.0
+    assert 0.35 < share(0.5) < 0.65
+
+
+def test_large_buildings_have_corridors_that_meet():
+    rooms, _ = layout((30000, 20000), measures(1.0), np.random.default_rng(0))
+    corridors = [room for room in rooms if room.is_corridor]
+    assert len(corridors) >= 3
+    assert len(sections(corridors, 1000)) >= len(corridors) - 1
+
+
+def test_rooms_meet_in_sections_and_walls_open_for_doors():
+    rooms = [Room((0, 0), (3000, 2000)), Room((3000, 0), (5000, 1200)), Room((3000, 1200), (5000, 2000))]
+    found = {(section.span, section.rooms) for section in sections(rooms, 800)}
+    assert found == {
+        (Span(0, 1200, 3000, 5000), (1, 2)),
+        (Span(1, 3000, 0, 1200), (0, 1)),
+        (Span(1, 3000, 1200, 2000), (0, 2)),
+    }
+    assert len(sections(rooms, 801)) == 2
+    walls = [Span(1, 3000, 0, 2000), Span(0, 1200, 3000, 5000)]
+    doors = [Span(1, 3000, 1400, 1800), Span(1, 3000, 200, 900)]
+    assert with_openings(walls, doors) == [
+        *(Span(1, 3000, low, high) for low, high in ((0, 200), (900, 1400), (1800, 2000))),
+        walls[1],
+    ]
+
+
+def test_without_slants_walls_are_parallel_to_the_axes():
+    for seed in range(40):
+        assert not is_slanted(plan(seed, FloorPlanConfig(slanted=0.0)).walls).any()
+
+
+def test_more_slant_is_more_slanted_walls():
+    def count(slanted: float) -> int:
+        return sum(is_slanted(plan(seed, FloorPlanConfig(slanted=slanted)).walls).sum() for seed in range(40))
+
+    assert 0 < count(0.1) < count(0.5) < count(1.0)
+    assert all(is_slanted(plan(seed, FloorPlanConfig(slanted=1.0)).walls).sum() >= 4 for seed in range(40))
+
+
+def test_without_obstacles_there_are_none():
+    assert not any(plan(seed, FloorPlanConfig(obstacles=0.0)).obstacles for seed in range(40))
+
+
+def test_obstacles_are_as_many_as_asked_where_there_is_space():
+    config = FloorPlanConfig(width=20.0, height=20.0, min_room=9.0, corridor=0.0, slanted=0.0, obstacles=1.5)
+    counts = [len(plan(seed, config).obstacles) for seed in range(30)]
+    assert np.mean(counts) == pytest.approx(1.5 * 400.0 / 10.0, rel=0.05)
+
+
+def test_obstacles_are_convex_of_three_to_eight_corners_and_of_the_asked_size():
+    low, high = 0.4, 0.8
+    polygons = [
+        polygon
+        for seed in range(30)
+        for polygon in plan(seed, FloorPlanConfig(obstacles=4.0, obstacle_size=(low, high))).obstacles
+    ]
+    assert {len(polygon) for polygon in polygons} == set(range(3, 9))
+    for polygon in polygons:
+        spans = np.roll(polygon, -1, axis=0) - polygon
+        turns = spans[:, 0] * np.roll(spans, -1, axis=0)[:, 1] - spans[:, 1] * np.roll(spans, -1, axis=0)[:, 0]
+        assert (turns > 0.0).all(), "convex, counter-clockwise"
+        across = np.linalg.norm(polygon[:, None] - polygon[None], axis=-1).max()
+        assert 0.6 * low <= across <= high
+
+
+@pytest.mark.parametrize("size", [(0.2, 1.0), (0.2, 4.0)])
+@pytest.mark.parametrize("radius", [0.035, 0.1, 0.2])
+def test_obstacles_keep_their_distance_from_all_but_one_wall(radius, size):
+    clearance = 2.0 * radius + SPARE - 1e-9
+    at_walls = 0
+    for seed in range(10):
+        world = plan(seed, replace(FULL, width=7.0, height=6.0, min_room=6.0, obstacle_size=size), radius)
+        for number, polygon in enumerate(world.obstacles):
+            edges = polygon_edges(polygon)
+            to_walls = np.array([apart(edges, wall[None]) for wall in world.walls])
+            at_walls += (to_walls < 1e-9).sum()
+            assert (to_walls < 1e-9).sum() <= 1
+            assert (to_walls[to_walls > 1e-9] >= clearance).all()
+            for other in world.obstacles[:number]:
+                assert apart(edges, polygon_edges(other)) >= clearance
+                assert not inside_polygon(other.mean(axis=0)[None], polygon)[0]
+                assert not inside_polygon(polygon.mean(axis=0)[None], other)[0]
+    assert at_walls > 0
+
+
+def test_obstacles_and_slanted_walls_keep_off_doors():
+    # Two rooms and one wall between them: nothing near the door can be hidden from it.
+    worlds = [plan(seed, replace(FULL, width=6.5, height=3.0, min_room=3.0)) for seed in range(60)]
+    divided = [world for world in worlds if len(world.doors) == 1]
+    assert len(divided) > 30
+    for world in divided:
+        slanted = world.walls[is_slanted(world.walls)]
+        things = np.vstack((slanted, *(polygon_edges(polygon) for polygon in world.obstacles)))
+        assert apart(things, world.doors) >= 2.0 * RADIUS + SPARE - 1e-9
+
+
+def test_a_slanted_wall_touches_one_wall_at_most_and_keeps_off_the_others():
+    stubs = 0
+    for seed in range(60):
+        world = plan(seed, FloorPlanConfig(width=4.0, height=3.0, min_room=3.0, slanted=1.0))
+        for number, wall in enumerate(world.walls):
+            others = np.delete(world.walls, number, axis=0)
+            is_cut_corner = (distances(wall.reshape(2, 2), others).min(axis=1) == 0.0).all()
+            if is_slanted(wall[None])[0] and not is_cut_corner:
+                to_others = np.array([apart(wall[None], other[None]) for other in others])
+                stubs += (to_others < 1e-9).sum()
+                assert (to_others < 1e-9).sum() <= 1
+                assert (to_others[to_others > 1e-9] >= 2.0 * RADIUS + SPARE - 1e-9).all()
+    assert stubs > 0
+
+
+def test_coordinates_are_whole_millimetres_within_the_size():
+    for seed in range(20):
+        world = plan(seed, FULL)
+        numbers = np.concatenate((world.edges.ravel(), world.doors.ravel(), world.size))
+        np.testing.assert_array_equal(numbers, np.round(numbers, 3))
+        corners = world.edges.reshape(-1, 2)
+        np.testing.assert_array_equal(corners.min(axis=0), 0.0)
+        np.testing.assert_array_equal(corners.max(axis=0), world.size)
+        assert len(world.starts) == len(world.loop) == 0
+
+
+def test_sizes_are_drawn_from_their_ranges():
+    sizes = np.array([plan(seed, FloorPlanConfig(width=(4.0, 5.0), height=[7, 9])).size for seed in range(60)])
+    assert (sizes.min(axis=0) >= [4.0, 7.0]).all()
+    assert (sizes.max(axis=0) <= [5.0, 9.0]).all()
+    assert (np.ptp(sizes, axis=0) > [0.8, 1.6]).all()
+
+
+def test_every_seed_gives_another_plan():
+    worlds = [plan(seed) for seed in range(200)]
+    assert len({world.name for world in worlds}) == 200
+    assert len({world.walls.tobytes() for world in worlds}) == 200
+    assert all(re.fullmatch(r"random-[0-9a-f]{8}", world.name) for world in worlds)
+
+
+def test_the_same_seed_gives_the_same_plan_in_another_process():
+    code = (
+        "import numpy as np; from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan; "
+        "print(*(floor_plan(FloorPlanConfig(), np.random.default_rng(seed), 0.1).digest for seed in range(20)))"
+    )
+    digests = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    assert digests == [plan(seed).digest for seed in range(20)]
+
+
+def test_a_plan_of_old_is_still_the_same():
+    # Runs are compared by seed: whoever changes this changes everybody's benchmark.
+    world = plan(0)
+    assert world.size == (9.403, 8.548)
+    np.testing.assert_array_equal(world.walls[:2], [[0.0, 0.0, 8.644, 0.0], [8.644, 0.0, 9.403, 0.7]])
+    np.testing.assert_array_equal(world.doors[:2], [[6.239, 7.024, 6.239, 7.893], [2.159, 2.81, 2.989, 2.81]])
+    np.testing.assert_array_equal(world.obstacles[0][:3], [[0.971, 1.314], [0.858, 1.305], [0.775, 1.228]])
+    assert world.name == "random-bcefe473"
+
+
+def test_the_generator_alone_decides():
+    generator = np.random.default_rng(3)
+    first, second = floor_plan(DEFAULT, generator, RADIUS), floor_plan(DEFAULT, generator, RADIUS)
+    assert first != second
+    assert first == plan(3)
+
+
+def test_a_plan_takes_less_than_ten_milliseconds():
+    def seconds(seed: int) -> float:
+        before = time.perf_counter()
+        plan(seed)
+        return time.perf_counter() - before
+
+    assert np.median([seconds(seed) for seed in range(30)]) < 0.010
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"width": 0.0}, "width must be a length"),
+        ({"width": math.nan}, "width must be a length"),
+        ({"height": (8.0, 6.0)}, "height must be a length"),
+        ({"height": 1000.0}, "height must be a length up to 100 m"),
+        ({"height": (1.0, 9.0)}, "height .* is less than min_room"),
+        ({"min_room": math.inf}, "min_room must be a length"),
+        ({"min_room": 1.2}, "min_room must be 1.3 m or more, not 1.2"),
+        ({"corridor": 1.5}, "corridor must lie between 0 and 1"),
+        ({"corridor_width": -1.0}, "corridor_width must be a length"),
+        ({"door_width": (0.0, 1.0)}, "door_width must be a length"),
+        ({"door_width": (0.6, 2.0)}, "min_room must be 2.3 m or more"),
+        ({"loops": -0.1}, "loops must lie between 0 and 1"),
+        ({"slanted": math.nan}, "slanted must lie between 0 and 1"),
+        ({"obstacles": -1.0}, "obstacles must be 0 to 20 per"),
+        ({"obstacles": math.nan}, "obstacles must be 0 to 20 per"),
+        ({"obstacle_size": (0.1, 0.5)}, r"obstacle_size must be 0.2 m or more"),
+        ({"obstacle_size": (0.5, 0.3)}, r"obstacle_size must be a length"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_in_one_line(settings, reason):
+    with pytest.raises(ValueError, match=f"^{reason}[^\n]*$"):
+        FloorPlanConfig(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "radius", "reason"),
+    [
+        ({}, 0.3, "door_width 0.6 m is too narrow for a robot of 0.3 m radius, which needs 0.7 m"),
+        ({"door_width": 1.0, "corridor_width": (0.5, 2.0)}, 0.25, "corridor_width 0.5 m is too narrow"),
+        ({}, math.nan, "a robot's radius must be a positive length"),
+        ({}, 0.0, "a robot's radius must be a positive length"),
+    ],
+)
+def test_a_robot_that_does_not_fit_is_refused_with_the_reason(settings, radius, reason):
+    with pytest.raises(ValueError, match=f"^{reason}[^\n]*$"):
+        plan(0, FloorPlanConfig(**settings), radius)

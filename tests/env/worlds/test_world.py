@@ -1,0 +1,379 @@
+"""Worlds: the shipped ones are what they claim, and everything that is no usable world is refused with its reason."""
+
+import math
+import re
+import tomllib
+from importlib import resources
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import distances, inside_polygon, polygon_edges, sample
+from limslam_env.worlds import world as world_module
+from limslam_env.worlds.formats import loading
+from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+from limslam_env.worlds.world import World, WorldError, parse_world
+
+RADIUS = 0.10
+BOX = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
+GOOD = f"""
+name = "good"
+size = [4.0, 4.0]
+walls = {BOX}
+obstacles = [[[2.0, 2.0], [3.0, 2.0], [3.0, 3.0]]]
+doors = [[1.0, 0.0, 1.5, 0.0]]
+starts = [[1.0, 1.0, 0.5]]
+loop = [[1.0, 1.0], [3.5, 1.0], [3.5, 3.5]]
+"""
+ENV1 = resources.files("limslam_env.worlds").joinpath("env1.toml").read_text(encoding="utf-8")
+
+
+def with_key(key: str, value: str) -> str:
+    """GOOD with another value of one key."""
+    changed = re.sub(rf"^{key} = .*$", lambda _: f"{key} = {value}", GOOD, flags=re.MULTILINE)
+    assert changed != GOOD
+    return changed
+
+
+def box_world(**changes) -> World:
+    fields = {"name": "box", "size": (4.0, 4.0), "walls": np.array(BOX), "starts": np.array([[1.0, 1.0, 0.0]])}
+    return World(**{**fields, **changes})
+
+
+def gap_walls(width: float, middle: float) -> FloatArray:
+    """The box with a gap in its lower wall."""
+    left, right = middle - 0.5 * width, middle + 0.5 * width
+    return np.array([[0.0, 0.0, left, 0.0], [right, 0.0, 4.0, 0.0], *BOX[1:]])
+
+
+def segment_set(edges: FloatArray) -> set[frozenset[tuple[float, float]]]:
+    """Segments without direction, to the micrometre."""
+    ends = np.round(edges.reshape(-1, 2, 2), 6) + 0.0
+    return {frozenset(map(tuple, pair.tolist())) for pair in ends}
+
+
+@pytest.mark.parametrize("name", shipped_worlds())
+def test_shipped_worlds_load_and_hold_a_robot(name):
+    world = load_world(name)
+    assert world.name == name
+    world.check(RADIUS)
+    assert len(world.starts) >= 2
+    assert len(np.unique(world.starts[:, 2])) >= 2, "the starts face different ways"
+    corners = world.edges.reshape(-1, 2)
+    np.testing.assert_allclose(corners.min(axis=0), 0.0)
+    np.testing.assert_allclose(corners.max(axis=0), world.size)
+
+
+def test_env1_is_among_the_shipped_worlds_and_measures_seven_metres():
+    assert {"env1", "square"} <= set(shipped_worlds())
+    assert load_world("env1").size == (7.0, 7.0)
+
+
+def test_env1_is_the_same_after_a_quarter_turn():
+    edges = load_world("env1").edges
+    centred = edges.reshape(-1, 2) - 3.5
+    turned = np.column_stack((-centred[:, 1], centred[:, 0])) + 3.5
+    assert segment_set(turned.reshape(-1, 4)) == segment_set(edges)
+    assert len(segment_set(edges)) == len(edges), "no wall stands twice"
+
+
+@pytest.mark.parametrize("name", ["env1", "square"])
+def test_the_loop_is_a_free_tour_round_an_obstacle(name):
+    world = load_world(name)
+    assert any(inside_polygon(polygon, world.loop).all() for polygon in world.obstacles)
+    tour, _ = sample(polygon_edges(world.loop), 0.02)
+    assert distances(tour, world.edges).min() > 2.0 * RADIUS
+
+
+def test_square_has_a_block_of_three_metres_in_the_middle():
+    (block,) = load_world("square").obstacles
+    np.testing.assert_allclose(block.min(axis=0), [2.0, 2.0])
+    np.testing.assert_allclose(block.max(axis=0), [5.0, 5.0])
+
+
+def test_a_good_text_becomes_the_world_it_describes():
+    world = parse_world(GOOD, "good.toml")
+    assert (world.name, world.size) == ("good", (4.0, 4.0))
+    np.testing.assert_array_equal(world.walls, BOX)
+    np.testing.assert_array_equal(world.obstacles[0], [[2.0, 2.0], [3.0, 2.0], [3.0, 3.0]])
+    np.testing.assert_array_equal(world.doors, [[1.0, 0.0, 1.5, 0.0]])
+    np.testing.assert_array_equal(world.starts, [[1.0, 1.0, 0.5]])
+    np.testing.assert_array_equal(world.loop, [[1.0, 1.0], [3.5, 1.0], [3.5, 3.5]])
+    # Edges: the walls first, then the obstacle's edges in order, the last one closing it.
+    np.testing.assert_array_equal(world.edges[:4], BOX)
+    np.testing.assert_array_equal(world.edges[4:], [[2, 2, 3, 2], [3, 2, 3, 3], [3, 3, 2, 2]])
+    world.check(RADIUS)
+
+
+def test_only_name_size_and_walls_are_needed_and_whole_numbers_are_numbers():
+    world = parse_world('name = "n"\nsize = [4, 4]\nwalls = [[0, 0, 4, 0]]', "n.toml")
+    assert [len(rows) for rows in (world.obstacles, world.doors, world.starts, world.loop)] == [0, 0, 0, 0]
+    assert world.starts.shape == (0, 3)
+
+
+def test_worlds_are_equal_by_content_and_cannot_be_changed():
+    world = parse_world(GOOD, "a")
+    assert world == parse_world(GOOD, "b")
+    assert hash(world) == hash(parse_world(GOOD, "b"))
+    assert world != parse_world(with_key("starts", "[[1.0, 1.0, 0.6]]"), "a")
+    for array in (world.walls, world.obstacles[0], world.doors, world.starts, world.loop, world.edges):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 9.0
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (GOOD + "wall = [[0, 0, 1, 1]]\n", r"unknown key 'wall'"),
+        (GOOD.replace("walls", "Walls"), r"unknown key 'Walls'"),
+        (GOOD.replace('name = "good"\n', ""), r"'name' is missing"),
+        (GOOD.replace("size = [4.0, 4.0]\n", ""), r"'size' is missing"),
+        ('name = "n"\nsize = [1, 1]\n', r"'walls' is missing"),
+        (with_key("name", "3"), r"name must be a text"),
+        (with_key("size", "[4.0]"), r"size must be two lengths"),
+        (with_key("size", "[4.0, 4.0, 4.0]"), r"size must be two lengths"),
+        (with_key("size", "[4.0, -4.0]"), r"size must be two lengths"),
+        (with_key("size", "[4.0, 0.0]"), r"size must be two lengths"),
+        (with_key("size", "[4.0, nan]"), r"size must be two lengths"),
+        (with_key("size", "[4.0, inf]"), r"size must be two lengths"),
+        (with_key("size", "[4.0, 1e6]"), r"size must be two lengths"),
+        (with_key("size", "4.0"), r"size must be a list of numbers"),
+        (with_key("size", '["4", "4"]'), r"size must be a list of numbers"),
+        (with_key("size", "[true, true]"), r"size must be a list of numbers"),
+        (with_key("walls", "[[0, 0, 4, nan]]"), r"walls\[0\] holds a number that is not finite"),
+        (with_key("walls", "[[0, 0, 4, 0], [0, inf, 4, 0]]"), r"walls\[1\] holds a number that is not finite"),
+        (with_key("walls", "[[0, 0, 4]]"), r"walls must have 4 numbers a row"),
+        (with_key("walls", "[0, 0, 4, 0]"), r"walls must be a list of lists"),
+        (with_key("walls", "[[[0, 0, 4, 0]]]"), r"walls must be a list of lists"),
+        (with_key("walls", "[[0, 0, 4, 0], [0, 0, 4]]"), r"walls: rows of different lengths"),
+        (with_key("walls", '[["0", "0", "4", "0"]]'), r"walls must be a list of lists"),
+        (with_key("walls", "[[false, 0, 4, 0]]"), r"walls must be a list of lists"),
+        (with_key("walls", '"none"'), r"walls must be a list of lists"),
+        (with_key("walls", "[[0, 0, 4, 0], [1, 1, 1, 1]]"), r"walls\[1\] has no length"),
+        (with_key("walls", "[[0, 0, 1e200, 0]]"), r"reach further than"),
+        (with_key("walls", "[[0, 0, 2000, 0]]"), r"reach further than"),
+        (with_key("walls", f"[[0, 0, 1{'0' * 400}, 0]]"), r"walls must be a list of lists"),
+        (with_key("obstacles", "[[[1, 1], [2, 2]]]"), r"obstacles\[0\] has 2 corners"),
+        (with_key("obstacles", "[[]]"), r"obstacles\[0\] has 0 corners"),
+        (with_key("obstacles", "[[[1, 1], [2, 1], [2, 1]]]"), r"obstacle edge 1 has no length"),
+        (with_key("obstacles", "[[[1, 1, 1], [2, 1, 1], [2, 2, 1]]]"), r"obstacles must have 2 numbers a row"),
+        (with_key("obstacles", "[[[1, 1], [2, nan], [2, 2]]]"), r"not finite"),
+        (with_key("obstacles", "[[1, 1], [2, 1], [2, 2]]"), r"obstacles must be a list of lists"),
+        (with_key("obstacles", "false"), r"obstacles must be a list"),
+        (with_key("obstacles", "7"), r"obstacles must be a list"),
+        (with_key("doors", "[[1, 0, 2]]"), r"doors must have 4 numbers a row"),
+        (with_key("starts", "[[1, 1]]"), r"starts must have 3 numbers a row"),
+        (with_key("starts", "[[1, 1, nan]]"), r"starts\[0\] holds a number that is not finite"),
+        (with_key("starts", "true"), r"starts must be a list of lists"),
+        (with_key("loop", "[[1, 1, 1]]"), r"loop must have 2 numbers a row"),
+        ('name = "n"\nsize = [1, 1]\nwalls = []\n', r"0 walls and obstacle edges"),
+        ("walls = [[0, 0", r"not TOML"),
+        ("\x00", r"not TOML"),
+        (GOOD + GOOD, r"not TOML"),
+        ("a = " + "[" * 5000, r"not TOML"),
+        ("", r"is missing"),
+    ],
+    ids=lambda value: re.sub(r"\W+", "-", value)[-40:],
+)
+def test_text_that_is_no_world_is_refused_with_the_reason(text, reason):
+    with pytest.raises(WorldError, match=rf"^w\.toml: .*{reason}"):
+        parse_world(text, "w.toml")
+
+
+@pytest.mark.parametrize("key", ["doors", "starts", "loop"])
+@pytest.mark.parametrize("value", ["false", "0", '""', "{}", "0.0"])
+def test_a_list_that_is_left_empty_must_still_be_a_list(key, value):
+    with pytest.raises(WorldError, match=key):
+        parse_world(with_key(key, value), "w.toml")
+
+
+@pytest.mark.parametrize(
+    "other",
+    ["1979-05-27", "{ a = 1 }", "9" * 400, '"1"', "true", "[1]"],
+    ids=["date", "table", "huge", "text", "boolean", "list"],
+)
+def test_a_nan_does_not_hide_what_stands_beside_it(other):
+    with pytest.raises(WorldError, match="walls"):
+        parse_world(with_key("walls", f"[[nan, 0, 4, 0], [{other}, 0, 4, 0]]"), "w.toml")
+
+
+def test_a_whole_number_of_thousands_of_digits_is_refused():
+    # Python itself refuses to read more than 4300 digits, with a plain ValueError.
+    with pytest.raises(WorldError, match=r"w\.toml"):
+        parse_world(with_key("starts", f"[[1{'0' * 5000}, 1, 0]]"), "w.toml")
+
+
+def test_arrays_of_the_wrong_shape_are_refused_by_the_world_itself():
+    for field, value in {"walls": [[0, 0, 1]], "starts": [1, 2, 3], "doors": [[1, 2]], "loop": [[1, 2, 3]]}.items():
+        with pytest.raises(WorldError, match=field):
+            box_world(**{field: np.array(value, dtype=float)})
+    with pytest.raises(WorldError, match="2 corners"):
+        box_world(obstacles=(np.array([[1.0, 1.0], [2.0, 2.0]]),))
+    with pytest.raises(WorldError, match="size"):
+        box_world(size=(4.0, math.nan))
+    with pytest.raises(WorldError, match="not finite"):
+        box_world(walls=np.array([[0.0, 0.0, math.inf, 0.0]]))
+
+
+def test_more_edges_than_can_be_used_are_refused(monkeypatch):
+    monkeypatch.setattr(world_module, "MAX_EDGES", 6)
+    with pytest.raises(WorldError, match="7 walls and obstacle edges; 1 to 6"):
+        parse_world(GOOD, "w.toml")
+
+
+@pytest.mark.parametrize(
+    ("start", "reason"),
+    [
+        ([2.0, 3.0, 0.0], "inside an obstacle"),
+        ([0.09, 2.0, 0.0], "0.090 m from a wall"),
+        ([1.45, 2.0, 0.0], "0.050 m from a wall"),
+        ([4.5, 2.0, 0.0], "not closed|outside"),
+        ([100.0, 100.0, 0.0], "not closed|outside"),
+        ([-7.0, 2.0, 0.0], "not closed|outside"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused(start, reason):
+    block = np.array([[1.5, 1.5], [2.5, 1.5], [2.5, 3.5], [1.5, 3.5]])
+    with pytest.raises(WorldError, match=reason):
+        box_world(obstacles=(block,), starts=np.array([[1.0, 1.0, 0.0], start])).check(RADIUS)
+    with pytest.raises(WorldError, match=reason):
+        box_world(obstacles=(block,)).check_pose(np.array(start), RADIUS)
+
+
+@pytest.mark.parametrize("pose", [[math.nan, 1.0, 0.0], [1.0, math.inf, 0.0], [1.0, 1.0, math.nan], [1.0, 1.0]])
+def test_a_pose_that_is_not_three_finite_numbers_is_refused(pose):
+    with pytest.raises(WorldError, match="three finite numbers"):
+        box_world().check_pose(np.array(pose), RADIUS)
+
+
+def test_a_pose_that_just_fits_is_fine():
+    box_world().check_pose(np.array([RADIUS, RADIUS, 1.0]), RADIUS)
+
+
+@pytest.mark.parametrize("middle", [2.0, 1.993, 2.0125])
+@pytest.mark.parametrize("width", [0.205, 0.21, 0.25, 0.5])
+@pytest.mark.parametrize("starts", [[[1.0, 1.0, 0.0]], []], ids=["start", "no start"])
+def test_a_gap_wider_than_the_robot_is_refused(width, middle, starts):
+    world = box_world(walls=gap_walls(width, middle), starts=np.array(starts).reshape(-1, 3))
+    with pytest.raises(WorldError, match="closed"):
+        world.check(RADIUS)
+
+
+def test_a_pose_from_which_a_gap_leads_out_is_refused():
+    with pytest.raises(WorldError, match="closed"):
+        box_world(walls=gap_walls(0.3, 2.0)).check_pose(np.array([1.0, 1.0, 0.0]), RADIUS)
+
+
+@pytest.mark.parametrize("starts", [[[1.0, 1.0, 0.0]], []], ids=["start", "no start"])
+@pytest.mark.parametrize("width", [0.02, 0.10, 0.15])
+def test_a_gap_narrower_than_the_robot_is_fine(width, starts):
+    box_world(walls=gap_walls(width, 1.993), starts=np.array(starts).reshape(-1, 3)).check(RADIUS)
+
+
+def test_a_world_without_room_is_refused():
+    small = np.array(BOX) * 0.04
+    with pytest.raises(WorldError, match="no closed region has room"):
+        box_world(walls=small, starts=np.zeros((0, 3))).check(RADIUS)
+
+
+@pytest.mark.parametrize("side", [30.013, 400.013])
+def test_a_large_closed_world_is_closed(side):
+    # Worlds may measure up to 1000 m; the reachability grid gets coarser, the walls no thinner.
+    world = box_world(size=(side, side), walls=np.array(BOX) * (side / 4.0))
+    world.check(RADIUS)
+
+
+def test_load_world_takes_a_name_a_path_and_a_world(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD, encoding="utf-8")
+    assert load_world(path) == load_world(str(path)) == parse_world(GOOD, "any")
+    world = load_world("env1")
+    assert load_world(world) is world
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("missing.toml", None, "no such file"),
+        ("folder.toml/", None, "no such file"),
+        ("text.txt", b"", "not a world file"),
+        ("bytes.toml", b"\xff\xfe\x00", "cannot be read"),
+        ("broken.toml", b"walls = [", "not TOML"),
+        ("empty.toml", b"", "is missing"),
+    ],
+)
+def test_a_file_that_is_no_world_is_refused_and_named(tmp_path, name, content, reason):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    elif name.endswith("/"):
+        path.mkdir()
+    with pytest.raises(WorldError, match=f"{re.escape(str(path))}.*{reason}"):
+        load_world(path)
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(loading, "MAX_FILE_BYTES", 100)
+    path = tmp_path / "large.toml"
+    path.write_text(GOOD, encoding="utf-8")
+    with pytest.raises(WorldError, match="larger than"):
+        load_world(path)
+
+
+def test_an_unknown_name_is_refused_with_those_that_there_are():
+    with pytest.raises(WorldError, match=r"no world is called 'env9'; there are .*env1.*square"):
+        load_world("env9")
+
+
+@pytest.mark.parametrize("name", ["", "x" * 5000, "nul\0", "x" * 5000 + ".toml"], ids=range(4))
+def test_a_name_that_no_file_can_have_is_refused(name):
+    with pytest.raises(WorldError):
+        load_world(name)
+
+
+FRAGMENTS = st.sampled_from(
+    [
+        *("nan", "inf", "-", "true", '"', "'", "1979-05-27", "{ a = 1 }", "[", "]", "[]", ",", "\n", "=", "1e999"),
+        *("9" * 400, "9" * 5000, "0x", "\0", "#", "[[walls]]", "starts = 0\n", "\ud800", "é", "0", "1_0", "\\u0000"),
+    ]
+)
+
+
+@st.composite
+def mutated_worlds(draw) -> str:
+    """env1's text with a few pieces cut out, doubled, or replaced."""
+    text = draw(st.sampled_from([ENV1, GOOD]))
+    for _ in range(draw(st.integers(1, 4))):
+        first = draw(st.integers(0, len(text)))
+        last = min(first + draw(st.integers(0, 30)), len(text))
+        piece = draw(st.one_of(FRAGMENTS, st.text(max_size=5), st.just(text[first:last] * 2)))
+        text = text[:first] + piece + text[last:]
+    return text
+
+
+def outcome(text: str) -> None:
+    """Parse; a world or a WorldError, anything else is passed on and fails the test."""
+    try:
+        world = parse_world(text, "fuzz")
+    except WorldError as error:
+        assert str(error).startswith("fuzz: ")  # noqa: PT017 - a world is as good an outcome
+        return
+    assert isinstance(world, World)
+    assert np.isfinite(world.edges).all()
+    tomllib.loads(text)
+
+
+@given(mutated_worlds())
+@settings(deadline=None, max_examples=400)
+def test_a_damaged_world_is_a_world_or_a_world_error(text):
+    outcome(text)
+
+
+@given(st.binary(max_size=200))
+@settings(deadline=None, max_examples=200)
+def test_any_bytes_are_a_world_or_a_world_error(content):
+    outcome(content.decode("utf-8", "replace"))
+    outcome(content.decode("latin-1"))

@@ -1,0 +1,38 @@
+"""Work for the benchmark's engines that takes no time, and work that goes wrong; worker processes import it."""
+
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+
+from benchmarks.suite.engines import ONE_THREAD
+from benchmarks.suite.jobs import Job, Outcome
+
+RAISES, KILLED, EXITS, HANGS = 1, 2, 3, 4
+"""Seeds of jobs that go wrong."""
+
+
+def outcome(job: Job) -> Outcome:
+    series = {"time": np.arange(3.0), "true": np.full((3, job.robots, 3), float(job.seed))}
+    return Outcome({"ate_m": job.noise + job.seed, "doors_open": None}, {"job_s": 0.1}, series, "c0ffee")
+
+
+def troubled(job: Job) -> Outcome:
+    if job.seed == RAISES:
+        raise ArithmeticError("two\nlines")
+    if job.seed == KILLED:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if job.seed == EXITS:
+        sys.exit(7)
+    if job.seed == HANGS:
+        time.sleep(1000.0)
+    return Outcome({"seed": job.seed, **threads()}, {}, {}, "c0ffee")
+
+
+def threads() -> dict[str, str | int | None]:
+    """How many a worker may have."""
+    import cv2
+
+    return {**{name: os.environ.get(name) for name in ONE_THREAD}, "cv2": cv2.getNumThreads()}
