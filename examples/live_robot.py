@@ -1,4 +1,4 @@
-"""The loop for a live robot: read wheels and ranges from anywhere, let the agent think, send wheel speeds.
+"""The loop for a live robot: read wheels and ranges from anywhere, let the agent decide, send wheel speeds.
 
     python examples/live_robot.py --out my_room
 
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limslam_agent import LimSlamAgent, preset
 from limslam_agent.output.export import map_content, write_grid, write_json
@@ -102,18 +101,16 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
     ``log`` is a text that ``limslam replay`` reads.
     """
     rows = ["t,x,y,theta," + ",".join(f"r_{math.degrees(beam.angle):g}" for beam in SPEC.beams)]
-    by_wheels = np.zeros(3)
     step = 0
     try:
         while step < steps and not agent.done:
             wheels, ranges = robot.read_wheels(), robot.read_ranges()
-            by_wheels = moved(by_wheels, *wheels)
-            # In a log ranges are counted from the robot's centre, and these beams start on its rim.
-            from_centre = [reading + RADIUS for reading in ranges]
-            rows.append(",".join(f"{value:.6g}" for value in (step * SPEC.control_period, *by_wheels, *from_centre)))
             # The agent wants a beam's maximum where nothing was seen.
             readings = np.nan_to_num(ranges, nan=np.inf).clip(0.0, SPEC.max_ranges)
             action = agent.act({"wheels": np.array(wheels), "ranges": readings})
+            # A log holds the pose by odometry, and ranges from the robot's centre. These beams start on its rim.
+            row = (step * SPEC.control_period, *agent.mapper.odometry[0], *(reading + RADIUS for reading in ranges))
+            rows.append(",".join(f"{value:.6g}" for value in row))
             left, right = SPEC.max_wheel_speed * action
             robot.send_wheel_speeds(float(left), float(right))
             robot.wait()
@@ -124,14 +121,6 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
             log.write_text("\n".join(rows) + "\n", encoding="utf-8")
     agent.finish()
     return step
-
-
-def moved(pose: NDArray[np.float64], left: float, right: float) -> NDArray[np.float64]:
-    """A pose (3,) by wheel travel alone, as odometry would have it."""
-    ahead, turn = 0.5 * (left + right), (right - left) / SPEC.axle
-    x, y, heading = pose
-    middle = heading + 0.5 * turn
-    return np.array([x + ahead * math.cos(middle), y + ahead * math.sin(middle), heading + turn])
 
 
 def main() -> None:

@@ -5,14 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
-from limslam_agent.policies.belief import NO_PLAN, Belief
 from limslam_agent.policies.collision_guard import Bumper
 from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
 from limslam_agent.policies.goal_memory import GoalMemory
+from limslam_agent.policies.policy import NO_PLAN
 from limslam_agent.policies.right_of_way import Manners
 from limslam_agent.policies.targets import Target, is_walled_in, islands, next_target, open_frontier
 from limslam_env.geometry import FloatArray

@@ -5,11 +5,12 @@ from typing import Literal
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.belief import NO_PLAN, Belief
 from limslam_agent.policies.collision_guard import Bumper
 from limslam_agent.policies.controller import free_ahead, steer, turn_by, wheel_speeds
+from limslam_agent.policies.policy import NO_PLAN
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_of
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, routes, wall_distance
-from limslam_agent.policies.belief import Belief
 from limslam_agent.policies.right_of_way import parting, taken_cells
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec

@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
+from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Factors, motion_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.core.motion import Factors
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,23 +105,18 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
 
     ``progress`` is told how many events are done.
     """
-    slam = LineSlam(log.robot, config, log.start_pose)
-    grid = OccupancyGrid(config.grid)
-    count = len(log)
+    mapper = Mapper(log.robot, config, log.start_pose)
+    slam, count = mapper.slam, len(log)
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
-    by_odometry, begin = log.start_pose, time.perf_counter()
+    begin = time.perf_counter()
     for number, observation in enumerate(log.observations()):
-        before = time.perf_counter()
-        slam.step(observation)
-        slam_ms[number] = 1e3 * (time.perf_counter() - before)
-        grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
-        increment = motion_of(observation, log.robot, config.noise, config.odometry).increment
-        by_odometry = compose(by_odometry, increment)
-        estimated[number], odometry[number], covariances[number] = slam.pose, by_odometry, slam.covariance
+        mapper.step(observation)
+        slam_ms[number] = mapper.slam_ms
+        estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], slam.covariance
         if progress is not None:
             progress(number + 1)
-    slam.finish()
+    mapper.finish()
     return Replay(
         log=log,
         config=config,
@@ -131,7 +125,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         covariances=covariances,
         landmarks=slam.landmarks,
         segments=slam.segments,
-        grid=grid.view,
+        grid=mapper.grid,
         refused_readings=slam.refused_readings,
         self_calibration=slam.factors and SelfCalibration(*slam.factors, log.robot.axle),
         slam_ms=slam_ms,

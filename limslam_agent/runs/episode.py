@@ -14,7 +14,6 @@ import numpy as np
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.slam.core.diagnostics import Closure
-from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.runs.oracle import Pilot, TruePose, check_policy, needs_loop, policies_for
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
@@ -22,7 +21,6 @@ from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.config import NoiseConfig
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.bounds.offline_optimum import require_gtsam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -261,11 +259,9 @@ def _drive(
     watch: Watcher | None,
 ) -> list[_Row]:
     told, infos = env.reset(seed=config.seed)
-    odometry = np.array([infos[name]["pose"] for name in team.names])
-    team.reset(odometry, config.seed)
+    team.reset(np.array([infos[name]["pose"] for name in team.names]), config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
-    agent = config.agent
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
         observations = [told[name] for name in team.names]
@@ -275,17 +271,13 @@ def _drive(
                 policy.look(env, truth["pose"], truth["coverage"])
         begin = time.perf_counter()
         team.observe(observations)
-        between = time.perf_counter()
         actions = team.decide()
-        end = time.perf_counter()
-        odometry = np.array(
-            [_moved(pose, seen, config.robot, agent) for pose, seen in zip(odometry, observations, strict=True)]
-        )  # fmt: skip
+        elapsed_ms, slam_ms = 1e3 * (time.perf_counter() - begin), team.mapper.slam_ms
         rows.append(
             _Row(
                 truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
-                team.slam.poses, team.slam.covariances, odometry, [front.dropped for front in team.slam.robots],
-                1e3 * (between - begin), 1e3 * (end - between),
+                team.slam.poses, team.slam.covariances, team.mapper.odometry,
+                [front.dropped for front in team.slam.robots], slam_ms, elapsed_ms - slam_ms,
             )
         )  # fmt: skip
         if watch is not None:
@@ -294,8 +286,3 @@ def _drive(
             team.finish()
             return rows
         told, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
-
-
-def _moved(pose: FloatArray, observation: Observation, robot: RobotSpec, agent: AgentConfig) -> FloatArray:
-    """Where odometry alone puts a robot."""
-    return compose(pose, motion_of(observation, robot, agent.noise, agent.odometry).increment)

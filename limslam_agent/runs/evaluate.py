@@ -11,13 +11,10 @@ from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.runs.actors import Actions, Driver, driver_of
-from limslam_agent.config.presets import AgentConfig
 from limslam_agent.runs.episode import OUT_OF_TIME
-from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
 from limslam_env.envs.adapter import Staged
 from limslam_env.geometry import FloatArray, no_rows
-from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
 Result = dict[str, Any]
@@ -167,12 +164,11 @@ def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str 
     """The rows of an episode, and why it was over; None if its time was."""
     told, infos = robots.reset(seed)
     _begin(driver, infos, seed)
-    odometry = np.array([info["pose"] for info in infos.values()])
     rows, is_over, is_late = list[_Row](), False, False
     while True:
         # The last observation is for the estimate alone.
         actions = driver.act(told)
-        rows.append(_row(driver.believer, told, infos, rows[-1].odometry if rows else odometry))
+        rows.append(_row(driver.believer, infos))
         if is_over or is_late or driver.done:
             break
         told, infos, is_over, is_late = robots.step(actions)
@@ -190,14 +186,9 @@ def _begin(driver: Driver, infos: dict[str, dict[str, Any]], seed: int) -> None:
         raise ValueError(f"the actor was done before seed {seed} began: a policy that it was given serves for one run")
 
 
-def _row(believer: Any, told: dict[str, Any], infos: dict[str, dict[str, Any]], odometry: FloatArray) -> _Row:
+def _row(believer: Any, infos: dict[str, dict[str, Any]]) -> _Row:
     truth = list(infos.values())
     if believer is None:
-        return _Row(truth, odometry, no_rows(3), no_rows(9))
-    config, snapshot = getattr(believer, "config", None) or AgentConfig(), believer.snapshot()
-    robot = getattr(believer, "robot", None) or RobotSpec()
-    moved = [
-        compose(pose, motion_of(observation, robot, config.noise, config.odometry).increment)
-        for pose, observation in zip(odometry, told.values(), strict=True)
-    ]
-    return _Row(truth, np.array(moved), snapshot.poses, snapshot.covariances)
+        return _Row(truth, no_rows(3), no_rows(3), no_rows(9))
+    snapshot = believer.snapshot()
+    return _Row(truth, snapshot.odometry, snapshot.poses, snapshot.covariances)

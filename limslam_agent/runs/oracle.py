@@ -10,13 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.policies.belief import NO_PLAN, Belief
+from limslam_agent.belief import Belief
+from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.policies.controller import bearing_of, wheel_speeds
 from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
 from limslam_agent.policies.learned.network import load_network
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.policies import FrontierPolicy, Laps, Policy, RandomPolicy, WallFollower
+from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.envs.parallel_env import LimSlamParallelEnv

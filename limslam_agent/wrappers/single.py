@@ -7,9 +7,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from limslam_agent.agent import LimSlamAgent
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.policies.belief import NO_PLAN, Belief
+from limslam_agent.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, transform_points
 from limslam_env.geometry.shapes import places_around
@@ -28,20 +28,6 @@ LARGEST_COVARIANCE = 1e6
 
 _UPPER = np.triu_indices(3)
 _FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
-
-
-class _Listener:
-    """A policy that remembers what it was told, and drives nowhere."""
-
-    stop_reason: str | None = None
-    plan: FloatArray = NO_PLAN
-
-    def __init__(self) -> None:
-        self.belief: Belief | None = None
-
-    def act(self, belief: Belief) -> FloatArray:
-        self.belief = belief
-        return np.zeros(2)
 
 
 class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
@@ -81,17 +67,16 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         if not isinstance(robot, RobotSpec):
             raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
         ranges = ranges_space(env.observation_space, robot)
-        self._listener = _Listener()
-        self._agent = LimSlamAgent(robot, agent_config, self._listener)
+        self._mapper = Mapper(robot, agent_config)
         self._start = np.zeros(3)
         self.observation_space = belief_space(ranges, size)
-        self._places, self._size = places_around(size, self._agent.config.grid.cell), size
+        self._places, self._size = places_around(size, self._mapper.config.grid.cell), size
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
         """Start a new episode and a new map; the start pose is all that is taken from `info`."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._start = np.array(info["pose"], dtype=float)
-        self._agent.reset(self._start.copy(), seed)
+        self._mapper.reset(self._start)
         return self._believed(observation), info
 
     def step(self, action: Any) -> tuple[Observation, SupportsFloat, bool, bool, Any]:
@@ -100,10 +85,8 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         return self._believed(observation), reward, terminated, truncated, info
 
     def _believed(self, observation: Observation) -> Observation:
-        self._agent.act({"ranges": observation["ranges"], "wheels": observation["wheels"]})
-        belief = self._listener.belief
-        if belief is None:
-            raise RuntimeError("the agent did not ask its policy")
+        self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
+        belief = self._mapper.belief
         return {
             "pose": told_pose(self._start, belief.pose),
             "covariance": told_covariance(belief.covariance),

@@ -5,7 +5,7 @@ import pytest
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.presets import AgentConfig, TeamConfig, preset
-from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.belief import Belief
 from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
 from limslam_agent.policies.learned.polar_view import observe

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from limslam_agent.agent import LimSlamAgent
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig, preset
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.policies import Belief, FrontierPolicy, Laps, Policy, RandomPolicy, WallFollower
+from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.policy import Policy
+from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.geometry import FloatArray

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent import LimSlamAgent, LimSlamTeam, evaluate, medians, preset
-from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.wrappers.single import SlamObservation

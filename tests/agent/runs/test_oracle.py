@@ -7,7 +7,7 @@ import pytest
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.belief import Belief
+from limslam_agent.belief import Belief
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.oracle import Pilot
 from limslam_agent.runs.results import score, title_of

@@ -14,7 +14,7 @@ from support.drives import ROBOT, along, drive, laps_of_square, room, straight, 
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.presets import AgentConfig, SelfCalibrationConfig, preset
-from limslam_agent.policies.policies import WallFollower
+from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.batch.state import MISSES, Capacity
 from limslam_agent.slam.slam import LineSlam
