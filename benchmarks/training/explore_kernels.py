@@ -1,7 +1,7 @@
 """The inner loops of training, compiled by numba: many robots' grids, bumpers and polar views at once.
 
 Each does what a part of ``limslam_agent`` does for one robot, and tests hold it to that: ``mark_grid`` is
-`OccupancyGrid.update`, ``note_touch`` and ``soften`` are `Bumper`'s, ``look`` is `polar_view.observe`.
+`OccupancyGrid.update`, ``note_touch`` and ``soften`` are `CollisionGuard`'s, ``look`` is `polar_view.observe`.
 Grids are squares with the robot's start in the middle, so that they need not grow.
 """
 
@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.policies.learned.polar_view import FREE_TOLL, LEAST_UNKNOWN, TIGHT_TOLL
+from limslam_agent.policies.learned.polar_view import FREE_COST, LEAST_UNKNOWN, TIGHT_COST
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.rays import compiled
 
@@ -189,7 +189,7 @@ def frontier_steps(
                     r, c = row + down, column + right
                     if 0 <= r < side and 0 <= c < side and values[r, c] < 0:
                         is_tight = True
-            tolls[row, column] = TIGHT_TOLL if is_tight else FREE_TOLL
+            tolls[row, column] = TIGHT_COST if is_tight else FREE_COST
             if is_tight or not _is_frontier(values, row, column):
                 continue
             steps[row, column] = 0

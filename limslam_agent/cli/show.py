@@ -57,12 +57,12 @@ def write_picture(path: Path, run: "FinishedRun", lines: list[str], edges: "Floa
     """Draw a run into a file, which appears when it is whole."""
     from matplotlib.figure import Figure
 
-    from limslam_agent.output.atomic_write import whole_file
+    from limslam_agent.output.atomic_write import atomic_write
     from limslam_agent.output.run_picture import SIZE, draw_run
 
     figure = Figure(figsize=SIZE, layout="constrained")
     draw_run(figure, run, lines, edges)
-    with whole_file(path) as beside:
+    with atomic_write(path) as beside:
         figure.savefig(beside, dpi=150, facecolor="white")
 
 

@@ -1,4 +1,4 @@
-"""A recorded log through the mapping half of the agent, scored and written down."""
+"""Maps from a recorded log, scores the result, and writes it to a folder."""
 
 import math
 import time
@@ -23,14 +23,14 @@ from limslam_env.geometry import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class SelfCalibration:
-    """What the filter has found the odometry to be wrong by.
+    """The systematic errors of the odometry that the filter has estimated during a replay.
 
     Attributes
     ----------
     factors, covariance
-        Of wheels and axle, and their covariance (3, 3).
+        Errors of wheels and axle, and their covariance (3, 3).
     axle
-        That the robot was said to have, m.
+        Axle of the robot's description, m.
     """
 
     factors: Factors
@@ -39,7 +39,9 @@ class SelfCalibration:
 
     @property
     def figures(self) -> dict[str, float]:
-        """For ``result.json``: the turn that odometry misses a metre, the size of the wheels, each with its std."""
+        """Values for ``result.json``: missing turn per metre, size of the wheels and of the axle, with standard
+        deviations.
+        """
         turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
         values = np.array(self.factors)
         return {
@@ -53,7 +55,7 @@ class SelfCalibration:
 
     @property
     def words(self) -> str:
-        """For the screen."""
+        """One line for the screen."""
         figures = self.figures
         turn, scale = (
             (figures[f"self_calibration_{name}"], figures[f"self_calibration_{std}"])
@@ -64,26 +66,26 @@ class SelfCalibration:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What came of a log: a pose for every event of it.
+    """The result of a replay, with a pose for every event of the log.
 
     Attributes
     ----------
     log
-        What was replayed.
+        The log that was replayed.
     config
-        The settings.
+        Settings.
     estimated, odometry
-        Poses (n, 3): the belief, and odometry alone, corrected for its known bias.
+        Poses (n, 3): the estimate, and odometry alone, corrected for its known bias.
     covariances
-        Of the believed poses (n, 3, 3).
+        Covariances of the estimated poses (n, 3, 3).
     landmarks, segments, grid
         The map.
     refused_readings
-        How many readings were not finite.
+        Number of readings that were not finite.
     self_calibration
-        What the odometry was found to be wrong by; None where that was not asked for.
+        Systematic odometry errors that the filter has estimated. None if this was not asked for.
     slam_ms, wall_clock
-        (n,) cost of each event, ms, and of all of it, s.
+        Cost of the SLAM for each event (n,), ms, and of the whole replay, s.
     """
 
     log: RecordedLog
@@ -101,9 +103,16 @@ class Replay:
 
 
 def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], None] | None = None) -> Replay:
-    """Map from a log, event by event, as if it were happening.
+    """Map from a log, event by event, as if the robot were driving now.
 
-    ``progress`` is told how many events are done.
+    Parameters
+    ----------
+    log
+        The log.
+    config
+        Settings.
+    progress
+        Called after each event with the number of events that are done.
     """
     mapper = Mapper(log.robot, config, log.start_pose)
     slam, count = mapper.slam, len(log)
@@ -134,7 +143,9 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
-    """Errors over known relative poses, of the estimate, of odometry corrected, and of odometry as recorded."""
+    """Errors of relative poses against known ones: of the estimate, of corrected odometry, and of odometry as
+    recorded.
+    """
     log = replay.log
     trajectories = {"": replay.estimated, "odometry_": replay.odometry}
     if log.odometry is not None:
@@ -151,7 +162,18 @@ def write_replay(
 ) -> None:
     """Write trajectory, map, picture and result of a replay into a folder.
 
-    ``source`` names the ``log`` and the ``relations`` that it was made from.
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    replay
+        What is written.
+    source
+        Names of the files that the replay used, such as ``log`` and ``relations``.
+    scores
+        Metrics of the trajectory.
+    versions
+        Versions of the libraries.
     """
     from limslam_agent.output.drawing import MapPicture, draw_map
 

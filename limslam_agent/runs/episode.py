@@ -1,7 +1,7 @@
-"""One run: the agent, or a team, in the simulated world, recorded.
+"""One run of an agent or a team in the simulator, recorded step by step.
 
-Here, and nowhere else, the mind meets the world; it is handed the observations alone, and what
-is true goes to the record.
+Agent and simulator meet only in this module. The agent gets the observations and nothing else. The truth goes into the
+record of the run.
 """
 
 import time
@@ -13,17 +13,17 @@ import numpy as np
 
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.slam.core.diagnostics import Closure
-from limslam_agent.runs.oracle import Pilot, TruePose, check_policy, needs_loop, policies_for
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
-from limslam_env.envs.adapter import MAX_ROBOTS
+from limslam_env.bounds.offline_optimum import require_gtsam
 from limslam_env.config import NoiseConfig
-from limslam_env.simulation.coverage import CoverageGrid
+from limslam_env.envs.adapter import MAX_ROBOTS
+from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
-from limslam_env.bounds.offline_optimum import require_gtsam
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 from limslam_env.worlds.world import World, WorldError
 
@@ -33,43 +33,43 @@ OUT_OF_TIME = "time: the run's longest time is over"
 
 @dataclass(frozen=True)
 class RunConfig:
-    """What is run.
+    """Settings of a run.
 
     Attributes
     ----------
     world
         Name, file or world.
     noise
-        Standard deviation of the ranges, m; the agent is told it.
+        Standard deviation of the range noise, m. The agent is told this value.
     preset
-        The agent's settings.
+        Name of the agent's settings.
     seed
-        Of all noise.
+        Seed of all random numbers.
     max_time
         Longest simulated time, s.
     laps
-        Drive round the world's loop this often instead of exploring; 0 explores. With the policy ``tour``, how often
-        the tour is driven.
+        Number of laps of the world's loop to drive instead of exploring. 0 explores. With the policy ``tour``, the
+        number of times that the tour is driven.
     robot
         Body and beams of each robot.
     robots
-        How many there are, 1 to 8.
+        Number of robots, 1 to 8.
     ablation
-        A part of the method that is left out; None leaves out nothing.
+        Part of the method that is switched off. None switches off nothing.
     policy
-        Who drives: ``frontier`` explores, ``frontier_fast`` does so at top speed, ``learned`` is a trained network,
-        ``wall_follower`` and ``random`` are there to compare with. ``learned_true_pose`` has its map drawn by the true
-        pose. A pilot that
-        knows the true map and pose, to which the estimators listen, drives ``tour``, round the world's loop or where
-        it has none past all that can be seen and back, and ``oracle``, past everything as soon as possible.
+        Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
+        network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
+        ``random`` are simple baselines. ``tour`` and ``oracle`` know the true map and the true pose, while the
+        estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
+        and back, and ``oracle`` drives past everything as fast as possible.
     limit
-        Score it against the offline optimum of its log too, which needs gtsam.
+        Whether to also compare the run with the offline optimum of its log, which needs gtsam.
 
     Raises
     ------
     ValueError
-        If a number is out of bounds, there is no such preset or policy, they do not go together, the world cannot
-        be used or has no loop to drive laps on, or gtsam is missing for the limit.
+        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, the world
+        cannot be used or has no loop to drive laps on, or gtsam is missing for the offline optimum.
     """
 
     world: WorldSource = "env1"
@@ -104,41 +104,45 @@ class RunConfig:
 
     @property
     def agent(self) -> AgentConfig:
-        """What the agent is told."""
+        """The agent's settings, with the noise that the agent is told."""
         config = preset(self.preset, NominalNoise(self.noise))
         return config if self.ablation is None else ablated(config, self.ablation)
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """A run as it was recorded: a row a step, row 0 the moment of the reset.
+    """The record of a run, with one row for each step. Row 0 is the moment of the reset.
 
     Attributes
     ----------
     config, world
-        What was run, and where.
+        Settings and world of the run.
     time
         (t,), s.
     ranges, wheels
-        (t, n, n_beams) and (t, n, 2): the observations of the n robots.
+        Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m.
     actions
-        (t, n, 2): the answer to each observation; it leads to the next row.
+        Answer to each observation (t, n, 2). The action of a row leads to the next row.
     true, estimated, odometry
-        Poses (t, n, 3): the truth, the belief, and odometry alone.
+        Poses (t, n, 3): the truth, the estimate, and odometry alone.
     covariances
-        Of the believed poses (t, n, 3, 3).
+        Covariances of the estimated poses (t, n, 3, 3).
     wall_seen
-        (t, n, n_beams), what each beam truly hit.
+        What each beam truly hit (t, n, n_beams).
     dropped
-        (t, n, n_beams), which beams were left out because they may have hit another robot.
+        Beams that were ignored because they may have hit another robot (t, n, n_beams).
     coverage, contact
-        (t,) by all robots together, and (t, n), the truth.
-    associations, closures, snapshot, coverage_grid
-        What became of observed lines, the loops closed, what is believed at the end, and the cells that count.
+        True coverage by all robots together (t,), and whether each robot touches something (t, n).
+    associations, closures
+        The association of each observed line, and the loops that were closed.
+    snapshot
+        What is believed at the end.
+    coverage_grid
+        The cells that count for coverage.
     stop_reason, is_finished
-        Why the run ended, and whether the mind said so itself.
+        Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
-        (t,), (t,) and one number: what mapping and exploring cost a step, ms, and the whole loop, s.
+        Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
     """
 
     config: RunConfig
@@ -167,12 +171,12 @@ class Episode:
 
 
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
-"""Told of team, env, simulated time (s) and true coverage (0 to 1) at each step, after the team has decided."""
+"""Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One step of a run, of all robots."""
+    """One step of a run, with all robots."""
 
     time: float
     coverage: float
@@ -194,18 +198,18 @@ def run_episode(
     on_association: Callable[[AssociationRecord], None] | None = None,
     render_mode: str | None = None,
 ) -> Episode:
-    """Let the robots loose, and record what happens.
+    """Run the robots and record what happens.
 
     Parameters
     ----------
     config
-        What is run.
+        Settings of the run.
     watch
-        Told of each step.
+        Called at each step.
     on_association
-        Told what became of each observed line.
+        Called with the association of each observed line.
     render_mode
-        Of the environment, for those who want pictures of the truth.
+        Render mode of the environment, for pictures of the truth.
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
@@ -267,8 +271,8 @@ def _drive(
         observations = [told[name] for name in team.names]
         truth = infos[team.names[0]]
         for policy in team.policies:
-            if isinstance(policy, Pilot | TruePose):
-                policy.look(env, truth["pose"], truth["coverage"])
+            if isinstance(policy, Oracle | TruePoseExplorer):
+                policy.observe_truth(env, truth["pose"], truth["coverage"])
         begin = time.perf_counter()
         team.observe(observations)
         actions = team.decide()

@@ -1,4 +1,4 @@
-"""Score anything that can act by the metrics of ``limslam run``."""
+"""Scores anything that can act by the metrics of ``limslam run``."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -34,46 +34,46 @@ def evaluate(
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> list[Result]:
-    """Let an actor explore, once for each seed, and score it as the agent that comes with this package is scored.
+    """Let an actor explore once for each seed, and score it with the metrics that score the agent of this package.
 
     Parameters
     ----------
     actor
-        Who drives: anything with ``act(observation)``, a Stable-Baselines3 model or another with
-        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. Its ``reset(start_pose, seed)``
-        is called before each episode, if it has one. In a parallel environment an actor answers a dict of all robots'
-        observations by a dict of their actions; a dict of actors, by the robots' names, has each answer for its own,
-        and a model with ``predict`` answers for each robot in turn.
+        Anything with ``act(observation)``, a model of Stable-Baselines3 or another object with ``predict(observation,
+        deterministic=True) -> (action, state)``, or a callable. If the actor has a ``reset(start_pose, seed)``, it is
+        called before each episode. In a parallel environment an actor answers a dict of all robots' observations with a
+        dict of their actions. In a dict of actors by robot names, each actor answers for its own robot. A model with
+        ``predict`` answers for each robot in turn.
     env_id
-        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo one (``limslam/Env1-v0``) for several robots.
+        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
-        One episode each.
+        One episode is driven for each seed.
     max_time
         Longest simulated time of an episode, s.
     wrap
-        Makes the environment that the actor sees out of the bare one.
+        Wraps the bare environment into the one that the actor sees.
     **arguments
-        Of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is None, unless given,
-        for actors that say themselves when they are ``done``, and 0.99 for others: they have to be stopped.
+        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is None by
+        default for an actor that says itself when it is ``done``, and 0.99 for other actors, which have to be stopped.
 
     Returns
     -------
     results
         For each seed the metrics of the drive: ``coverage_true``, ``time_to_50_s`` and so on, ``exploration_time_s``,
-        ``collisions``, ``path_m`` and ``stop_reason``. Of an actor with a ``snapshot()`` (`LimSlamAgent`,
-        `LimSlamTeam`) those of its trajectory and map, too.
+        ``collisions``, ``path_m`` and ``stop_reason``. For an actor whose ``snapshot()`` is that of `LimSlamAgent` or
+        `LimSlamTeam`, also the metrics of its trajectory and map.
 
     Raises
     ------
     ValueError
-        If there is no such environment, the actor cannot act in it, or what it answers is no action.
+        If the environment does not exist, or the actor cannot act in it, or an answer of the actor is not an action.
     """
     if not max_time > 0.0:
         raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
     is_team = env_id.startswith(_TEAMS)
     driver = driver_of(actor, is_team=is_team)
     robot = arguments.get("robot") or RobotSpec()
-    goal = {"coverage_goal": None} if driver.knows_its_end else {}
+    goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
@@ -85,8 +85,8 @@ def evaluate(
 def medians(results: Sequence[Result]) -> dict[str, float | None]:
     """The median of each metric over several episodes.
 
-    A time that was never reached counts as later than all others; where half of them were not, the median is None.
-    Of other metrics the episodes that do not have them are left out.
+    A time that was never reached counts as later than all others. If half of the times were not reached, the median is
+    None. For other metrics, episodes without the metric are ignored.
     """
     columns: dict[str, list[float]] = {}
     for result in results:
@@ -102,7 +102,9 @@ def medians(results: Sequence[Result]) -> dict[str, float | None]:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One step of all n robots: true and believed poses (n, 3), covariances (n, 3, 3); empty where none are known."""
+    """One step of all n robots: odometry and estimated poses (n, 3), covariances (n, 3, 3). Empty where they are
+    unknown.
+    """
 
     infos: list[dict[str, Any]]
     odometry: FloatArray
@@ -111,18 +113,18 @@ class _Row:
 
 
 class _Robots:
-    """One environment or the other, with all robots by their names."""
+    """A single-robot or a parallel environment, with all robots by their names."""
 
     def __init__(self, env: Any, *, is_team: bool) -> None:
         self._env, self._is_team = env, is_team
 
     def reset(self, seed: int) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """What the robots observe, and what is true."""
+        """Observations and true infos of the robots."""
         observation, info = self._env.reset(seed=seed)
         return (observation, info) if self._is_team else ({_ALONE: observation}, {_ALONE: info})
 
     def step(self, actions: Actions) -> tuple[dict[str, Any], dict[str, dict[str, Any]], bool, bool]:
-        """The same, and whether the episode is over, and whether its time is."""
+        """Observations and infos, whether the episode has terminated, and whether it was truncated."""
         if self._is_team:
             told, _, over, late, infos = self._env.step(dict(actions))
             return told, infos, all(over.values()), all(late.values())
@@ -147,32 +149,32 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
 
 
 def _scored(driver: Driver, robots: _Robots, stage: Staged, seed: int) -> Result:
-    """One episode, scored."""
+    """Drive one episode and score it."""
     rows, stop_reason = _drive(driver, robots, seed)
     time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))
     true, contact = (np.array([[info[name] for info in row.infos] for row in rows]) for name in ("pose", "collision"))
     scores: Result = drive_scores(time, coverage, true, contact, has_explored=stop_reason is not None)
-    if driver.believer is not None:
+    if driver.snapshot_source is not None:
         estimated, covariances = np.array([row.estimated for row in rows]), np.array([row.covariances for row in rows])
-        odometry, snapshot = np.array([row.odometry for row in rows]), driver.believer.snapshot()
+        odometry, snapshot = np.array([row.odometry for row in rows]), driver.snapshot_source.snapshot()
         scores |= team_scores(true, estimated, odometry, covariances)
         scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
     return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
 
 
 def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str | None]:
-    """The rows of an episode, and why it was over; None if its time was."""
+    """The rows of an episode and its stop reason, which is None if the time ran out."""
     told, infos = robots.reset(seed)
     _begin(driver, infos, seed)
     rows, is_over, is_late = list[_Row](), False, False
     while True:
-        # The last observation is for the estimate alone.
+        # The last observation only updates the estimate; its action is not executed.
         actions = driver.act(told)
-        rows.append(_row(driver.believer, infos))
+        rows.append(_row(driver.snapshot_source, infos))
         if is_over or is_late or driver.done:
             break
         told, infos, is_over, is_late = robots.step(actions)
-    finish = getattr(driver.believer, "finish", None)
+    finish = getattr(driver.snapshot_source, "finish", None)
     if callable(finish):
         finish()
     if driver.done:
@@ -186,9 +188,9 @@ def _begin(driver: Driver, infos: dict[str, dict[str, Any]], seed: int) -> None:
         raise ValueError(f"the actor was done before seed {seed} began: a policy that it was given serves for one run")
 
 
-def _row(believer: Any, infos: dict[str, dict[str, Any]]) -> _Row:
+def _row(snapshot_source: Any, infos: dict[str, dict[str, Any]]) -> _Row:
     truth = list(infos.values())
-    if believer is None:
+    if snapshot_source is None:
         return _Row(truth, no_rows(3), no_rows(3), no_rows(9))
-    snapshot = believer.snapshot()
+    snapshot = snapshot_source.snapshot()
     return _Row(truth, snapshot.odometry, snapshot.poses, snapshot.covariances)

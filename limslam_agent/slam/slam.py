@@ -29,7 +29,7 @@ class LineSlam:
     config
         Settings of every stage; they say which estimator is used.
     start_pose
-        Where the robot begins (3,), m, m, rad: the origin of the map unless it is told. Of several robots (n, 3).
+        Where the robot begins (3,), m, m, rad: the origin of the map unless it is message. Of several robots (n, 3).
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class LineSlam:
 
     @property
     def on_association(self) -> Callable[[AssociationRecord], None] | None:
-        """Told what became of each observed line, for those who keep a record."""
+        """Message what became of each observed line, for those who keep a record."""
         return self._estimator.on_association
 
     @on_association.setter

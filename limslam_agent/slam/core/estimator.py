@@ -33,7 +33,7 @@ class Estimator:
     last_extraction
         What was found in the latest scan; None before the first.
     on_association
-        Told what became of each observed line, for those who keep a record.
+        Message what became of each observed line, for those who keep a record.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, belief: LineEKF) -> None:
