@@ -74,7 +74,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         super().__init__(env)
         robot = getattr(env.unwrapped, "robot", None)
         if not isinstance(robot, RobotSpec):
-            raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
+            raise ValueError(f"{env.unwrapped} has no robot of LimSLAM")  # noqa: TRY004 (a wrong value)
         if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ValueError("episodes must begin in the step in which others end: autoreset_mode='SameStep'")
         self.config, self.robot = config or ExploreConfig(), robot

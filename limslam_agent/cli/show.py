@@ -106,4 +106,4 @@ def _check_target(path: Path, *, force: bool) -> None:
     if path.is_dir():
         raise ValueError(f"{path}: is a folder")
     if path.exists() and not force:
-        raise ValueError(f"{path}: is there already; --force replaces it")
+        raise ValueError(f"{path}: already exists; --force replaces it")

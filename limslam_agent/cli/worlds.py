@@ -71,7 +71,7 @@ def convert(
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
     in_the_way = [file for file in files if file.exists()]
     if in_the_way and not force:
-        raise ValueError(f"{in_the_way[0]}: is there already; --force replaces it")
+        raise ValueError(f"{in_the_way[0]}: already exists; --force replaces it")
     write_world(load_world(source), target)
     typer.echo(f"world       {target}")
 

@@ -67,9 +67,9 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
     if not events.time:
-        raise LogError(f"{fspath(path)}: has no odometry: not one ODOM or FLASER line")
+        raise LogError(f"{fspath(path)}: has no odometry: there is no ODOM or FLASER line")
     if not events.ranges:
-        raise LogError(f"{fspath(path)}: has no scan: not one FLASER line")
+        raise LogError(f"{fspath(path)}: has no scan: there is no FLASER line")
     try:
         return _as_log(events, max_range)
     except ValueError as error:

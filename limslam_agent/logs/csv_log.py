@@ -119,9 +119,9 @@ class _Rows:
     def log(self, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
         """The rows as a log."""
         if not self.directions:
-            raise ValueError("is empty: not even a header t,x,y,theta,r_<deg>,...")
+            raise ValueError("is empty: it has no header t,x,y,theta,r_<deg>,...")
         if not any(self.has_scan):
-            raise ValueError("holds no ranges: not one row of them")
+            raise ValueError("has no row with ranges")
         beams = [beam(math.radians(degrees), max_range) for degrees in self.directions]
         chosen = choose_beams(beams, beams_deg)
         moves = np.array(self.moves).reshape(-1, len(_LEADING))

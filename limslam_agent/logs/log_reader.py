@@ -49,7 +49,7 @@ def read_log(
     if is_bag(path):
         return read_ros(path, beams_deg, reach, topics)
     if topics:
-        raise LogError(f"{fspath(path)}: is no ROS bag, so no topics can be chosen")
+        raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
     if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or PurePath(path).suffix == ".npz":
         if beams_deg is not None or max_range is not None:
             chosen = "beams" if beams_deg is not None else "largest range"

@@ -114,7 +114,7 @@ def pose_log(
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
-        raise ValueError(f"the odometry in row {row} is no pose: {', '.join(f'{v:g}' for v in odometry[row])}")
+        raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
     largest, least = np.array([b.max_range for b in beams]), np.array([b.min_range for b in beams])
     seen = np.where(np.isnan(ranges), largest, np.clip(ranges, least, largest))
     seen[~has_scan] = largest

@@ -145,7 +145,8 @@ def read_npz(path: FilePath) -> RecordedLog:
         robot = _robot_of(arrays["robot"])
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
-            raise LogError(f"is the log of {arrays['ranges'].shape[1]} robots; a map is made from the log of one")
+            robots = arrays["ranges"].shape[1]
+            raise LogError(f"is the log of {robots} robots; only the log of one robot can be replayed")
         _check("action", arrays["action"], (count, 2))
         _check("wall_seen", arrays["wall_seen"], (count, beams))
         return RecordedLog(

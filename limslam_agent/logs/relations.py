@@ -81,7 +81,7 @@ def read_relations(path: FilePath) -> Relations:
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {error}") from error
     if not rows:
-        raise LogError(f"{fspath(path)}: holds no relations")
+        raise LogError(f"{fspath(path)}: has no relations")
     table = np.array(rows)
     return Relations(table[:, 0], table[:, 1], table[:, [2, 3, 7]])
 

@@ -121,13 +121,13 @@ def _check_ending(path: FilePath) -> None:
     place = Path(path)
     if place.is_dir():
         if not (place / METADATA).is_file():
-            raise LogError(f"{fspath(path)}: is a folder, but no ROS 2 bag: it has no {METADATA}")
+            raise LogError(f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}")
         return
     ending = _ending_by_content(path)
     if ending is None:
-        raise LogError(f"{fspath(path)}: is no bag: it begins like neither of {', '.join(_MAGIC.values())}")
+        raise LogError(f"{fspath(path)}: is not a bag: its first bytes are not those of {', '.join(_MAGIC.values())}")
     if place.suffix != ending:
-        raise LogError(f"{fspath(path)}: is a {ending} file by its content: its name must end so")
+        raise LogError(f"{fspath(path)}: has the content of a {ending} file, so its name must end in {ending}")
 
 
 def _ending_by_content(path: FilePath) -> str | None:

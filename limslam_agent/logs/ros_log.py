@@ -121,7 +121,7 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
     inside = (time >= begin) & (time <= end)
     if not inside.any():
         when = f"ranges from {time[0]:.3f} to {time[-1]:.3f} s, odometry from {begin:.3f} to {end:.3f} s"
-        raise ValueError(f"ranges and odometry do not meet in time: {when}")
+        raise ValueError(f"the times of ranges and odometry do not overlap: {when}")
     time, ranges = time[inside], ranges[inside]
     heading = moves[-1][1]
     heading[:, -1] = np.unwrap(heading[:, -1])
@@ -143,11 +143,11 @@ def _together(plan: Plan, scans: list[tuple[FloatArray, FloatArray]]) -> tuple[F
         nearest = _nearest(times, time)
         met = np.abs(times[nearest] - time) <= apart + 1e-6
         if 2 * np.count_nonzero(met) < len(time):
-            raise ValueError(f"{reader.topic} is silent most of the time that others measure: leave it out")
+            raise ValueError(f"{reader.topic} has no messages for most of the time: leave it out")
         whole &= met
         parts.append(values[nearest])
     if not whole.any():
-        raise ValueError("the sensors never measure together")
+        raise ValueError("the sensors have no common times")
     return time[whole], np.column_stack(parts)[whole][:, plan.columns]
 
 

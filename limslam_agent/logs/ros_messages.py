@@ -75,7 +75,7 @@ def rotation_of(quaternion: Sequence[float]) -> FloatArray:
     parts = [float(part) for part in quaternion]
     length = math.hypot(*parts)
     if not 1e-6 < length < 1e6:
-        raise ValueError(f"the quaternion is no rotation: {', '.join(f'{part:g}' for part in parts)}")
+        raise ValueError(f"the quaternion is not a rotation: {', '.join(f'{part:g}' for part in parts)}")
     x, y, z, w = (part / length for part in parts)
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -96,7 +96,7 @@ def scan_angles(message: Any) -> FloatArray:
     if not count:
         raise ValueError("the scan has no ranges")
     if not (math.isfinite(first) and math.isfinite(step) and (step != 0.0 or count == 1)):
-        raise ValueError(f"the scan's angles are no angles: {first:g} in steps of {step:g}")
+        raise ValueError(f"the scan's angles are invalid: {first:g} in steps of {step:g}")
     return first + step * np.arange(count, dtype=np.float64)
 
 

@@ -233,4 +233,4 @@ def _guess(topic: str, frame: str) -> float:
     for name in (frame, topic.rpartition("/")[2], topic):
         if (degrees := direction_of(name)) is not None:
             return degrees
-    raise ValueError(f"where {topic} points is not known: say it as --range-topics {topic}:DEGREES,...")
+    raise ValueError(f"where {topic} points is unknown: set it with --range-topics {topic}:DEGREES,...")

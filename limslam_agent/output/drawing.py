@@ -55,7 +55,7 @@ class MapPicture:
             raise ValueError("a picture of a map needs the path of a robot")
         for name, paths in (("odometry", self.odometries), ("true", self.true_paths)):
             if paths and len(paths) != len(self.estimates):
-                raise ValueError(f"{len(self.estimates)} estimated paths go with {len(paths)} {name} ones")
+                raise ValueError(f"{len(self.estimates)} estimated paths do not go with {len(paths)} {name} paths")
 
     @property
     def estimates(self) -> list[FloatArray]:

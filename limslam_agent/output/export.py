@@ -70,9 +70,9 @@ def _check_target(target: Path, *, force: bool) -> None:
         if not any(target.iterdir()):
             return
         if not (target / RESULT_FILE).is_file():
-            raise OutputError(f"{target}: is not empty and holds no run's results")
+            raise OutputError(f"{target}: is not empty and does not hold the results of a run")
         if not force:
-            raise OutputError(f"{target}: holds the results of a run already; --force replaces them")
+            raise OutputError(f"{target}: already holds the results of a run; --force replaces them")
     elif target.exists() or target.is_symlink():
         raise OutputError(f"{target}: is not a folder")
 

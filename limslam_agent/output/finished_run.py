@@ -90,7 +90,7 @@ def read_run(folder: Path) -> FinishedRun:
     if not folder.is_dir():
         raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
     if not (folder / RESULT).is_file():
-        raise FolderError(f"{folder}: holds no finished run: there is no {RESULT}")
+        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}")
     result = _read_json(folder / RESULT)
     segments = _segments(folder / MAP)
     estimated = _trajectories(folder, "est")
@@ -100,7 +100,7 @@ def read_run(folder: Path) -> FinishedRun:
     time = estimated[0][:, 0]
     for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry)):
         if tables and (len(tables) != len(estimated) or any(len(table) != len(time) for table in tables)):
-            raise FolderError(f"{folder}: the trajectories ({kind}) are not of the same robots and moments")
+            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
     poses, true_poses, by_odometry = ([table[:, 1:] for table in tables] for tables in (estimated, true, odometry))
     if not by_odometry and (folder / LOG).is_file():
         by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
@@ -121,11 +121,11 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FolderError(f"{path}: is no JSON: {error}") from error
+        raise FolderError(f"{path}: is not JSON: {error}") from error
     except OSError as error:
         raise FolderError(f"{path}: cannot be read: {error.strerror or error}") from error
     if not isinstance(content, dict):
-        raise FolderError(f"{path}: does not hold what a run writes")
+        raise FolderError(f"{path}: does not have the content that a run writes")
     return content
 
 
@@ -195,7 +195,7 @@ def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatA
         return []
     wheels = wheels[:, None] if wheels.ndim == 2 else wheels
     if wheels.shape != (len(poses[0]), len(poses), 2) or not np.isfinite(wheels).all():
-        raise FolderError(f"{path}: its wheel travel does not go with the trajectories")
+        raise FolderError(f"{path}: its wheel travel does not fit the trajectories")
     return [_driven(wheels[:, number], float(axle), start[0]) for number, start in enumerate(poses)]
 
 

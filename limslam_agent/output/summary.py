@@ -6,7 +6,7 @@ from typing import Any
 
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:
     """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``. Missing values are left out."""
-    lines = [f"stopped     {metrics.get('stop_reason', 'nobody knows why')}"]
+    lines = [f"stopped     {metrics.get('stop_reason', 'for an unknown reason')}"]
     if _has(metrics, "exploration_time_s", "path_m"):
         lines.append(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
     if _has(metrics, "coverage_true", "collisions"):

@@ -59,14 +59,14 @@ def driver_of(actor: Any, *, is_team: bool) -> Driver:
             raise ValueError("a dict of actors is for parallel environments; here one actor drives one robot")
         return _ActorPerRobot({name: driver_of(part, is_team=False) for name, part in actor.items()})
     if isinstance(actor, type):
-        raise ValueError(f"{actor.__name__} is a class and cannot act: give an object of it")  # noqa: TRY004 (a value)
+        raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
     if callable(getattr(actor, "act", None)):
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
         return _ModelActor(actor)
     if callable(actor):
         return _SingleActor(actor, actor, is_team=is_team)
-    raise ValueError(f"{type(actor).__name__} cannot act: it has no act, no predict, and is no function")
+    raise ValueError(f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable")
 
 
 class _SingleActor:

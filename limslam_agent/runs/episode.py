@@ -222,37 +222,45 @@ def run_episode(
     team = LimSlamTeam(config.robot, config.agent, config.robots, policies)
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
-    def note(record: AssociationRecord) -> None:
+    def note_association(record: AssociationRecord) -> None:
         associations.append(record)
         if on_association is not None:
             on_association(record)
 
-    rows = _drive(config, env, team, note, watch)
+    rows = _drive(config, env, team, note_association, watch)
     return Episode(
         config=config,
         world=world,
-        time=np.array([row.time for row in rows]),
-        ranges=np.array([[seen["ranges"] for seen in row.observations] for row in rows]),
-        wheels=np.array([[seen["wheels"] for seen in row.observations] for row in rows]),
-        actions=np.array([row.actions for row in rows]),
-        true=np.array([[info["pose"] for info in row.infos] for row in rows]),
-        estimated=np.array([row.estimated for row in rows]),
-        odometry=np.array([row.odometry for row in rows]),
-        covariances=np.array([row.covariances for row in rows]),
-        wall_seen=np.array([[info["wall_seen"] for info in row.infos] for row in rows]),
-        dropped=np.array([row.dropped for row in rows]),
-        coverage=np.array([row.coverage for row in rows]),
-        contact=np.array([[info["collision"] for info in row.infos] for row in rows]),
         associations=associations,
         closures=list(team.slam.closures),
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=team.stop_reason or OUT_OF_TIME,
         is_finished=team.done,
-        slam_ms=np.array([row.slam_ms for row in rows]),
-        decide_ms=np.array([row.decide_ms for row in rows]),
         wall_clock=time.perf_counter() - clock,
+        **_columns(rows),
     )
+
+
+def _columns(rows: list[_Row]) -> dict[str, Any]:
+    """The rows of a run as arrays, by their names in :class:`Episode`."""
+    columns: dict[str, list[Any]] = {
+        "time": [row.time for row in rows],
+        "ranges": [[seen["ranges"] for seen in row.observations] for row in rows],
+        "wheels": [[seen["wheels"] for seen in row.observations] for row in rows],
+        "actions": [row.actions for row in rows],
+        "true": [[info["pose"] for info in row.infos] for row in rows],
+        "estimated": [row.estimated for row in rows],
+        "odometry": [row.odometry for row in rows],
+        "covariances": [row.covariances for row in rows],
+        "wall_seen": [[info["wall_seen"] for info in row.infos] for row in rows],
+        "dropped": [row.dropped for row in rows],
+        "coverage": [row.coverage for row in rows],
+        "contact": [[info["collision"] for info in row.infos] for row in rows],
+        "slam_ms": [row.slam_ms for row in rows],
+        "decide_ms": [row.decide_ms for row in rows],
+    }
+    return {name: np.array(column) for name, column in columns.items()}
 
 
 def _drive(
@@ -262,13 +270,13 @@ def _drive(
     on_association: Callable[[AssociationRecord], None],
     watch: Watcher | None,
 ) -> list[_Row]:
-    told, infos = env.reset(seed=config.seed)
+    observed, infos = env.reset(seed=config.seed)
     team.reset(np.array([infos[name]["pose"] for name in team.names]), config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
-        observations = [told[name] for name in team.names]
+        observations = [observed[name] for name in team.names]
         truth = infos[team.names[0]]
         for policy in team.policies:
             if isinstance(policy, Oracle | TruePoseExplorer):
@@ -289,4 +297,4 @@ def _drive(
         if team.done or len(rows) > max_steps:
             team.finish()
             return rows
-        told, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
+        observed, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))

@@ -126,8 +126,8 @@ class _Robots:
     def step(self, actions: Actions) -> tuple[dict[str, Any], dict[str, dict[str, Any]], bool, bool]:
         """Observations and infos, whether the episode has terminated, and whether it was truncated."""
         if self._is_team:
-            told, _, over, late, infos = self._env.step(dict(actions))
-            return told, infos, all(over.values()), all(late.values())
+            observations, _, over, late, infos = self._env.step(dict(actions))
+            return observations, infos, all(over.values()), all(late.values())
         observation, _, is_over, is_late, info = self._env.step(actions[_ALONE])
         return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
 
@@ -144,7 +144,7 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
         raise ValueError(str(error)) from error
     if not isinstance(env.unwrapped, Staged):
         env.close()
-        raise ValueError(f"{env_id!r} is no environment of LimSLAM")  # noqa: TRY004 (a wrong value)
+        raise ValueError(f"{env_id!r} is not a LimSLAM environment")  # noqa: TRY004 (a wrong value)
     return env
 
 
@@ -164,16 +164,16 @@ def _scored(driver: Driver, robots: _Robots, stage: Staged, seed: int) -> Result
 
 def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str | None]:
     """The rows of an episode and its stop reason, which is None if the time ran out."""
-    told, infos = robots.reset(seed)
+    observations, infos = robots.reset(seed)
     _begin(driver, infos, seed)
     rows, is_over, is_late = list[_Row](), False, False
     while True:
         # The last observation only updates the estimate; its action is not executed.
-        actions = driver.act(told)
+        actions = driver.act(observations)
         rows.append(_row(driver.snapshot_source, infos))
         if is_over or is_late or driver.done:
             break
-        told, infos, is_over, is_late = robots.step(actions)
+        observations, infos, is_over, is_late = robots.step(actions)
     finish = getattr(driver.snapshot_source, "finish", None)
     if callable(finish):
         finish()
@@ -185,7 +185,7 @@ def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str 
 def _begin(driver: Driver, infos: dict[str, dict[str, Any]], seed: int) -> None:
     driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
     if driver.done:
-        raise ValueError(f"the actor was done before seed {seed} began: a policy that it was given serves for one run")
+        raise ValueError(f"the actor was done before seed {seed} began: a policy serves for one run only")
 
 
 def _row(snapshot_source: Any, infos: dict[str, dict[str, Any]]) -> _Row:

@@ -139,7 +139,7 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
     if policy not in POLICIES:
         raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
     if laps and policy not in {"frontier", "tour"}:
-        raise ValueError(f"laps are driven by the belief, or with the policy tour by the truth, not by {policy!r}")
+        raise ValueError(f"laps go with the policies frontier and tour, not with {policy!r}")
     if robots > 1 and (laps or policy in _PRIVILEGED):
         what = "laps are" if laps else f"the policy {policy!r} is"
         raise ValueError(f"{what} for one robot: several would meet on the loop")

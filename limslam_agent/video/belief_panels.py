@@ -65,8 +65,8 @@ def draw_hough(hough: HoughView | None, width: int, height: int, *, several: boo
     write(panel, "Hough votes of the last scan", (0, 13), 13, INK, bold=True)
     if hough is not None:
         who = f"robot {hough.robot + 1}, {hough.side}" if several else f"{hough.side} buffer"
-        told = f"{who}: {len(hough.points)} points, {_count(len(hough.peaks), 'line')}"
-        write(panel, fitted(told, 12, width), (0, 31), 12)
+        text = f"{who}: {len(hough.points)} points, {_count(len(hough.peaks), 'line')}"
+        write(panel, fitted(text, 12, width), (0, 31), 12)
     left, top, right, bottom = _SCALE_WIDTH, 40, width - 6, height - _SCALE_HEIGHT
     area = panel[top:bottom, left:right]
     if hough is not None:

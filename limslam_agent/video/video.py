@@ -71,7 +71,7 @@ class VideoWriter:
         if self.path.is_dir():
             raise VideoError(f"{path}: is a folder")
         if self.path.exists() and not force:
-            raise VideoError(f"{path}: is there already; --force replaces it")
+            raise VideoError(f"{path}: already exists; --force replaces it")
         self._program = _ffmpeg() if self._suffix == ".mp4" else ""
         self._beside: Path | None = None
         self._encoder: _Encoder | None = None
@@ -93,7 +93,7 @@ class VideoWriter:
             try:
                 yield
                 if self._encoder is None:
-                    raise VideoError(f"{self.path}: there is not a single frame")
+                    raise VideoError(f"{self.path}: there are no frames")
                 self._encoder.finish()
             finally:
                 encoder, self._encoder, self._beside = self._encoder, None, None
@@ -116,7 +116,7 @@ class VideoWriter:
             If the image is not a frame, has another size than the first, or the writer's context has ended.
         """
         if self._beside is None:
-            raise VideoError(f"{self.path}: frames are written within the writer's context")
+            raise VideoError(f"{self.path}: write frames inside of the writer's context")
         if image.dtype != np.uint8 or image.shape[2:] != (3,) or image.shape[0] % 2 or image.shape[1] % 2:
             raise VideoError(f"{self.path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
         if self._encoder is None:

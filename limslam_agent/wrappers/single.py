@@ -66,7 +66,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
             raise ValueError(f"a grid needs at least one cell, not {size}")
         robot = getattr(env.unwrapped, "robot", None)
         if not isinstance(robot, RobotSpec):
-            raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
+            raise ValueError(f"{env.unwrapped} has no LimSLAM robot")  # noqa: TRY004 (a wrong value)
         ranges = ranges_space(env.observation_space, robot)
         self._mapper = Mapper(robot, agent_config)
         self._start = np.zeros(3)

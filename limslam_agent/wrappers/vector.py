@@ -117,15 +117,15 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         for key, rows in seen.items():
             for place in places:
                 rows[place] = last[key][place] if isinstance(last, dict) else last[place][key]
-        told, final = self._believed(seen, ended), np.full(self.num_envs, None, dtype=object)
+        beliefs, final = self._believed(seen, ended), np.full(self.num_envs, None, dtype=object)
         for place in places:
-            final[place] = {key: rows[place].copy() for key, rows in told.items()}
+            final[place] = {key: rows[place].copy() for key, rows in beliefs.items()}
         info["final_obs"] = final
 
     def _believed(self, seen: Observation, mask: BoolArray) -> Observation:
         """The beliefs after observations. Environments outside of the mask keep the last ones."""
         beliefs = self.slam.step(seen["ranges"], seen["wheels"], mask)
-        told: Observation = {
+        observation: Observation = {
             "pose": observed_pose(self._starts, beliefs.pose),
             "covariance": observed_covariance(beliefs.covariance),
             "grid": beliefs.grid,
@@ -133,9 +133,9 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         }
         if not mask.all():
             for key, rows in self._last.items():
-                told[key][~mask] = rows[~mask]
-        self._last = told
-        return {key: rows.copy() for key, rows in told.items()}
+                observation[key][~mask] = rows[~mask]
+        self._last = observation
+        return {key: rows.copy() for key, rows in observation.items()}
 
 
 def _robot_of(env: VectorEnv[Any, Any, Any]) -> RobotSpec:
@@ -144,9 +144,9 @@ def _robot_of(env: VectorEnv[Any, Any, Any]) -> RobotSpec:
     robot = getattr(inner, "robot", None)
     robots = [robot] if robot is not None else list(_robots_of(inner))
     if not robots or not isinstance(robots[0], RobotSpec):
-        raise ValueError(f"{inner} does not tell what its robot is")
+        raise ValueError(f"{inner} has no LimSLAM robot")
     if any(other != robots[0] for other in robots):
-        raise ValueError("a batch has robots of one kind")
+        raise ValueError("all environments of a batch must have the same robot")
     first: RobotSpec = robots[0]
     return first
 

@@ -75,10 +75,11 @@ def load_network(path: Path) -> DirectionNetwork:
         with np.load(path, allow_pickle=False) as arrays:
             held = {name: arrays[name] for name in arrays.files}
     except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: no weights of a learned explorer: {error}") from error
+        raise ValueError(f"{path}: not the weights of a learned policy: {error}") from error
     wanted = {"view"} | {f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")}
     if set(held) != wanted:
-        raise ValueError(f"{path}: no weights of a learned explorer: it holds {', '.join(sorted(held)) or 'nothing'}")
+        names = ", ".join(sorted(held)) or "nothing"
+        raise ValueError(f"{path}: not the weights of a learned policy: it holds {names}")
     if not all(values.dtype.kind == "f" and np.isfinite(values).all() for values in held.values()):
         raise ValueError(f"{path}: weights must be finite numbers")
     shape = held.pop("view")

@@ -114,7 +114,7 @@ def test_results_are_only_replaced_by_force(tmp_path):
 def test_force_never_replaces_what_is_no_run(tmp_path):
     (tmp_path / "thesis.txt").write_text("years of work")
     result = limslam("run", "--max-time", "1", "--out", tmp_path, "--force")
-    assert_refused(result, "holds no run's results")
+    assert_refused(result, "does not hold the results of a run")
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 

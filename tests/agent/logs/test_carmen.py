@@ -337,7 +337,7 @@ def test_a_log_without_odometry_is_refused(write: Any) -> None:
 
 
 def test_a_log_without_a_scan_is_refused(write: Any) -> None:
-    assert "has no scan: not one FLASER line" in refusal(write(odom(at=1.0), odom(at=2.0)))
+    assert "has no scan: there is no FLASER line" in refusal(write(odom(at=1.0), odom(at=2.0)))
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:

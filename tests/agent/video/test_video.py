@@ -556,7 +556,7 @@ def test_nothing_is_left_of_a_run_that_was_stopped(tmp_path, suffix, failure):
 
 
 def test_a_video_without_a_frame_is_none(tmp_path):
-    with pytest.raises(VideoError, match="single frame"), VideoWriter(tmp_path / "film.gif", FPS):
+    with pytest.raises(VideoError, match="there are no frames"), VideoWriter(tmp_path / "film.gif", FPS):
         pass
     assert list(tmp_path.iterdir()) == []
 

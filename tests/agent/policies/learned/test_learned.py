@@ -1,4 +1,4 @@
-"""The learned explorer: its weights, its network, and how it drives."""
+"""The learned policy: its weights, its network, and how it drives."""
 
 import math
 import subprocess
