@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from limslam_agent.config.presets import AgentConfig, OdometryConfig, SelfCalibrationConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, OdometryConfig, preset, self_calibrating
 from limslam_agent.logs.directions import direction_of
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
@@ -69,13 +69,12 @@ def replay_config(
         If one of them is not what it should be, or the preset's estimator cannot calibrate by itself.
     """
     config = preset(name, NominalNoise(noise))
-    if self_calibrate and config.estimator != "consistent":
-        raise ValueError("--self-calibrate goes with --preset consistent")
-    return replace(
-        config,
-        odometry=odometry_config(odometry_noise, odometry_bias),
-        self_calibration=SelfCalibrationConfig(enabled=self_calibrate),
-    )
+    config = replace(config, odometry=odometry_config(odometry_noise, odometry_bias))
+    if not self_calibrate:
+        return config
+    if not isinstance(config.estimator, ConsistentConfig):
+        raise ValueError("--self-calibrate goes with --preset consistent")  # noqa: TRY004 (an option)
+    return self_calibrating(config)
 
 
 def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) -> Topics:
