@@ -99,8 +99,8 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise())
 
 
-def self_calibrating(config: AgentConfig) -> AgentConfig:
-    """The same settings, with an estimator that estimates the constant errors of the odometry.
+def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:
+    """The same settings, with an estimator that does, or does not, estimate the constant errors of the odometry.
 
     Raises
     ------
@@ -109,5 +109,5 @@ def self_calibrating(config: AgentConfig) -> AgentConfig:
     """
     if not isinstance(config.estimator, ConsistentConfig):
         raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
-    calibration = replace(config.estimator.self_calibration, enabled=True)
+    calibration = replace(config.estimator.self_calibration, enabled=enabled)
     return replace(config, estimator=replace(config.estimator, self_calibration=calibration))

@@ -6,7 +6,7 @@ is true goes to the record.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,10 @@ class RunConfig:
         it has none past all that can be seen and back, and ``oracle``, past everything as soon as possible.
     limit
         Score it against the offline optimum of its log too, which needs gtsam.
+    settings
+        The agent's settings before the ablation; those of the preset if left out.
+    true_noise
+        The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
     Raises
     ------
@@ -85,6 +89,8 @@ class RunConfig:
     ablation: str | None = None
     policy: str = "frontier"
     limit: bool = False
+    settings: AgentConfig | None = None
+    true_noise: NoiseConfig = field(default_factory=NoiseConfig)
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -107,7 +113,7 @@ class RunConfig:
     @property
     def agent(self) -> AgentConfig:
         """What the agent is told."""
-        config = preset(self.preset, NominalNoise(self.noise))
+        config = self.settings or preset(self.preset, NominalNoise(self.noise))
         return config if self.ablation is None else ablated(config, self.ablation)
 
 
@@ -211,7 +217,7 @@ def run_episode(
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
-        world, num_robots=config.robots, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise),
+        world, num_robots=config.robots, robot=config.robot, noise=replace(config.true_noise, sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
     policies = policies_for(

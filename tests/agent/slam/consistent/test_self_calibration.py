@@ -14,7 +14,7 @@ from limslam_agent.cli.main import app
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.replay.options import replay_config
+from limslam_agent.replay.options import with_self_calibration
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -112,4 +112,4 @@ def test_replay_tells_what_it_found(tmp_path: Path) -> None:
 
 def test_replay_refuses_to_calibrate_by_the_published_method() -> None:
     with pytest.raises(ValueError, match="--self-calibrate goes with --preset consistent"):
-        replay_config("paper", 0.02, None, None, self_calibrate=True)
+        with_self_calibration(preset("paper"), enabled=True)
