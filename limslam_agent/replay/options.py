@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from limslam_agent.config.presets import AgentConfig, OdometryConfig, SelfCalibrationConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, OdometryConfig, preset, self_calibrating
 from limslam_agent.logs.directions import direction_of
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
@@ -33,15 +33,22 @@ def numbers(option: str, text: str, count: int | None = None, low: float = -1e6)
     return values
 
 
-def odometry_config(noise: str | None, bias: str | None) -> OdometryConfig:
+def odometry_config(noise: str | None, bias: str | None, odometry: OdometryConfig | None = None) -> OdometryConfig:
     """The settings in ``--odometry-noise`` and ``--odometry-bias``.
+
+    Parameters
+    ----------
+    noise, bias
+        The options' texts; None changes nothing.
+    odometry
+        The settings that are changed; the defaults when None.
 
     Raises
     ------
     ValueError
         If one of them is not what it should be.
     """
-    odometry = OdometryConfig()
+    odometry = odometry or OdometryConfig()
     if noise is not None:
         along, per_metre, per_radian = numbers("--odometry-noise", noise, 3, low=0.0)
         odometry = replace(
@@ -58,24 +65,31 @@ def odometry_config(noise: str | None, bias: str | None) -> OdometryConfig:
     return odometry
 
 
-def replay_config(
-    name: str, noise: float, odometry_noise: str | None, odometry_bias: str | None, *, self_calibrate: bool
-) -> AgentConfig:
-    """The settings of a preset with what ``--noise``, ``--odometry-...`` and ``--self-calibrate`` say.
+def replay_config(name: str, noise: float, odometry_noise: str | None, odometry_bias: str | None) -> AgentConfig:
+    """The settings of a preset with what ``--noise``, ``--odometry-noise`` and ``--odometry-bias`` say.
 
     Raises
     ------
     ValueError
-        If one of them is not what it should be, or the preset's estimator cannot calibrate by itself.
+        If one of them is not what it should be.
     """
     config = preset(name, NominalNoise(noise))
-    if self_calibrate and config.estimator != "consistent":
+    return replace(config, odometry=odometry_config(odometry_noise, odometry_bias))
+
+
+def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
+    """The settings with what ``--self-calibrate`` says.
+
+    Raises
+    ------
+    ValueError
+        If the preset's estimator cannot calibrate by itself.
+    """
+    if isinstance(config.estimator, ConsistentConfig):
+        return self_calibrating(config, enabled=enabled)
+    if enabled:
         raise ValueError("--self-calibrate goes with --preset consistent")
-    return replace(
-        config,
-        odometry=odometry_config(odometry_noise, odometry_bias),
-        self_calibration=SelfCalibrationConfig(enabled=self_calibrate),
-    )
+    return config
 
 
 def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) -> Topics:

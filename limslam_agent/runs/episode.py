@@ -6,7 +6,7 @@ record of the run.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,10 @@ class RunConfig:
         and back, and ``oracle`` drives past everything as fast as possible.
     limit
         Whether to also compare the run with the offline optimum of its log, which needs gtsam.
+    settings
+        The agent's settings before the ablation. The preset's settings by default.
+    true_noise
+        The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
     Raises
     ------
@@ -83,6 +87,8 @@ class RunConfig:
     ablation: str | None = None
     policy: str = "frontier"
     limit: bool = False
+    settings: AgentConfig | None = None
+    true_noise: NoiseConfig = field(default_factory=NoiseConfig)
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -105,7 +111,7 @@ class RunConfig:
     @property
     def agent(self) -> AgentConfig:
         """The agent's settings, with the noise that the agent is told."""
-        config = preset(self.preset, NominalNoise(self.noise))
+        config = self.settings or preset(self.preset, NominalNoise(self.noise))
         return config if self.ablation is None else ablated(config, self.ablation)
 
 
@@ -213,7 +219,7 @@ def run_episode(
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
-        world, num_robots=config.robots, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise),
+        world, num_robots=config.robots, robot=config.robot, noise=replace(config.true_noise, sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
     policies = policies_for(

@@ -61,14 +61,14 @@ class Recorder:
         for closure in slam.closures[self._closures :]:
             self._events.append(Event("loop", closure.younger + 1, closure.older + 1))
         self._closures = len(slam.closures)
-        last, config = slam.last_extraction, slam.config
+        last, hough = slam.last_extraction, slam.config.estimator.hough
         if last is None or last is self._extraction or last.side == "none":
             return
         self._extraction = last
         self._hough = hough_view(
             last.points, last.lines, last.ends, last.pose, time=last.step * slam.robot.control_period,
-            side=last.side, robot=last.robot, r_step=max(config.hough.r_step, 3.0 * config.range_std),
-            threshold=config.hough.min_votes,
+            side=last.side, robot=last.robot, r_step=max(hough.r_step, 3.0 * slam.config.range_std),
+            threshold=hough.min_votes,
         )  # fmt: skip
 
     def _frame(self, team: LimSlamTeam, time: float) -> BeliefFrame:

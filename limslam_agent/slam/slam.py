@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
 from limslam_agent.slam.core.estimator import Estimator
@@ -41,8 +42,7 @@ class LineSlam:
         self.robot, self.config = robot, config
         start = np.atleast_2d(np.zeros(3) if start_pose is None else start_pose)
         self.robots = [FrontEnd(robot) for _ in start]
-        estimator = ConsistentEstimator if config.estimator == "consistent" else PublishedEstimator
-        self._estimator: Estimator = estimator(robot, config, start)
+        self._estimator = _estimator_of(robot, config, start)
 
     def step(self, *observations: Observation) -> None:
         """Take in one observation of each robot: predict, leave out beams on teammates, and use the others.
@@ -163,3 +163,11 @@ class LineSlam:
                     number, ranges, poses, covariance, self.robot, self.config.range_std, self.config.team
                 )
             )  # fmt: skip
+
+
+def _estimator_of(robot: RobotSpec, config: AgentConfig, start: FloatArray) -> Estimator:
+    """The estimator that the settings choose by their type, for robots at start poses (n, 3)."""
+    settings, std = config.estimator, config.range_std
+    if isinstance(settings, PublishedConfig):
+        return PublishedEstimator(robot, settings, std, start)
+    return ConsistentEstimator(robot, settings, std, start)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.batch.state import (
     CLOSURES,
     LINES,
@@ -89,17 +89,18 @@ class BatchSlam:
         config, threads = config or preset("consistent"), num_threads
         if threads is None:
             threads = os.cpu_count() or 1
-        if config.estimator != "consistent":
-            raise ValueError(f"a batch is estimated by the consistent estimator, not {config.estimator!r}")
-        if config.self_calibration.enabled:
+        if not isinstance(config.estimator, ConsistentConfig):
+            raise ValueError(f"a batch needs the preset consistent, not {config.preset!r}")  # noqa: TRY004 (a setting)
+        if config.estimator.self_calibration.enabled:
             raise ValueError("a batch does not calibrate odometry by itself; LineSlam does")
         for name, value, least in (("num_envs", num_envs, 1), ("num_threads", threads, 1), ("size", size, 0)):
             if value < least:
                 raise ValueError(f"{name} must be {least} or more, not {value}")
         self.robot, self.config, self.num_envs, self.size = robot, config, num_envs, size
         self.capacity = capacity or Capacity()
-        self._spec = spec_of(robot, config)
-        self._minds = minds_for(robot, config, num_envs, self.capacity)
+        self._extents = config.estimator.extents
+        self._spec = spec_of(robot, config, config.estimator)
+        self._minds = minds_for(robot, config.estimator, num_envs, self.capacity)
         self._pool: ThreadPoolExecutor | None = None
         self._threads = threads
         self.reset(np.zeros((num_envs, POSE)))
@@ -165,11 +166,11 @@ class BatchSlam:
 
     def segments(self, number: int) -> FloatArray:
         """The walls of one robot's map (k, 4), m, as ``WallMap.segments`` draws them."""
-        settings, (belief, walls) = self.config.clones, (self._minds.filter, self._minds.walls)
+        settings, (belief, walls) = self._extents, (self._minds.filter, self._minds.walls)
         found = [np.zeros((0, 4))]
         for index in range(belief.counts[number, LINES]):
             low, length, _, readings = walls.table[number, index]
-            if readings < settings.shown_readings:
+            if readings < settings.min_readings:
                 continue
             counts, reached = walls.counted[number, index, :, :length], walls.reached[number, index, :, :length]
             extent = WallExtent.counted(int(low), counts, reached)
@@ -177,7 +178,7 @@ class BatchSlam:
             pieces = extent.pieces(settings.max_gap, settings.through_tolerance)
             found.append((belief.anchors[number, index] + at(line, pieces)).reshape(-1, 4))
         every = np.concatenate(found)
-        return np.asarray(every[lengths(every) >= settings.shown_length])
+        return np.asarray(every[lengths(every) >= settings.min_length])
 
     @property
     def num_landmarks(self) -> IntArray:

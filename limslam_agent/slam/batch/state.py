@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.consistent.pending_readings import SIDES, thinned
 from limslam_env.geometry import FloatArray, IntArray
@@ -38,7 +39,7 @@ class Capacity:
         Lines of the filter. A piece of wall for which there is no room founds no landmark.
     clones
         Poses that are kept for readings that wait. If there is no room, the oldest and its readings are given up, as
-        ``CloneConfig.max_clones`` does from time to time. 0 is as many as can ever be wanted: then none is.
+        ``PendingReadingsConfig.max_clones`` does from time to time. 0 is as many as can ever be wanted: then none is.
     bins
         Length of a landmark in bins of 5 cm. What lies farther is not counted.
     cells
@@ -129,7 +130,7 @@ class Minds(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """The numbers of ``AgentConfig`` and ``RobotSpec`` that kernels need, under the names that they have there."""
+    """The numbers of ``AgentConfig`` and ``RobotSpec`` that kernels need; `spec_of` says where each is from."""
 
     std: float
     wheel_variance: float
@@ -196,30 +197,38 @@ class Spec(NamedTuple):
     beams: FloatArray
 
 
-def spec_of(robot: RobotSpec, config: AgentConfig) -> Spec:
-    """What kernels need of a robot and of its settings."""
+def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
+    """What kernels need of a robot, of its settings, and of those of its estimator."""
     std = config.range_std
-    clones = config.clones.for_ranges(std)
-    hough, straight = clones.hough, clones.straight
+    hough, update, extents = estimator.hough, estimator.update, estimator.extents
+    creation = estimator.for_ranges(std).creation
     sides = np.full(len(robot.beams), -1)
     for number, side in enumerate(SIDES):
-        sides[thinned([beam.side == side for beam in robot.beams], clones.beams)] = number
-    given = {name: getattr(clones, name) for name in Settings._fields if hasattr(clones, name)}
-    given |= {name: getattr(straight, name) for name in Settings._fields if hasattr(straight, name)}
-    given |= {name: getattr(config.grid, name) for name in Settings._fields if hasattr(config.grid, name)}
+        sides[thinned([beam.side == side for beam in robot.beams], estimator.pending.beams)] = number
+    by_name = (estimator.pending, estimator.segmentation, estimator.association, update, config.grid)
+    given = {name: getattr(group, name) for group in by_name for name in Settings._fields if hasattr(group, name)}
     given |= {
         "std": std,
         "wheel_variance": config.noise.wheel_variance,
         "axle": robot.axle,
         "radius": robot.radius,
-        "min_distance": config.buffer.min_distance,
-        "min_turn": config.buffer.min_turn,
-        "closes_loops": config.closing.enabled,
+        "passed": estimator.pending.complete_after,
+        "left_sigmas": update.residual_sigmas,
+        "new_length": creation.min_length,
+        "new_length_complete": creation.min_length_complete,
+        "new_readings": creation.readings_per_std,
+        "max_angle_std": creation.max_angle_std,
+        "first_iterations": creation.iterations,
+        "through_sigmas": extents.through_sigmas,
+        "through_slack": extents.through_slack,
+        "closes_loops": estimator.merging.enabled,
+        "one_wall_gate": estimator.merging.gate,
+        "min_overlap": estimator.merging.min_overlap,
         "min_votes": hough.min_votes,
         "r_step": max(hough.r_step, 3.0 * std),
         "theta_step": hough.theta_step,
         "near_line": max(hough.max_offset, 2.5 * std),
-        "near_corner": max(config.hough.max_offset, 2.5 * std),
+        "near_corner": max(hough.max_offset, 2.5 * std),
         "piece_gap": hough.max_gap,
         "piece_length": hough.min_length,
         "only_best": hough.only_best,
@@ -243,21 +252,21 @@ def beams_of(robot: RobotSpec, sides: IntArray) -> FloatArray:
     )  # fmt: skip
 
 
-def most_clones(robot: RobotSpec, config: AgentConfig) -> int:
+def most_clones(robot: RobotSpec, config: ConsistentConfig) -> int:
     """How many clones can ever be wanted at a time.
 
     A side that has ``batch`` fresh readings is looked through, and then no more than ``max_clones`` are kept. Each
     clone since then has brought a fresh reading to a side, and no side has ``batch`` of them.
     """
     del robot
-    return config.clones.max_clones + len(SIDES) * (config.clones.batch - 1) + 1
+    return config.pending.max_clones + len(SIDES) * (config.pending.batch - 1) + 1
 
 
-def minds_for(robot: RobotSpec, config: AgentConfig, num_envs: int, capacity: Capacity) -> Minds:
+def minds_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capacity: Capacity) -> Minds:
     """Arrays for the minds of a number of robots, of which nothing is known."""
     clones = min(capacity.clones or most_clones(robot, config), most_clones(robot, config))
     size = POSE + 2 * capacity.landmarks + POSE * clones
-    widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.clones.beams)
+    widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams)
     shape, bins = (num_envs, capacity.landmarks), capacity.bins
     belief = Filter(
         x=np.zeros((num_envs, size)),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.pending_readings import SIDES, Track
@@ -53,17 +53,19 @@ class ConsistentEstimator(Estimator):
         Body and beams of each robot.
     config
         Settings of every stage.
+    range_std
+        Standard deviation of a range that is assumed, m.
     start
         Where the robots begin (n, 3), m, m, rad.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
-        calibration, self._std = config.self_calibration, config.range_std
+    def __init__(self, robot: RobotSpec, config: ConsistentConfig, range_std: float, start: FloatArray) -> None:
+        calibration, self._std = config.self_calibration, range_std
         self._filter = CloneEKF(start, calibration.covariance if calibration.enabled else None)
-        self._settings = config.clones.for_ranges(self._std)
-        super().__init__(robot, config, self._filter)
-        self._map = WallMap(self._filter, config.clones)
-        self._tracks = [Track(robot, config.buffer, config.clones.beams) for _ in start]
+        self._settings = config.for_ranges(self._std)
+        super().__init__(robot, self._filter)
+        self._map = WallMap(self._filter, config.extents)
+        self._tracks = [Track(robot, config.pending, config.pending.beams) for _ in start]
 
     def factors(self, robot: int) -> tuple[Factors, FloatArray] | None:
         """What a robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
@@ -83,8 +85,8 @@ class ConsistentEstimator(Estimator):
         if track.wants(front):
             track.collect(front, self._filter.clone(number))
         for side in SIDES:
-            has_ended = track.has_ended(side, self._settings.wall_end)
-            if track.fresh[side] >= self._settings.batch or has_ended:
+            has_ended = track.has_ended(side, self._settings.pending.wall_end)
+            if track.fresh[side] >= self._settings.pending.batch or has_ended:
                 self._use(number, side, front.step, has_ended=has_ended)
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
@@ -97,7 +99,7 @@ class ConsistentEstimator(Estimator):
         """The readings that wait, where they are believed to have ended."""
         del fronts
         return [
-            Waiting(number, side, self._points(track.readings(side)), self._settings.batch)
+            Waiting(number, side, self._points(track.readings(side)), self._settings.pending.batch)
             for number, track in enumerate(self._tracks)
             for side in SIDES
         ]
@@ -141,17 +143,17 @@ class ConsistentEstimator(Estimator):
         readings = track.readings(side)
         points = self._points(readings)
         # Beams ahead meet a wall far apart, with nothing between them.
-        hough = replace(settings.hough, max_gap=settings.gap_ahead) if side == "none" else settings.hough
+        hough = replace(settings.hough, max_gap=settings.segmentation.gap_ahead) if side == "none" else settings.hough
         lines = extract_lines(points, hough, self._std)
         self._show(number, side, step, points, lines)
         dealt_with = np.zeros(len(waiting), dtype=bool)
         driven = np.array([reading.driven for reading in waiting])
         for line, members in self._uncontested(points, lines):
-            for piece in straight_pieces(readings, members, line, self._filter, self._std, settings.straight):
-                is_complete = has_ended or track.driven - driven[piece.members].max() > settings.passed
+            for piece in straight_pieces(readings, members, line, self._filter, self._std, settings.segmentation):
+                is_complete = has_ended or track.driven - driven[piece.members].max() > settings.pending.complete_after
                 own = readings.select(piece.members)
                 dealt_with[piece.members] = self._incorporate(number, step, own, piece, is_complete=is_complete)
-        oldest = math.inf if has_ended else track.driven - settings.max_age
+        oldest = math.inf if has_ended else track.driven - settings.pending.max_age
         track.waiting[side] = [
             reading
             for reading, is_done in zip(waiting, dealt_with.tolist(), strict=True)
@@ -163,8 +165,8 @@ class ConsistentEstimator(Estimator):
         """Keep only the clones that readings wait for, and not too many."""
         everything = [each for track in self._tracks for each in track.waiting.values()]
         wanted = sorted({reading.clone for each in everything for reading in each})
-        if len(wanted) > self._settings.max_clones:
-            oldest = wanted[-self._settings.max_clones]
+        if len(wanted) > self._settings.pending.max_clones:
+            oldest = wanted[-self._settings.pending.max_clones]
             for track in self._tracks:
                 for side, each in track.waiting.items():
                     track.waiting[side] = [reading for reading in each if reading.clone >= oldest]
@@ -173,7 +175,7 @@ class ConsistentEstimator(Estimator):
 
     def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> list[tuple[FloatArray, IntArray]]:
         """The lines and the readings on each, without those near a corner that could as well be another's."""
-        near, result = max(self.config.hough.max_offset, 2.5 * self._std), []
+        near, result = max(self._settings.hough.max_offset, 2.5 * self._std), []
         for line in lines:
             members = np.sort(line.members)
             for other in lines:
@@ -189,7 +191,7 @@ class ConsistentEstimator(Estimator):
 
     def _incorporate(self, robot: int, step: int, readings: Readings, piece: Piece, *, is_complete: bool) -> bool:
         """Take a piece of wall for a landmark that is known, or for a new one; whether it has been dealt with."""
-        settings = self._settings
+        settings, creation = self._settings.association, self._settings.creation
         candidates = self._candidates(readings, piece)
         while len(candidates) > 1 and candidates[1].of_line <= settings.gate:
             if not self._closes_loop(candidates[0].landmark, candidates[1].landmark, step):
@@ -200,9 +202,9 @@ class ConsistentEstimator(Estimator):
             return True
         if best <= settings.gate:
             return self._observe(robot, step, readings, piece, candidates[0])
-        least = settings.new_length_complete if is_complete else settings.new_length
-        is_enough = len(piece.members) >= settings.new_readings * self._std
-        is_sure = is_enough and piece.angle_std <= settings.max_angle_std
+        least = creation.min_length_complete if is_complete else creation.min_length
+        is_enough = len(piece.members) >= creation.readings_per_std * self._std
+        is_sure = is_enough and piece.angle_std <= creation.max_angle_std
         if best < settings.far_gate or piece.length < least or not is_sure:
             return False
         self._add(robot, step, readings, piece)
@@ -210,7 +212,7 @@ class ConsistentEstimator(Estimator):
 
     def _candidates(self, readings: Readings, piece: Piece) -> list[_Candidate]:
         """Landmarks that a piece of wall may be of, best first."""
-        settings = self._settings
+        settings = self._settings.association
         loose = 2.0 * math.atan2(2.0 * self._std, max(piece.length, 0.1))
         found = []
         for index in self._near(piece.theta, piece.middle, settings.max_angle + loose, settings.max_offset):
@@ -231,9 +233,12 @@ class ConsistentEstimator(Estimator):
 
     def _observe(self, robot: int, step: int, readings: Readings, piece: Piece, known: _Candidate) -> bool:
         """Correct the filter by a piece of a known landmark, if it is good enough for that; whether it was."""
-        settings, wall = self._settings, self._map[known.landmark]
+        settings, wall = self._settings.update, self._map[known.landmark]
         free = max(known.used - 2, 1)
-        if known.left > free + settings.left_sigmas * math.sqrt(2.0 * free) + 2.0 or piece.length < settings.min_length:
+        if (
+            known.left > free + settings.residual_sigmas * math.sqrt(2.0 * free) + 2.0
+            or piece.length < settings.min_length
+        ):
             return False
         along, (low, high) = self._map.along(known.landmark, piece.points), wall.extent.ends
         is_inside = np.mean((along > low - settings.end_slack) & (along < high + settings.end_slack)) >= 0.5
@@ -248,11 +253,11 @@ class ConsistentEstimator(Estimator):
 
     def _add(self, robot: int, step: int, readings: Readings, piece: Piece) -> None:
         self._filter.add_line(piece.theta, piece.middle)
-        self._update(robot, step, readings, self._map.add(), self._settings.first_iterations)
+        self._update(robot, step, readings, self._map.add(), self._settings.creation.iterations)
 
     def _update(self, robot: int, step: int, readings: Readings, wall: Wall, iterations: int) -> None:
         index, is_new = self._map.walls.index(wall), not wall.groups
-        self._filter.observe(readings, index, self._std, iterations, self._settings.huber)
+        self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
         self._map.grow(index, self._points(readings))
         if self.on_association is not None:
             self.on_association(AssociationRecord(wall.number, is_new, readings.sources, robot))
@@ -260,25 +265,26 @@ class ConsistentEstimator(Estimator):
 
     def _close_loops_of(self, wall: Wall, step: int) -> None:
         """Look for landmarks that are the same wall as one that has just changed, until there is none."""
-        found = True
+        found, limits = True, self._settings.association
         while found and wall in self._map.walls:
             index = self._map.walls.index(wall)
             theta, anchor = float(self._filter.anchored[index, 1]), self._filter.anchors[index]
-            near = self._near(theta, anchor, self._settings.max_angle, 2.0 * self._settings.max_offset)
+            near = self._near(theta, anchor, limits.max_angle, 2.0 * limits.max_offset)
             found = any(self._closes_loop(other, index, step) for other in near if other != index)
 
     def _closes_loop(self, first: int, second: int, step: int) -> bool:
         """Whether two landmarks are one wall; then they are made one, and the younger is no more."""
-        settings, (older, younger) = self._settings, sorted((first, second))
+        settings, (older, younger) = self._settings.merging, sorted((first, second))
         ends = self._map.ends(younger)
         places, (low, high) = np.sort(self._map.along(older, ends)), self._map[older].extent.ends
         overlap = min(places[1], high) - max(places[0], low)
-        if not self.config.closing.enabled or overlap < settings.min_overlap:
+        if not settings.enabled or overlap < settings.min_overlap:
             return False
         offset = abs(float(distance(self._filter.anchored[older], ends - self._filter.anchors[older]).mean()))
         off, covariance = self._filter.difference(older, younger)
         squared = float(off @ np.linalg.solve(covariance + np.diag(_STRAIGHTNESS), off))
-        if squared > settings.one_wall_gate or abs(off[1]) > settings.max_angle or offset > settings.max_offset:
+        limits = self._settings.association
+        if squared > settings.gate or abs(off[1]) > limits.max_angle or offset > limits.max_offset:
             return False
         numbers = self._map[older].number, self._map[younger].number
         origin, tangent = self._filter.anchors[younger].copy(), direction(self._filter.anchored[younger])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.consistent import PendingReadingsConfig
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_env.geometry import FloatArray, IntArray
@@ -47,7 +47,7 @@ class Track:
         How many of them have come since they were last looked through, by side.
     """
 
-    def __init__(self, robot: RobotSpec, config: BufferConfig, most: int) -> None:
+    def __init__(self, robot: RobotSpec, config: PendingReadingsConfig, most: int) -> None:
         self._robot, self._config = robot, config
         self._beams = {side: thinned([beam.side == side for beam in robot.beams], most) for side in SIDES}
         self.driven = self._turned = 0.0

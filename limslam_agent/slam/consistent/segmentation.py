@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from limslam_agent.config.presets import StraightConfig
+from limslam_agent.config.consistent import SegmentationConfig
 from limslam_agent.slam.consistent.beam_model import GRAZING, Readings, expected_ranges, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -61,7 +61,7 @@ class _Fit:
 
 
 def straight_pieces(
-    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: StraightConfig
+    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: SegmentationConfig
 ) -> list[Piece]:
     """Cut readings that lie about one line where they bend, and cut off ends that bend away.
 
@@ -82,7 +82,7 @@ def straight_pieces(
 
 
 def _pieces(
-    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: StraightConfig,
+    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: SegmentationConfig,
     depth: int,
 ) -> list[Piece]:  # fmt: skip
     if len(members) < _FEWEST:
@@ -107,7 +107,7 @@ def _pieces(
 
 
 def _fit(
-    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: StraightConfig
+    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: SegmentationConfig
 ) -> _Fit | None:
     """The line through readings in generalised least squares, and whether they are straight."""
     own = readings.select(members)
@@ -145,7 +145,7 @@ def _fit(
 
 def _bend(
     along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    config: StraightConfig,
+    config: SegmentationConfig,
 ) -> tuple[bool, float]:  # fmt: skip
     """Whether readings are explained much better by a bent line, and where it would be bent."""
     if len(along) < _FEWEST_FOR_SHAPE or np.ptp(along) <= 0.0:
@@ -167,7 +167,7 @@ def _bend(
 
 def _loose_ends(
     along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    config: StraightConfig,
+    config: SegmentationConfig,
 ) -> BoolArray:  # fmt: skip
     """Readings (n,) at either end that lie off the line all on one side: the beginning of something else."""
     loose = np.zeros(len(along), dtype=bool)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limslam_agent.config.presets import CloneConfig
+from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.slam.consistent.beam_model import GRAZING
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import WallExtent
@@ -35,7 +35,7 @@ class WallMap:
         When something is a wall of the map.
     """
 
-    def __init__(self, belief: CloneEKF, config: CloneConfig) -> None:
+    def __init__(self, belief: CloneEKF, config: ExtentConfig) -> None:
         self._belief, self._config = belief, config
         self.walls: list[Wall] = []
         self._numbers = 0
@@ -86,7 +86,7 @@ class WallMap:
         """The walls of the map (N, 4), m: where beams ended, and none went through."""
         shown = [pieces for wall, pieces in zip(self.walls, self._pieces, strict=True) if self._is_shown(wall)]
         every = np.concatenate((np.zeros((0, 4)), *shown))
-        return np.asarray(every[lengths(every) >= self._config.shown_length])
+        return np.asarray(every[lengths(every) >= self._config.min_length])
 
     @property
     def landmarks(self) -> list[Landmark]:
@@ -132,7 +132,7 @@ class WallMap:
                 self._drawn = None
 
     def _is_shown(self, wall: Wall) -> bool:
-        return wall.readings >= self._config.shown_readings
+        return wall.readings >= self._config.min_readings
 
     @property
     def _pieces(self) -> list[FloatArray]:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.front_end import FrontEnd
@@ -21,8 +20,6 @@ class Estimator:
     ----------
     robot
         Body and beams of each robot.
-    config
-        Settings of every stage.
     belief
         The filter.
 
@@ -36,8 +33,8 @@ class Estimator:
         Message what became of each observed line, for those who keep a record.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, belief: LineEKF) -> None:
-        self.robot, self.config, self._belief = robot, config, belief
+    def __init__(self, robot: RobotSpec, belief: LineEKF) -> None:
+        self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
         self.on_association: Callable[[AssociationRecord], None] | None = None

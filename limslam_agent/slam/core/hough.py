@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from limslam_agent.config.presets import HoughConfig
+from limslam_agent.config.shared import HoughConfig
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import along, distance

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.presets import MapConfig
+from limslam_agent.config.published import MapConfig
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
 from limslam_env.geometry.segment import lengths

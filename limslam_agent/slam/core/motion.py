@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, arc_jacobian, wheels_to_arc
 from limslam_env.interface import NominalNoise, Observation, RobotSpec

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from limslam_agent.config.presets import TeamConfig
+from limslam_agent.config.exploration import TeamConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec

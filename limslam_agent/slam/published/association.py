@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.presets import AssociationConfig
+from limslam_agent.config.published import AssociationConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.line import direction, from_frame, normal
 from limslam_env.geometry.se2 import transform_points, wrap_angle

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.config.presets import LoopClosingConfig
+from limslam_agent.config.published import LoopClosingConfig
 from limslam_agent.slam.published.association import alike, near_ends
 from limslam_env.geometry import FloatArray
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
@@ -31,12 +31,15 @@ class PublishedEstimator(Estimator):
         Body and beams of each robot.
     config
         Settings of every stage.
+    range_std
+        Standard deviation of a range that is assumed, m.
     start
         Where the robots begin (n, 3), m, m, rad.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
-        super().__init__(robot, config, LineEKF(start))
+    def __init__(self, robot: RobotSpec, config: PublishedConfig, range_std: float, start: FloatArray) -> None:
+        super().__init__(robot, LineEKF(start))
+        self._config, self._std = config, range_std
         self._map = LineMap()
         self._buffers = [{side: ScanBuffer(robot, side, config.buffer) for side in SIDES} for _ in start]
         association = config.association
@@ -61,7 +64,7 @@ class PublishedEstimator(Estimator):
         """What is in the buffers."""
         del fronts
         return [
-            Waiting(number, side, transform_points(pose, buffer.scan.points), self.config.buffer.size)
+            Waiting(number, side, transform_points(pose, buffer.scan.points), self._config.buffer.size)
             for number, (pose, buffers) in enumerate(zip(self.poses, self._buffers, strict=True))
             for side, buffer in buffers.items()
         ]
@@ -98,10 +101,10 @@ class PublishedEstimator(Estimator):
 
     @property
     def _confirmed(self) -> IntArray:
-        return self._map.confirmed(self._all_segments, self.config.map)
+        return self._map.confirmed(self._all_segments, self._config.map)
 
     def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
-        lines = extract_lines(scan.points, self.config.hough, self.config.range_std)
+        lines = extract_lines(scan.points, self._config.hough, self._std)
         found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
         ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
         pose = self._belief.poses[robot]
@@ -112,17 +115,17 @@ class PublishedEstimator(Estimator):
     def _incorporate(self, robot: int, step: int, line: ExtractedLine, scan: Scan) -> None:
         """Take an observed line for a landmark that is known, or for a new one; or close a loop with it."""
         fit, pose = line.fit, self._belief.poses[robot]
-        covariance = fit.covariance + np.diag([0.0, self.config.filter.drift_share * float(scan.drift.mean())])
+        covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
         matches = associate(
             ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points), pose, self._belief.lines,
             self._all_segments, lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
-            self.robot.reach, self.config.association,
+            self.robot.reach, self._config.association,
         )  # fmt: skip
         if self._closes_loop([match.landmark for match in matches], step):
             return
         if matches:
             landmark = matches[0].landmark
-            if self.config.filter.correct:
+            if self._config.filter.correct:
                 self._belief.observe_line(fit.line, covariance, landmark, robot)
             pose = self._belief.poses[robot]
             self._map.grow(landmark, self._belief.lines[landmark], transform_points(pose, fit.ends))
@@ -141,8 +144,8 @@ class PublishedEstimator(Estimator):
         The observation has done its duty by that. A pair is closed once: the two are not merged, but the older one
         would otherwise be taken for a new measurement again and again.
         """
-        config, pair = self.config.closing, closing_pair(landmarks)
-        if pair is None or pair in self._closed or not (config.enabled and self.config.filter.correct):
+        config, pair = self._config.closing, closing_pair(landmarks)
+        if pair is None or pair in self._closed or not (config.enabled and self._config.filter.correct):
             return False
         before = self._distance(*pair)
         lines, segments = self._belief.lines, self._all_segments
@@ -160,5 +163,5 @@ class PublishedEstimator(Estimator):
         return True
 
     def _distance(self, older: int, younger: int) -> float:
-        floor = np.array([self.config.closing.floor_distance, self.config.closing.floor_angle])
+        floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
         return squared_distance(*self._belief.difference(older, younger), floor)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.published import BufferConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side

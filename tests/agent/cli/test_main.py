@@ -11,6 +11,7 @@ from support.bags import odometry, scan, write_bag
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
+    "run.toml",
 }  # fmt: skip
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
@@ -150,8 +151,10 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("run", "--world", "atlantis"), "atlantis"),
         (("run", "--world", "missing.toml"), "missing.toml"),
         (("run", "--preset", "magic"), "magic"),
-        (("run", "--max-time", "0"), "0 s"),
-        (("run", "--laps", "-1"), "-1"),
+        (("run", "--max-time", "0"), "--max-time must be a number from 0.001 to 1e+06, not 0.0"),
+        (("run", "--laps", "-1"), "--laps must be"),
+        (("run", "--robots", "9"), "--robots must be a number from 1 to 8, not 9"),
+        (("replay",), "a log is needed"),
         (("run", "--seed", "-3"), "-3"),
         (("run", "--policy", "magic"), "no policy is called 'magic'"),
         (("run", "--policy", "random", "--laps", "2"), "laps"),
@@ -299,7 +302,7 @@ def assert_refused(result, words):
 
 
 def test_importing_the_command_line_is_light():
-    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags'}"
+    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags', 'numpy', 'tomli_w'}"
     loaded = f"import sys, limslam_agent.cli.main; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -3,7 +3,6 @@
 import copy
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -13,7 +12,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
 
 from limslam_agent.agent import LimSlamAgent
-from limslam_agent.config.presets import AgentConfig, SelfCalibrationConfig, preset
+from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.batch.state import MISSES, Capacity
@@ -34,7 +33,7 @@ EQUAL = 1e-6
 START = np.zeros(3)
 CORRIDOR_LOOP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0), (0.0, 0.0), (3.0, 0.0)]
 ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
-CALIBRATING = replace(preset("consistent"), self_calibration=SelfCalibrationConfig(enabled=True))
+CALIBRATING = self_calibrating(preset("consistent"))
 
 
 def config_of(noise: float) -> AgentConfig:
@@ -136,7 +135,7 @@ def test_more_clones_than_are_kept_are_let_go_alike() -> None:
     posts = np.vstack([room(x, y, x + 0.05, y + 0.05) for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.6)])
     observations, _ = drive(posts, START, turn(3000.0), noise=0.02)
     slam, _, most = followed(observations, config_of(0.02))
-    assert most >= slam.config.clones.max_clones
+    assert most >= slam.config.estimator.pending.max_clones
 
 
 def test_other_robots_and_unsteady_beams() -> None:
@@ -248,7 +247,7 @@ def test_memory_is_what_the_arrays_take() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda: BatchSlam(ROBOT, preset("paper"), 2), "by the consistent estimator, not 'published'"),
+        (lambda: BatchSlam(ROBOT, preset("paper"), 2), "a batch needs the preset consistent, not 'paper'"),
         (lambda: BatchSlam(ROBOT, CALIBRATING, 2), "does not calibrate odometry by itself"),
         (lambda: BatchSlam(ROBOT, num_envs=0), "num_envs must be 1 or more, not 0"),
         (lambda: BatchSlam(ROBOT, size=-1), "size must be 0 or more, not -1"),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.consistent import PendingReadingsConfig
 from limslam_agent.slam.consistent.pending_readings import SIDES, Track
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_env.geometry import FloatArray
@@ -14,13 +14,13 @@ from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, ahead 2 and 3, right 4 and 5
 RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
 FREE = ROBOT.max_ranges
-CONFIG = BufferConfig(min_distance=0.05, min_turn=math.radians(5.0))
+CONFIG = PendingReadingsConfig(min_distance=0.05, min_turn=math.radians(5.0))
 
 
 class _Drive:
     """A front end and a track of the same robot; clones are numbered by the times that something was taken."""
 
-    def __init__(self, robot: RobotSpec = ROBOT, config: BufferConfig = CONFIG, most: int = 8) -> None:
+    def __init__(self, robot: RobotSpec = ROBOT, config: PendingReadingsConfig = CONFIG, most: int = 8) -> None:
         self.front, self.track, self.taken = FrontEnd(robot), Track(robot, config, most), 0
 
     def step(self, ranges: FloatArray | None, distance: float = 0.0, turn: float = 0.0) -> bool:
@@ -179,7 +179,7 @@ def test_a_wall_has_ended_when_nothing_was_seen_of_it_for_the_gap_and_not_before
 
 
 def test_a_hit_that_is_not_kept_shows_that_the_wall_goes_on() -> None:
-    drive = _Drive(config=BufferConfig(min_distance=10.0))
+    drive = _Drive(config=PendingReadingsConfig(min_distance=10.0))
     drive.step(RANGES)
     for _ in range(10):
         assert not drive.step(RANGES, distance=0.1)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import StraightConfig
+from limslam_agent.config.consistent import SegmentationConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.segmentation import Piece, straight_pieces
@@ -24,7 +24,7 @@ from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 LEFT = [0, 1]  # the beams at 90 and 45 deg
-CONFIG = StraightConfig()
+CONFIG = SegmentationConfig()
 STEP = 0.02  # m driven between two readings
 NOISES = (0.0, 0.02, 0.04)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.config.presets import CloneConfig
+from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
 from limslam_agent.slam.consistent.wall_map import WallMap
@@ -182,12 +182,12 @@ def test_the_passes_of_both_count_together() -> None:
 # The map that is drawn of it.
 
 
-def wall_map(theta: float = 0.7, config: CloneConfig | None = None) -> tuple[WallMap, FloatArray]:
+def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[WallMap, FloatArray]:
     """A map of one wall 2 m long, read 40 times, and its line (r, theta)."""
     belief = CloneEKF(np.zeros(3))
     line = np.array([1.0, theta])
     belief.add_line(theta, line[0] * np.array([math.cos(theta), math.sin(theta)]))
-    walls = WallMap(belief, config or CloneConfig())
+    walls = WallMap(belief, config or ExtentConfig())
     walls.add()
     walls.grow(0, at(line, wall(-1.0, 1.0)))
     return walls, line
@@ -232,12 +232,12 @@ def test_beams_that_end_at_the_wall_or_within_what_is_unsure_or_look_away_do_not
 
 
 def test_landmarks_read_too_little_or_too_short_are_not_drawn() -> None:
-    walls, line = wall_map(config=CloneConfig(shown_readings=41))
+    walls, line = wall_map(config=ExtentConfig(min_readings=41))
     assert walls.segments.shape == (0, 4)
     assert walls.landmarks == []
     walls.grow(0, at(line, np.array([0.0])))
     assert len(walls.segments) == len(walls.landmarks) == 1
-    short, _ = wall_map(config=CloneConfig(shown_length=1.96))
+    short, _ = wall_map(config=ExtentConfig(min_length=1.96))
     assert short.segments.shape == (0, 4)
 
 
@@ -246,7 +246,7 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
     belief = CloneEKF(np.zeros(3))
     theta = 0.7
     unit, tangent = np.array([math.cos(theta), math.sin(theta)]), np.array([-math.sin(theta), math.cos(theta)])
-    walls = WallMap(belief, CloneConfig())
+    walls = WallMap(belief, ExtentConfig())
     for index, place in enumerate((-0.5, 0.8)):
         belief.add_line(theta + (math.pi if turned and index else 0.0), unit + place * tangent)
         walls.add()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.slam.core.motion import Factors, motion_from_odometry, motion_from_wheels, motion_of, resized
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.published import BufferConfig
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import arc, compose, transform_points
