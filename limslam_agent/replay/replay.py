@@ -16,7 +16,7 @@ from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Factors, motion_of
+from limslam_agent.slam.core.motion import OdometryCalibration, motion_of
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
@@ -34,7 +34,7 @@ class SelfCalibration:
         That the robot was said to have, m.
     """
 
-    factors: Factors
+    factors: OdometryCalibration
     covariance: FloatArray
     axle: float
 
@@ -133,7 +133,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         segments=slam.segments,
         grid=grid.view,
         refused_readings=slam.refused_readings,
-        self_calibration=slam.factors and SelfCalibration(*slam.factors, log.robot.axle),
+        self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )
