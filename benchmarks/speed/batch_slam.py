@@ -149,7 +149,7 @@ def main() -> None:
         )
         if threads == 2:
             print(f"what two threads gain at all here: {gain_of_two_threads():.2f}")
-    print(f"memory set aside for one robot: {batch.bytes_per_env / 1e6:.2f} MB; no room for {batch.left_out.sum()}")
+    print(f"memory set aside for one robot: {batch.bytes_per_env / 1e6:.2f} MB; no room for {batch.overflows.sum()}")
 
 
 if __name__ == "__main__":

@@ -10,8 +10,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from benchmarks.training.explore_kernels import MEMORY, look_round, steer, take_in
+from benchmarks.training.explore_kernels import look_round, steer, take_in
 from limslam_agent.config.presets import GridConfig, preset
+from limslam_agent.policies.collision_guard import MEMORY
 from limslam_agent.policies.learned.learned import DriveConfig
 from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.slam.batch.batch_slam import BatchSlam
@@ -95,7 +96,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     def _make_room(self, count: int, beams: int) -> None:
         self._values = np.zeros((count, SIDE, SIDE), dtype=np.int8)
         self._corners, self._boxes = np.zeros((count, 2), dtype=np.int64), np.zeros((count, 4), dtype=np.int64)
-        self._stamps, self._stamp = np.zeros((SIDE, SIDE), dtype=np.int32), 1
+        self._marks = np.zeros((SIDE, SIDE), dtype=np.uint8)
         self._points, self._ages = np.zeros((count, MEMORY, beams, 2)), np.full((count, MEMORY, beams), -1)
         self._slots, self._poses = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
         self._steps, self._tolls = np.zeros((SIDE, SIDE), dtype=np.int32), np.zeros((SIDE, SIDE), dtype=np.int32)
@@ -159,10 +160,9 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self._add(which, told["ranges"])
 
     def _add(self, which: BoolArray, ranges: NDArray[np.float32]) -> None:
-        self._stamp += self.num_envs
         self._ranges[which] = ranges[which]
         take_in(
-            which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._stamps, self._stamp,
+            which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._marks,
             self._points, self._ages, self._slots, self._beams, self.robot.radius, self._rules,
         )  # fmt: skip
 

@@ -12,14 +12,14 @@ from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 # Number of steps for which a measured point is remembered, and a point of a beam that reads its minimum range.
-_MEMORY, _TOUCH = 40, 3
+MEMORY, TOUCH = 40, 3
 # A beam at its minimum range is assumed to have hit something at this share of the minimum range.
-_TOUCHING = 0.4
-_LOOK_AHEAD = 0.3  # s
-_MARGIN = 0.025  # m
+TOUCHING = 0.4
+LOOK_AHEAD = 0.3  # s
+MARGIN = 0.025  # m
 # A point that lies deeper (m) inside the body is wrong: it is noise, or the pose has been corrected since.
-_GHOST = 0.02
-_SHARES = (1.0, 0.5, 0.25)
+GHOST = 0.02
+SHARES = (1.0, 0.5, 0.25)
 
 
 class CollisionGuard:
@@ -44,10 +44,10 @@ class CollisionGuard:
         robot = self._robot
         reading, near = np.where(np.isfinite(ranges), ranges, robot.max_ranges), robot.too_near
         hit, touched = (reading > near) & (reading < robot.too_far), reading <= near
-        ends = robot.beam_origins + np.where(touched, _TOUCHING * near, reading)[:, None] * robot.beam_directions
+        ends = robot.beam_origins + np.where(touched, TOUCHING * near, reading)[:, None] * robot.beam_directions
         points = transform_points(pose, ends)
-        self._seen = [*self._seen[1 - _MEMORY :], points[hit]]
-        self._touched = [*self._touched[1 - _TOUCH :], points[touched]]
+        self._seen = [*self._seen[1 - MEMORY :], points[hit]]
+        self._touched = [*self._touched[1 - TOUCH :], points[touched]]
 
     def limit_speed(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
         """Reduce wheel speeds (2,), fractions of the maximum, until the next 0.3 s are free of contact.
@@ -60,11 +60,11 @@ class CollisionGuard:
         speed, turn = 0.5 * (left + right), (right - left) / robot.axle
         points = np.vstack(self._seen + self._touched) - pose[:2]
         before = np.hypot(*points.T)
-        points, before = points[before > robot.radius - _GHOST], before[before > robot.radius - _GHOST]
-        heading = float(pose[2]) + 0.5 * turn * _LOOK_AHEAD
-        way = speed * _LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
-        least = np.minimum(before, robot.radius + _MARGIN)
-        for share in _SHARES:
+        points, before = points[before > robot.radius - GHOST], before[before > robot.radius - GHOST]
+        heading = float(pose[2]) + 0.5 * turn * LOOK_AHEAD
+        way = speed * LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
+        least = np.minimum(before, robot.radius + MARGIN)
+        for share in SHARES:
             if (np.hypot(*(points - share * way).T) >= least).all():
                 return np.asarray(wheels - (1.0 - share) * wheels.mean())
         return np.asarray(wheels - wheels.mean())

@@ -17,7 +17,7 @@ from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Factors
+from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_env.geometry import FloatArray
 
 
@@ -33,7 +33,7 @@ class SelfCalibration:
         Axle of the robot's description, m.
     """
 
-    factors: Factors
+    factors: OdometryCalibration
     covariance: FloatArray
     axle: float
 
@@ -136,7 +136,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         segments=slam.segments,
         grid=mapper.grid,
         refused_readings=slam.refused_readings,
-        self_calibration=slam.factors and SelfCalibration(*slam.factors, log.robot.axle),
+        self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )

@@ -219,7 +219,8 @@ def run_episode(
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
-        world, num_robots=config.robots, robot=config.robot, noise=replace(config.true_noise, sensor_noise=config.noise),
+        world, num_robots=config.robots, robot=config.robot,
+        noise=replace(config.true_noise, sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
     policies = policies_for(

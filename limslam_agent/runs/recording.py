@@ -99,7 +99,11 @@ class Recorder:
 
 
 def _buffers(slam: LineSlam) -> list[BufferView]:
-    return [BufferView(each.robot, each.side, each.points, each.enough) for each in slam.waiting if each.side != "none"]
+    return [
+        BufferView(each.robot, each.side, each.points, each.enough)
+        for each in slam.pending_points
+        if each.side != "none"
+    ]
 
 
 @contextmanager

@@ -110,13 +110,13 @@ def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
     agent.slam.on_association = records.append
     for number, observation in enumerate(recording[1]):
         agent.act(observation)
-        if number > 100 and all(len(side.points) > 12 for side in agent.slam.waiting):
+        if number > 100 and all(len(side.points) > 12 for side in agent.slam.pending_points):
             break
     before = len(records)
     agent.finish()
     assert len(records) > before
     assert sum(landmark.observations for landmark in agent.slam.landmarks) == len(records)
-    assert all(len(side.points) == 0 for side in agent.slam.waiting)
+    assert all(len(side.points) == 0 for side in agent.slam.pending_points)
 
 
 WITHOUT_PHYSICS = """

@@ -27,7 +27,7 @@ FREE_COST, TIGHT_COST = 1, 3
 # Least number of unknown cells in the 5 x 5 cells around a frontier cell. Fewer are a gap between beams.
 LEAST_UNKNOWN = 6
 
-_FAR = 10.0
+FAR = 10.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def observe(
         best = nearness.reshape(shape).max(axis=2)
         gain = np.clip((here + best) / config.radii[:, None], -1.0, 1.0)
     view = np.stack(((values == 0).reshape(shape).mean(axis=2), (values < 0).reshape(shape).mean(axis=2), gain))
-    way = [min(here / _FAR, 1.0), 1.0] if np.isfinite(here) else [1.0, 0.0]
+    way = [min(here / FAR, 1.0), 1.0] if np.isfinite(here) else [1.0, 0.0]
     readings = np.nan_to_num(ranges, nan=1.0) / max_ranges
     return np.concatenate((view.ravel(), np.clip(readings, 0.0, 1.0), way)).astype(np.float32)
 

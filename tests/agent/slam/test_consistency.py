@@ -17,7 +17,7 @@ from support.drives import FOUR_BEAMS, LapLog, laps_of_square
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.pending_readings import SIDES, Pending, Track
+from limslam_agent.slam.consistent.pending_readings import SIDES, PendingReading, PendingReadings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.slam import LineSlam
@@ -40,9 +40,9 @@ class OracleEstimator:
         self.robot, self.config, self.filter = robot, config, CloneEKF(start)
         settings = config.estimator
         assert isinstance(settings, ConsistentConfig)
-        self._front, self._track = FrontEnd(robot), Track(robot, settings.pending, settings.pending.beams)
+        self._front, self._pending = FrontEnd(robot), PendingReadings(robot, settings.pending, settings.pending.beams)
         self._min_length = settings.for_ranges(config.range_std).creation.min_length
-        self._waiting: dict[int, list[Pending]] = {}
+        self._waiting: dict[int, list[PendingReading]] = {}
         self._index: dict[int, int] = {}
 
     def step(self, observation: Observation, wall_seen: IntArray) -> None:
@@ -50,13 +50,13 @@ class OracleEstimator:
         wheels = np.asarray(observation["wheels"], dtype=float)
         motion = motion_from_wheels(wheels, self.robot, self.config.noise)
         self.filter.predict(motion.increment, motion.covariance)
-        self._track.move(motion.increment)
-        if self._track.wants(self._front):
-            self._track.collect(self._front, self.filter.clone())
+        self._pending.move(motion.increment)
+        if self._pending.is_due(self._front):
+            self._pending.collect(self._front, self.filter.clone())
         for side in SIDES:
-            for reading in self._track.waiting[side]:
+            for reading in self._pending.by_side[side]:
                 self._waiting.setdefault(int(wall_seen[reading.beam]), []).append(reading)
-            self._track.waiting[side] = []
+            self._pending.by_side[side] = []
         for wall in list(self._waiting):
             self._use(wall)
         wanted = {reading.clone for waiting in self._waiting.values() for reading in waiting}
@@ -65,7 +65,7 @@ class OracleEstimator:
     def _use(self, wall: int) -> None:
         settings, waiting = self.config.estimator, self._waiting[wall]
         assert isinstance(settings, ConsistentConfig)
-        oldest = self._track.driven - settings.pending.max_age
+        oldest = self._pending.driven - settings.pending.max_age
         self._waiting[wall] = waiting = [reading for reading in waiting if reading.driven >= oldest]
         if len(waiting) < settings.pending.batch:
             return
@@ -81,7 +81,7 @@ class OracleEstimator:
         self.filter.observe(readings, self._index[wall], self.config.range_std, iterations, settings.update.huber)
         self._waiting[wall] = []
 
-    def _readings(self, waiting: list[Pending]) -> Readings:
+    def _readings(self, waiting: list[PendingReading]) -> Readings:
         beams = np.array([reading.beam for reading in waiting])
         return Readings(
             np.array([reading.clone for reading in waiting]),

@@ -75,7 +75,7 @@ def check_maps(batch: BatchSlam, slams: list[LineSlam]) -> None:
     np.testing.assert_array_equal(batch.num_closures, [len(slam.closures) for slam in slams])
     for number, slam in enumerate(slams):
         np.testing.assert_allclose(batch.segments(number), slam.segments, rtol=0.0, atol=EQUAL)
-    assert not batch.left_out.any()
+    assert not batch.overflows.any()
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -125,7 +125,7 @@ def test_walls_are_taken_back_alike() -> None:
     back, _ = drive(walls[:1], np.array([2.0, 0.0, 0.0]), [*turn(180.0), *straight(2.0)])
     before, _, _ = followed(there, config_of(0.0))
     after, batch, _ = followed([*there, *back[1:]], config_of(0.0))
-    assert batch._minds.walls.counted[0, :, MISSES].sum() > 20
+    assert batch._states.walls.counted[0, :, MISSES].sum() > 20
     right = [sum(lengths(slam.segments[slam.segments[:, 1] < 0.0])) for slam in (before, after)]
     assert right[1] < right[0] - 0.5
 
@@ -202,8 +202,8 @@ def test_without_room_for_landmarks_none_is_founded() -> None:
         beliefs = full.step(seen["ranges"][None], seen["wheels"][None])
         roomy.step(seen["ranges"][None], seen["wheels"][None])
     assert full.num_landmarks[0] == 2 < roomy.num_landmarks[0]
-    assert full.left_out[0] > 0
-    assert roomy.left_out[0] == 0
+    assert full.overflows[0] > 0
+    assert roomy.overflows[0] == 0
     assert np.linalg.eigvalsh(beliefs.covariance[0]).min() > 0.0
 
 
@@ -211,10 +211,10 @@ def test_without_room_for_clones_the_oldest_are_given_up() -> None:
     batch = batch_of(1, capacity=Capacity(clones=5))
     for seen in DRIVE:
         beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
-    clones = batch._minds.filter.clones[0]
+    clones = batch._states.filter.clones[0]
     assert len(clones) == 5
     assert clones.max() > 100
-    assert batch.left_out[0] > 0
+    assert batch.overflows[0] > 0
     assert np.isfinite(beliefs.pose).all()
 
 
@@ -222,7 +222,7 @@ def test_beyond_the_bins_nothing_is_counted() -> None:
     batch = batch_of(1, capacity=Capacity(bins=10))
     for seen in DRIVE:
         batch.step(seen["ranges"][None], seen["wheels"][None])
-    assert batch.left_out[0] > 0
+    assert batch.overflows[0] > 0
     segments = batch.segments(0)
     assert len(segments)
     assert np.hypot(*(segments[:, 2:] - segments[:, :2]).T).max() < 0.5 + EQUAL

@@ -304,7 +304,7 @@ def test_the_same_observations_give_the_same_bits() -> None:
     alone = LineSlam(ROBOT, NOISY, log.poses[0])
     for observation in log.observations:
         alone.step(observation)
-        _ = alone.segments, alone.waiting, alone.landmarks
+        _ = alone.segments, alone.pending_points, alone.landmarks
     alone.finish()
     assert alone.poses.tobytes() == first.poses.tobytes()
     assert alone.segments.tobytes() == first.segments.tobytes()

@@ -42,8 +42,8 @@ def after_laps(noise: float) -> tuple[LineSlam, float]:
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_uneven_wheels_are_found_out(noise: float) -> None:
     slam, error = after_laps(noise)
-    assert slam.factors is not None
-    factors, covariance = slam.factors
+    assert slam.odometry_calibration is not None
+    factors, covariance = slam.odometry_calibration
     true = 1.0 / COUNTED - 1.0
     uneven, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
     assert std < 0.2 * (true[1] - true[0])
@@ -52,7 +52,7 @@ def test_uneven_wheels_are_found_out(noise: float) -> None:
 
 
 def test_nothing_is_said_of_wheels_that_nobody_asked_about() -> None:
-    assert LineSlam(FOUR_BEAMS, config(0.02, enabled=False), np.zeros(3)).factors is None
+    assert LineSlam(FOUR_BEAMS, config(0.02, enabled=False), np.zeros(3)).odometry_calibration is None
 
 
 def test_each_robot_has_wheels_of_its_own() -> None:
