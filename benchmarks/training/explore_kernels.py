@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.policies.learned.polar_view import FREE_TOLL, LEAST_UNKNOWN, TIGHT_TOLL
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
-from limslam_env.kernels.rays import compiled
+
+compiled = entry_of("benchmarks.training.explore_kernels", "limslam_agent.policies.learned")
 
 MEMORY, TOUCH = 40, 3
 _TOUCHING, _LOOK_AHEAD, _MARGIN, _GHOST = 0.4, 0.3, 0.025, 0.02

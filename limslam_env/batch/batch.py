@@ -12,6 +12,7 @@ from limslam_env.batch.places import Places
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_state import Episodes, Measurements, Robots
 from limslam_env.kernels.batch_step import BEGIN, NUM_NOISES, SKIP, STEP, advance
 from limslam_env.kernels.random_numbers import Words, derive_keys
 from limslam_env.simulation.coverage import CELL
@@ -88,17 +89,16 @@ class BatchSimulation:
         count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
         self.robot, self.num_envs, self.num_robots = robot, count, robots
         self._places, self._noise = places, BatchNoise(noise, robot)
-        self._beams = beam_table(robot)
-        self._farthest = robot.max_wheel_speed * robot.control_period
+        self._robots = Robots(robot.max_wheel_speed * robot.control_period, robot.radius, beam_table(robot))
         self._homes: Words = np.zeros(count, dtype=np.uint64)
         self._keys: Words = np.zeros(count, dtype=np.uint64)
         self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        self._rooms, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
-        self._poses, self._untold = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
-        self._left = _padded(np.zeros((count, 0), dtype=np.uint64), 0)
+        self._clearances, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
+        self._poses, self._unreported = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
+        self._unseen = _padded(np.zeros((count, 0), dtype=np.uint64), 0)
         self._hits = np.zeros((count, robots, num_beams), dtype=np.int64)
         self._ranges = np.zeros((count, robots, num_beams), dtype=np.float32)
-        self._told = np.zeros((count, robots, 2), dtype=np.float32)
+        self._reported = np.zeros((count, robots, 2), dtype=np.float32)
         self._contact = np.zeros((count, robots), dtype=bool)
         self._new_cells = np.zeros((count, robots), dtype=np.int64)
         self._table = np.zeros((count, NUM_NOISES))
@@ -146,8 +146,8 @@ class BatchSimulation:
         self._table[envs] = self._noise.drawn(envs, settings)
         self._covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
-        if width > self._left.shape[1]:
-            self._left = _padded(self._left, width)
+        if width > self._unseen.shape[1]:
+            self._unseen = _padded(self._unseen, width)
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
         """Drive for one control period.
@@ -165,7 +165,7 @@ class BatchSimulation:
     def seen(self, env: int) -> BoolArray:
         """Which coverable cells of an environment's grid (rows, columns) have been seen."""
         slot, sites = int(self._places.world_of[env]), self._places.sites
-        return sites.to_cells(slot, sites.tiles[slot] & ~self._left[env])
+        return sites.to_cells(slot, sites.tiles[slot] & ~self._unseen[env])
 
     def close(self) -> None:
         """End the threads. May be called again; a later step starts new ones."""
@@ -180,15 +180,16 @@ class BatchSimulation:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         # A copy of these words has lost what is beyond them.
-        self._left = _padded(self._left, self._left.shape[1])
+        self._unseen = _padded(self._unseen, self._unseen.shape[1])
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
         places = self._places
-        arguments: tuple[Any, ...] = (
-            tasks, actions, self._farthest, self.robot.radius, self._beams, places.world_of, *places.sites.scene,
-            self._table, self._keys, self._steps, self._rooms, self._poses, self._untold, self._left,
-            self._hits, self._ranges, self._told, self._contact, self._new_cells,
+        episodes = Episodes(
+            places.world_of, self._table, self._keys, self._steps, self._clearances, self._poses, self._unreported,
+            self._unseen,
         )  # fmt: skip
+        measured = Measurements(self._hits, self._ranges, self._reported, self._contact, self._new_cells)
+        arguments = tasks, actions, self._robots, places.sites.worlds, episodes, measured
         starts = range(0, self.num_envs, _SLICE)
         if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
             # Whoever is free takes the next slice: another process on one core does not hold up all.
@@ -223,7 +224,7 @@ class BatchSimulation:
             self._contact.copy(),
             self._hits.copy(),
         )
-        return BatchReadings(self._ranges.copy(), self._told.copy()), truth
+        return BatchReadings(self._ranges.copy(), self._reported.copy()), truth
 
 
 def _padded(words: Words, columns: int) -> Words:

@@ -9,8 +9,10 @@ import math
 
 import numpy as np
 
+from limslam_env.compilation import inlined, merged
+from limslam_env.kernels.coverage import is_touched
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import crossings, inlined, is_touched, merged
+from limslam_env.kernels.rays import crossings
 
 TILE = 8
 """Cells of a tile's side."""
@@ -89,7 +91,7 @@ def take_ray(
     dy: float,
     end: float,
 ) -> int:
-    """Take every cell that a ray crosses out of those that are left, as :func:`limslam_env.kernels.rays.mark_ray` does.
+    """Take every cell that a ray crosses out of those that are left, as :func:`limslam_env.kernels.coverage.mark_ray` does.
 
     In cells, and for rays within the grid.
     """
@@ -116,7 +118,7 @@ def take_ray(
 
 @merged
 def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
-    """Take every cell that a body touches out of those that are left, as ``rays.mark_disc`` does.
+    """Take every cell that a body touches out of those that are left, as ``coverage.mark_disc`` does.
 
     In cells.
     """

@@ -9,7 +9,7 @@ import numpy as np
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import observe
+from limslam_env.kernels.observation import observe
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
 from limslam_env.simulation.draws import StepDraws
 from limslam_env.simulation.odometry import carried_travel, wheel_noise
