@@ -21,6 +21,9 @@ ENV_SOURCES = ("limslam_env.compilation", "limslam_env.geometry", "limslam_env.k
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
+# Leaves out the counting of references to arrays. The option is not public; a numba without it ignores it.
+_LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
+
 
 def compiled(kernel: Kernel) -> Kernel:
     """Compile a function that other kernels call. It is compiled together with each kernel that Python calls."""
@@ -28,13 +31,13 @@ def compiled(kernel: Kernel) -> Kernel:
 
 
 def inlined(kernel: Kernel) -> Kernel:
-    """Compile a function that numba copies into its callers, before it infers types: for short functions."""
-    return cast(Kernel, njit(inline="always", **_OPTIONS)(kernel))
+    """Compile a function that numba copies into its callers, before it infers types: for short ones without new arrays."""
+    return cast(Kernel, njit(inline="always", **_LEAN)(kernel))
 
 
 def merged(kernel: Kernel) -> Kernel:
-    """Compile a function that LLVM copies into its callers: for functions with loops or with several returns."""
-    return cast(Kernel, njit(forceinline=True, **_OPTIONS)(kernel))
+    """Compile a function that LLVM copies into its callers: for ones with loops or several returns, without new arrays."""
+    return cast(Kernel, njit(forceinline=True, **_LEAN)(kernel))
 
 
 def algebra(kernel: Kernel) -> Kernel:
@@ -42,7 +45,7 @@ def algebra(kernel: Kernel) -> Kernel:
     return cast(Kernel, njit(fastmath={"contract"}, **_OPTIONS)(kernel))
 
 
-def entry_of(*sources: str) -> Callable[[Kernel], Kernel]:
+def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel]:
     """A decorator for kernels that Python calls: they are compiled at the first call, and kept on disk.
 
     Parameters
@@ -50,14 +53,18 @@ def entry_of(*sources: str) -> Callable[[Kernel], Kernel]:
     sources
         Dotted names of the modules and packages (without the packages inside of them) whose functions and constants
         the kernels use, besides ``ENV_SOURCES``.
+    allocates
+        Whether the kernels, or functions that they call, make arrays. Kernels that make none run without counting
+        references to arrays, so that arrays can be handed from function to function at no cost.
     """
+    options = _OPTIONS if allocates else _LEAN
 
     def entry(kernel: Kernel) -> Kernel:
-        kept = njit(cache=True, **_OPTIONS)(kernel)
+        kept = njit(cache=True, **options)(kernel)
         # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
-            return compiled(kernel)
+            return cast(Kernel, njit(**options)(kernel))
         file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
         return cast(Kernel, kept)
 
@@ -90,3 +97,6 @@ def _files_of(source: str) -> list[Path]:
 
 entry = entry_of()
 """The decorator for kernels of ``limslam_env`` that Python calls."""
+
+lean_entry = entry_of(allocates=False)
+"""The same for kernels that make no arrays."""

@@ -2,8 +2,13 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.random_numbers import Words
+
+LANES = 4
+"""Number of rays that the compiler processes at once."""
 
 
 class Robots(NamedTuple):
@@ -122,6 +127,8 @@ class Scratch(NamedTuple):
         (m, 2): how far each wheel turned, and how far it moved on the floor, m. Slips make the difference.
     before
         (m, 2): positions before the latest move, m.
+    deep
+        (m,): which robots overlap something too far.
     """
 
     aims: FloatArray
@@ -129,3 +136,11 @@ class Scratch(NamedTuple):
     turned: FloatArray
     travel: FloatArray
     before: FloatArray
+    deep: BoolArray
+
+
+def scratch_for(num_robots: int, num_beams: int) -> Scratch:
+    """Scratch memory for environments of a number of robots with a number of beams."""
+    lanes = (num_beams + LANES - 1) // LANES * LANES
+    turned, travel, before = (np.zeros((num_robots, 2)) for _ in range(3))
+    return Scratch(np.zeros((4, lanes)), np.zeros((2, lanes)), turned, travel, before, np.zeros(num_robots, dtype=bool))

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from limslam_env.compilation import compiled, merged
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.kernels.wall_cells import Walls
@@ -86,6 +84,7 @@ def nearest_thing(
 def separate(  # noqa: C901 (walls, robots, and who is wedged)
     places: FloatArray,
     before: FloatArray,
+    deep: BoolArray,
     radius: float,
     contact: BoolArray,
     walls: Walls,
@@ -94,7 +93,7 @@ def separate(  # noqa: C901 (walls, robots, and who is wedged)
 
     As ``simulation.physics.Physics`` does: a few times where walls meet; who is wedged all the same goes back
     to where it was ``before``. Sets ``contact`` (m,). Returns how far the robots can get before one may touch
-    something, m.
+    something, m. ``deep`` (m,) is scratch memory.
     """
     gap = _OUTLOOK
     for robot in range(len(places)):
@@ -121,7 +120,6 @@ def separate(  # noqa: C901 (walls, robots, and who is wedged)
             is_pushed |= depth > TOUCH
         if not is_pushed:
             return 0.0
-    deep = np.zeros(len(places), dtype=np.bool_)
     for _ in range(len(places)):
         for robot in range(len(places)):
             distance, _, _, _ = nearest_thing(robot, places, radius, radius + TOUCH, walls)

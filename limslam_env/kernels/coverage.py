@@ -6,7 +6,7 @@ grid's lower left corner x, y and its cell side, m.
 
 import math
 
-from limslam_env.compilation import entry, inlined
+from limslam_env.compilation import inlined, lean_entry
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.kernels.rays import crossings, first_wall, turned
 from limslam_env.kernels.wall_cells import scene_walls
@@ -73,7 +73,7 @@ def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float,
     return new
 
 
-@entry
+@lean_entry
 def sweep(
     poses: FloatArray,
     step: int,
@@ -108,7 +108,7 @@ def sweep(
         new_cells[number] = new
 
 
-@entry
+@lean_entry
 def look_out(
     places: FloatArray,
     views: FloatArray,

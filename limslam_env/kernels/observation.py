@@ -2,7 +2,7 @@
 
 import math
 
-from limslam_env.compilation import entry
+from limslam_env.compilation import lean_entry
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.rays import measure, turned
@@ -13,7 +13,7 @@ CONE = (-1.0, -0.5, 0.5, 1.0)
 """Directions of the further rays of a cone, besides its middle, in shares of half its opening angle."""
 
 
-@entry
+@lean_entry
 def observe(
     poses: FloatArray,
     travel: FloatArray,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import compiled, entry, inlined
+from limslam_env.compilation import compiled, inlined, lean_entry
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.kernels.wall_cells import Walls, scene_walls
 
@@ -129,7 +129,7 @@ def measure(
     return distance, hit
 
 
-@entry
+@lean_entry
 def cast_rays(
     origins: FloatArray,
     directions: FloatArray,
