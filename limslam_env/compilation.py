@@ -31,12 +31,12 @@ def compiled(kernel: Kernel) -> Kernel:
 
 
 def inlined(kernel: Kernel) -> Kernel:
-    """Compile a function that numba copies into its callers, before it infers types: for short ones without new arrays."""
+    """Compile a short function, which makes no arrays, as part of its callers: numba copies it."""
     return cast(Kernel, njit(inline="always", **_LEAN)(kernel))
 
 
 def merged(kernel: Kernel) -> Kernel:
-    """Compile a function that LLVM copies into its callers: for ones with loops or several returns, without new arrays."""
+    """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy into its callers."""
     return cast(Kernel, njit(forceinline=True, **_LEAN)(kernel))
 
 

@@ -178,7 +178,14 @@ class BatchSimulation:
         self._episodes = self._episodes._replace(unseen=_padded(unseen, unseen.shape[1]))
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
-        arguments = tasks, actions, self._robots, self._places.sites.worlds, self._episodes, self._measured
+        arguments: tuple[Any, ...] = (
+            tasks,
+            actions,
+            self._robots,
+            self._places.sites.worlds,
+            self._episodes,
+            self._measured,
+        )
         if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
             self._advance_in_threads(arguments)
         else:

@@ -9,7 +9,7 @@ from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import reported_travel
+from limslam_env.kernels.readings import reported_travel
 from limslam_env.simulation.odometry import carried_travel, wheel_noise
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 from limslam_env.worlds.world import World
