@@ -27,7 +27,7 @@ from limslam_env.metrics.association import (
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_limit
+from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World
 
@@ -115,7 +115,7 @@ def limit_scores(episode: Episode, ate: float | None) -> dict[str, float | None]
     agent, true = episode.config.agent, episode.true
     nothing: dict[str, float | None] = {"limit_ate_m": None, "ate_over_limit": None}
     try:
-        limit = solve_limit(
+        limit = solve_optimum(
             episode.config.robot, true, episode.wheels, episode.ranges, episode.wall_seen,
             range_std=agent.noise.range_std, wheel_variance=agent.noise.wheel_variance, contact=episode.contact,
         )  # fmt: skip

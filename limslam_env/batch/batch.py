@@ -178,18 +178,12 @@ class BatchSimulation:
         self._episodes = self._episodes._replace(unseen=_padded(unseen, unseen.shape[1]))
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
-        arguments: tuple[Any, ...] = (
-            tasks,
-            actions,
-            self._robots,
-            self._places.sites.worlds,
-            self._episodes,
-            self._measured,
-        )
+        worlds = self._places.sites.worlds
+        arguments: tuple[Any, ...] = tasks, actions, self._robots, worlds, self._episodes, self._measured
         if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
             self._advance_in_threads(arguments)
         else:
-            advance(0, self.num_envs, *arguments, self._scratch)
+            advance(0, self.num_envs, self._scratch, *arguments)
         return self._result(tasks)
 
     def _advance_in_threads(self, arguments: tuple[Any, ...]) -> None:
@@ -199,7 +193,7 @@ class BatchSimulation:
         def work() -> None:
             scratch = scratch_for(self.num_robots, len(self.robot.beams))
             for first in waiting:
-                advance(first, min(first + _SLICE, self.num_envs), *arguments, scratch)
+                advance(first, min(first + _SLICE, self.num_envs), scratch, *arguments)
 
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1)

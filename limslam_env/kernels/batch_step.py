@@ -264,13 +264,13 @@ def measure_beams(
 def advance(
     first: int,
     last: int,
+    scratch: Scratch,
     tasks: IntArray,
     actions: FloatArray,
     robots: Robots,
     worlds: Worlds,
     episodes: Episodes,
     measured: Measurements,
-    scratch: Scratch,
 ) -> None:
     """Drive, and take all measurements of, environments ``first`` to ``last`` - 1.
 
@@ -278,6 +278,8 @@ def advance(
     ----------
     first, last
         Which environments.
+    scratch
+        Memory of its own for each thread (:func:`limslam_env.kernels.batch_state.scratch_for`).
     tasks
         (n,): ``SKIP``, ``STEP`` or ``BEGIN`` of each.
     actions
@@ -288,8 +290,6 @@ def advance(
         What is kept from step to step; changed in place.
     measured
         What is measured; changed in place.
-    scratch
-        Memory of its own for each thread (:func:`limslam_env.kernels.batch_state.scratch_for`).
     """
     num_robots = episodes.poses.shape[1]
     for env in range(first, last):

@@ -29,7 +29,7 @@ def observe(
     seen: BoolArray,
     coverable: BoolArray,
     area: FloatArray,
-    untold: FloatArray,
+    unreported: FloatArray,
     hits: IntArray,
     ranges: ReadingArray,
     wheels: ReadingArray,
@@ -57,8 +57,8 @@ def observe(
         The walls.
     seen, coverable, area
         The grid of what has been seen.
-    untold
-        (n, 2), kept from step to step: travel that the encoders have not told so far, m.
+    unreported
+        (n, 2), kept from step to step: travel that the encoders have not reported so far, m.
     hits, ranges
         (n, n_beams), kept from step to step: the wall that each beam hit, and its reading, m.
     wheels
@@ -99,7 +99,7 @@ def observe(
             )  # fmt: skip
         new_cells[robot] = new
         for side in range(2):
-            wheels[robot, side], untold[robot, side] = reported_travel(
-                travel[robot, side], untold[robot, side],
+            wheels[robot, side], unreported[robot, side] = reported_travel(
+                travel[robot, side], unreported[robot, side],
                 noise[6 + side], noise[8], noise[9], noise[10], draws[robot, len(beams) + side, 0],
             )  # fmt: skip

@@ -40,14 +40,14 @@ def noisy_reading(
 
 @inlined
 def reported_travel(
-    travel: float, untold: float, factor: float, variance: float, resolution: float, limit: float, normal: float
+    travel: float, unreported: float, factor: float, variance: float, resolution: float, limit: float, normal: float
 ) -> tuple[float, float]:
     """What an encoder says of a wheel's ``travel`` (m), and what it will have to say later (m).
 
     It counts ``factor`` times the travel, with noise of ``variance`` per metre from the N(0, 1) number ``normal``,
-    and what was ``untold`` so far (m); in steps of ``resolution`` (m; 0 for none), and no more than ``limit`` (m).
+    and what was ``unreported`` so far (m); in steps of ``resolution`` (m; 0 for none), and no more than ``limit`` (m).
     """
-    counted = travel * factor + math.sqrt(variance * abs(travel)) * normal + untold
-    told = np.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
-    told = min(max(told, -limit), limit)
-    return told, counted - told
+    counted = travel * factor + math.sqrt(variance * abs(travel)) * normal + unreported
+    reported = np.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
+    reported = min(max(reported, -limit), limit)
+    return reported, counted - reported

@@ -245,7 +245,7 @@ class TestMapServer:
         assert left == right > 0
 
     def test_a_polygon_of_many_corners_is_walls(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(map_server, "_PILLAR_CORNERS", 3)
+        monkeypatch.setattr(outlines, "_PILLAR_CORNERS", 3)
         world = read_map_server(write_map(tmp_path, ROOM))
         assert not world.obstacles
         assert len(world.walls) == 12
