@@ -31,7 +31,8 @@ ENV = {
     "limslam_env.worlds": {GEOMETRY},
     "limslam_env.worlds.formats": {GEOMETRY, *env("worlds")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
-    "limslam_env.kernels": {GEOMETRY},
+    "limslam_env.compilation": set(),
+    "limslam_env.kernels": {GEOMETRY, *env("compilation")},
     "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
     "limslam_env.batch": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -51,7 +52,9 @@ AGENT = {
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
-    "limslam_agent.slam.batch": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.consistent")},
+    "limslam_agent.slam.batch": {
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
+    },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid")},
@@ -74,7 +77,6 @@ AGENT = {
 COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
 RULES = ENV | AGENT
 COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch"}
-NUMBA_IS_IMPORTED_BY = {"limslam_env.kernels.rays", "limslam_agent.slam.batch.compilation"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 MOST_MODULES, LONGEST_FILE = 15, 520
 
@@ -155,7 +157,7 @@ def test_no_package_has_too_many_modules(place):
 
 
 @pytest.mark.parametrize(
-    ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", NUMBA_IS_IMPORTED_BY)]
+    ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", {"limslam_env.compilation"})]
 )
 def test_these_modules_alone_import_it(library, owners):
     found = {name for name, path in MODULES.items() if any(full.split(".")[0] == library for full in imports(path))}

@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from limslam_agent.policies.collision_guard import GHOST, LOOK_AHEAD, MARGIN, MEMORY, SHARES, TOUCH, TOUCHING
 from limslam_agent.policies.learned.polar_view import FAR, FREE_COST, LEAST_UNKNOWN, TIGHT_COST
 from limslam_agent.slam.batch.grid import SKIPPED, change_cells, touched_cells
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
-from limslam_env.kernels.rays import compiled
+
+compiled = entry_of(
+    "benchmarks.training.explore_kernels",
+    "limslam_agent.policies",
+    "limslam_agent.policies.learned",
+    "limslam_agent.slam.core",
+    "limslam_agent.slam.batch",
+)
 
 _STOPPING_SHARES = (*SHARES, 0.0)
 _FAR_AWAY = 1 << 30

@@ -66,7 +66,7 @@ def convert(
 ) -> None:
     """Write a world in another format."""
     from limslam_env.worlds.formats.loading import load_world
-    from limslam_env.worlds.formats.writers import write_world
+    from limslam_env.worlds.formats.writing import write_world
 
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
     in_the_way = [file for file in files if file.exists()]

@@ -17,7 +17,7 @@ from limslam_agent.output.export import map_content, write_grid, write_json, wri
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.team import Snapshot
-from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_limit
+from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
@@ -127,7 +127,7 @@ def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, flo
     agent, true = episode.config.agent, episode.true
     nothing: dict[str, float | None] = {"limit_ate_m": None, "ate_over_limit": None}
     try:
-        limit = solve_limit(
+        limit = solve_optimum(
             episode.config.robot, true, episode.wheels, episode.ranges, episode.wall_seen,
             range_std=agent.noise.range_std, wheel_variance=agent.noise.wheel_variance, contact=episode.contact,
         )  # fmt: skip

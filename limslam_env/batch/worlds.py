@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_state import Worlds
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.tiles import TILE
 from limslam_env.simulation.coverage import CoverageGrid, coverage_grid
@@ -114,7 +115,7 @@ class Sites:
     Attributes
     ----------
     layout, grids, areas, tiles
-        As :func:`limslam_env.kernels.batch_step.advance` takes them.
+        As :class:`limslam_env.kernels.batch_state.Worlds` holds them; ``tiles`` are its ``coverable``.
     totals
         (w,), how many cells are coverable.
     shapes
@@ -135,10 +136,10 @@ class Sites:
         return len(self.shapes)
 
     @property
-    def scene(self) -> tuple[NDArray[Any], ...]:
-        """The arrays, in the order in which the kernel takes them."""
+    def worlds(self) -> Worlds:
+        """The arrays as the kernels take them."""
         walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
-        return self.layout, self.grids, self.areas, *walls, self.tiles
+        return Worlds(self.layout, self.grids, self.areas, *walls, self.tiles)
 
     def put(self, slot: int, site: Site) -> None:
         """Put a world at a slot: the next one, or one whose world is needed no more."""

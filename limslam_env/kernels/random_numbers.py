@@ -9,8 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_env.compilation import compiled, entry, inlined, lean_entry, merged
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.kernels.rays import compiled, inlined, merged
 
 Words: TypeAlias = NDArray[np.uint64]
 
@@ -96,7 +96,7 @@ def _rare_normal(bits: np.uint64) -> float:
             return math.copysign(_TAIL + beyond, share)
 
 
-@compiled
+@entry
 def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
     """Keys (n,) of random numbers for one purpose in episodes (n,) of environments with keys ``homes`` (n,)."""
     keys = np.empty_like(homes)
@@ -105,7 +105,7 @@ def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
     return keys
 
 
-@compiled
+@lean_entry
 def fill_units(keys: Words, numbers: FloatArray) -> None:
     """Set ``numbers`` (n, k) to numbers from U(0, 1), each row by its key (n,)."""
     for row in range(len(keys)):
@@ -113,7 +113,7 @@ def fill_units(keys: Words, numbers: FloatArray) -> None:
             numbers[row, place] = unit(mixed(keys[row] + np.uint64(place + 1) * GOLDEN))
 
 
-@compiled
+@lean_entry
 def draw_starts(
     keys: Words, num_given: int, places: IntArray, space: FloatArray, apart: float, poses: FloatArray, tries: int
 ) -> bool:

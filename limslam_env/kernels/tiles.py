@@ -9,8 +9,10 @@ import math
 
 import numpy as np
 
+from limslam_env.compilation import inlined, merged
+from limslam_env.kernels.coverage import is_touched
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import crossings, inlined, is_touched, merged
+from limslam_env.kernels.rays import crossings
 
 TILE = 8
 """Cells of a tile's side."""
@@ -89,9 +91,9 @@ def take_ray(
     dy: float,
     end: float,
 ) -> int:
-    """Take every cell that a ray crosses out of those that are left, as :func:`limslam_env.kernels.rays.mark_ray` does.
+    """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
 
-    In cells, and for rays within the grid.
+    The counterpart of :func:`limslam_env.kernels.coverage.mark_ray`. Lengths are in cells; the ray lies in the grid.
     """
     far_x, far_y = x + dx * end, y + dy * end
     low_x, low_y, high_x, high_y = min(x, far_x), min(y, far_y), max(x, far_x), max(y, far_y)
@@ -116,9 +118,9 @@ def take_ray(
 
 @merged
 def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
-    """Take every cell that a body touches out of those that are left, as ``rays.mark_disc`` does.
+    """Take every cell that a body touches out of the unseen cells; returns how many there were.
 
-    In cells.
+    The counterpart of :func:`limslam_env.kernels.coverage.mark_disc`. Lengths are in cells.
     """
     if not is_any_left(left, env, tile_columns, tile_rows, x - radius, y - radius, x + radius, y + radius):
         return 0

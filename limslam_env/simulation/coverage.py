@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import look_out, sweep
+from limslam_env.kernels.coverage import look_out, sweep
 from limslam_env.simulation.sensors import beam_table, build_wall_index
 from limslam_env.worlds.free_space import FreeSpace
 from limslam_env.worlds.world import World

@@ -3,7 +3,6 @@
 import functools
 import hashlib
 import math
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -17,10 +16,7 @@ from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
 
 MAX_SIDE = 500.0
 MAX_EDGES = 100_000
-MAX_FILE_BYTES = 20_000_000
 SHORTEST_EDGE = 1e-6
-
-_KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
 
 
 class WorldError(ValueError):
@@ -166,60 +162,6 @@ def named(label: object) -> Iterator[None]:
         yield
     except WorldError as error:
         raise WorldError(f"{label}: {error}") from error
-
-
-def parse_world(text: str, label: str) -> World:
-    """A world from the text of a TOML file; ``label`` names it in errors.
-
-    Raises
-    ------
-    WorldError
-        If the text is not a world.
-    """
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
-        raise WorldError(f"{label}: not TOML: {error}") from error
-    unknown = sorted(set(table) - _KEYS)
-    if unknown:
-        raise WorldError(f"{label}: unknown key {unknown[0]!r}; a world has {', '.join(sorted(_KEYS))}")
-    missing = sorted({"name", "size", "walls"} - set(table))
-    if missing:
-        raise WorldError(f"{label}: the key {missing[0]!r} is missing")
-    if not isinstance(table.get("obstacles", []), list):
-        raise WorldError(f"{label}: obstacles must be a list of polygons")
-    with named(label):
-        return World(
-            name=table["name"],
-            size=tuple(number_array(table["size"], "size", 1)),
-            walls=number_array(table["walls"], "walls", 2),
-            obstacles=tuple(number_array(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
-            **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
-        )
-
-
-def number_array(value: Any, key: str, dimensions: int) -> Any:
-    """Nested lists of a file's numbers as an array; booleans, texts and ragged lists are none.
-
-    Raises
-    ------
-    WorldError
-        If it is anything else; the message calls it ``key``.
-    """
-
-    def is_number_list(item: Any, depth: int) -> bool:
-        if depth > 0:
-            return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
-        # Whole numbers of a file may be too large for a float; floats that are not finite are named later.
-        return isinstance(item, float) or (type(item) is int and abs(item) <= MAX_SIDE * 1e6)
-
-    if not is_number_list(value, dimensions):
-        raise WorldError(f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}")
-    try:
-        return np.array(value, dtype=float)
-    except ValueError as error:
-        raise WorldError(f"{key}: rows of different lengths") from error
 
 
 def _frozen(value: Any, name: str, width: int) -> FloatArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from limslam_env.worlds.world import parse_world
+from limslam_env.worlds.formats.toml import parse_world
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
