@@ -18,11 +18,8 @@ from limslam_env.worlds.world import parse_world
 # Blocks that no program reads, by the words that they begin with.
 DIAGRAMS = {
     "action -> physics": "the stages of one step of the loop",
-    "limslam_env/": "the packages and what each is for",
-    "limslam_agent/": "the packages and what each is for",
-    "benchmarks/": "the packages and what each is for",
-    "geometry, interface <-": "which package may import which",
-    "slam/core <-": "which package may import which",
+    "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
+    "geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
