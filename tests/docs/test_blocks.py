@@ -23,7 +23,7 @@ DIAGRAMS = {
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
-    "import gymnasium as gym\nfrom ray.rllib": "RLlib pins another version of Gymnasium, so it cannot be installed here",
+    "import gymnasium as gym\nfrom ray.rllib": "RLlib pins another version of Gymnasium",
     "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
 }
 # Commands that are not the project's own, by their first words.
@@ -122,8 +122,9 @@ PYTHON_PAGES = [
 ]
 
 
+@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda page: page.name)
-def test_the_python_blocks_of_a_page_run_one_after_the_other(page, folder):
+def test_the_python_blocks_of_a_page_run_one_after_the_other(page):
     namespace = {"__name__": "__main__"} | NEEDS.get(page.name, dict)()
     for block in blocks(page):
         if block.language == "python":
@@ -140,8 +141,9 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("words", COMMANDS)
-def test_a_command_runs_or_has_options_that_exist(words, folder):
+def test_a_command_runs_or_has_options_that_exist(words):
     if words[0] in OTHERS:
         return
     if words[0].endswith("pip"):
@@ -190,8 +192,9 @@ def test_commands_within_the_prose_have_options_that_exist(page):
             assert asked - options_of(command) - {"--help"} == set(), span
 
 
+@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("block", all_blocks("toml"), ids=lambda block: block.name)
-def test_a_toml_block_is_read_by_its_reader(block, folder):
+def test_a_toml_block_is_read_by_its_reader(block):
     keys = set(tomllib.loads(block.text))
     if "walls" in keys:
         parse_world(block.text, block.name).check(radius=0.1)
