@@ -208,6 +208,10 @@ def test_a_toml_block_is_read_by_its_reader(block):
         if "log" in keys:
             data_folder()  # skips where there is no recorded data
         assert len(parse_suite(block.text, block.name).jobs) > 1
+    elif keys & {"agent", "true_noise"}:
+        Path("mine.toml").write_text(block.text, encoding="utf-8")
+        limslam_app(["run", "--config", "mine.toml", "--max-time", "1"], standalone_mode=False)
+        assert len(list(Path("runs").glob("*/run.toml"))) == 1
     else:
         pytest.fail(f"{block.name}: no reader is known for a table with {sorted(keys)}")
 
