@@ -1,4 +1,4 @@
-"""The loop for a live robot: read wheels and ranges from anywhere, call the agent, send wheel speeds.
+"""The loop for a live robot: read wheels and ranges from anywhere, let the agent think, send wheel speeds.
 
     python examples/live_robot.py --out my_room
 
@@ -108,17 +108,17 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
         while step < steps and not agent.done:
             wheels, ranges = robot.read_wheels(), robot.read_ranges()
             by_wheels = moved(by_wheels, *wheels)
-            # The ranges of a log start at the robot's centre, and these beams start on its rim.
+            # In a log ranges are counted from the robot's centre, and these beams start on its rim.
             from_centre = [reading + RADIUS for reading in ranges]
             rows.append(",".join(f"{value:.6g}" for value in (step * SPEC.control_period, *by_wheels, *from_centre)))
-            # The agent expects the beam's longest range where nothing was seen.
+            # The agent wants a beam's maximum where nothing was seen.
             readings = np.nan_to_num(ranges, nan=np.inf).clip(0.0, SPEC.max_ranges)
             action = agent.act({"wheels": np.array(wheels), "ranges": readings})
             left, right = SPEC.max_wheel_speed * action
             robot.send_wheel_speeds(float(left), float(right))
             robot.wait()
             step += 1
-    finally:  # after an error, too, the robot must stop
+    finally:  # whatever happens, a robot must not drive on
         robot.send_wheel_speeds(0.0, 0.0)
         if log is not None:
             log.write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -127,7 +127,7 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
 
 
 def moved(pose: NDArray[np.float64], left: float, right: float) -> NDArray[np.float64]:
-    """The pose (3,) by odometry alone, after some wheel travel."""
+    """A pose (3,) by wheel travel alone, as odometry would have it."""
     ahead, turn = 0.5 * (left + right), (right - left) / SPEC.axle
     x, y, heading = pose
     middle = heading + 0.5 * turn

@@ -13,7 +13,7 @@ from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, comman
 
 from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.logs.log_reader import read_log
-from limslam_env.worlds.world import parse_world
+from limslam_env.worlds.formats.loading import load_world
 
 # Blocks that no program reads, by the words that they begin with.
 DIAGRAMS = {
@@ -197,7 +197,8 @@ def test_commands_within_the_prose_have_options_that_exist(page):
 def test_a_toml_block_is_read_by_its_reader(block):
     keys = set(tomllib.loads(block.text))
     if "walls" in keys:
-        parse_world(block.text, block.name).check(radius=0.1)
+        Path("world.toml").write_text(block.text, encoding="utf-8")
+        load_world("world.toml").check(radius=0.1)
     elif keys & {"grid", "log"}:
         if not find_spec("benchmarks"):
             pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
