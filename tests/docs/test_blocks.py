@@ -1,6 +1,5 @@
 """Every fenced block of the documentation works: Python runs, commands run or parse, data is read by its reader."""
 
-import json
 import re
 import runpy
 import tomllib
@@ -91,13 +90,20 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_every_block_says_what_it_holds():
-    allowed = {"python", "sh", "toml", "json", "csv", "text", "bibtex"}
+    allowed = {"python", "sh", "toml", "csv", "math", "text"}
     assert [block.name for block in all_blocks() if block.language not in allowed] == []
 
 
 def test_every_block_of_plain_text_is_a_known_diagram():
     unknown = [block.name for block in all_blocks("text") if reason_for(block, DIAGRAMS) is None]
     assert unknown == []
+
+
+@pytest.mark.parametrize("block", all_blocks("math"), ids=lambda block: block.name)
+def test_an_equation_is_closed(block):
+    for opening, closing in (("{", "}"), ("(", ")"), ("[", "]"), (r"\begin", r"\end"), (r"\left", r"\right")):
+        text = block.text.replace(r"\leftarrow", "")
+        assert text.count(opening) == text.count(closing), opening
 
 
 def test_no_exemption_outlives_its_block():
@@ -221,8 +227,3 @@ def test_a_toml_block_is_read_by_its_reader(block):
 def test_a_table_is_read_as_a_log(block, tmp_path):
     (tmp_path / "log.csv").write_text(block.text, encoding="utf-8")
     assert len(read_log(tmp_path / "log.csv")) == len(block.text.strip().splitlines()) - 1
-
-
-@pytest.mark.parametrize("block", all_blocks("json"), ids=lambda block: block.name)
-def test_a_json_block_is_json(block):
-    assert json.loads(block.text)
