@@ -68,7 +68,7 @@ AGENT = {
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
-# Benchmarks may use all of the simulator and of the agent. Among themselves: suite <- analysis <- training; speed beside.
+# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis <- training; speed beside.
 BENCHMARKS = {
     "benchmarks": set(),
     "benchmarks.suite": set(),
@@ -85,7 +85,7 @@ MOST_MODULES, LONGEST_FILE = 15, 520
 
 
 def modules_of(top: str) -> dict[str, Path]:
-    """The files of an installed package by their dotted names: those of a checkout, or of a wheel without benchmarks."""
+    """The files of a package by their dotted names: of a checkout, or of a wheel, which has no benchmarks."""
     spec = find_spec(top)
     if spec is None and top == "benchmarks":
         return {}

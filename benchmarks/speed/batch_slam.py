@@ -107,7 +107,7 @@ def time_single(logs: list[tuple[FloatArray, FloatArray, FloatArray]], config: A
 def time_batch(
     logs: list[tuple[FloatArray, FloatArray, FloatArray]], config: AgentConfig, num_envs: int, threads: int
 ) -> tuple[FloatArray, BatchSlam]:
-    """As :func:`time_single`, for a batch whose robots follow the drives in turn, each some steps later than the last."""
+    """As :func:`time_single`, for a batch whose robots follow the drives in turn, each with its own delay."""
     env = LimSlamEnv("env1")
     batch = BatchSlam(env.robot, config, num_envs, num_threads=threads)
     starts = np.array([logs[number % len(logs)][2] for number in range(num_envs)])

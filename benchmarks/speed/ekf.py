@@ -70,7 +70,7 @@ def time_line_filter(ekf: LineEKF, repetitions: int) -> FloatArray:
 
 
 def time_dense_filter(dense: ExtendedKalmanFilter, repetitions: int, seconds: float) -> FloatArray:
-    """As :func:`time_line_filter` with dense matrices: at least three durations, and no more than fit in ``seconds``."""
+    """As :func:`time_line_filter` with dense matrices: three durations or more, as many as fit in ``seconds``."""
     size = len(dense.x)
     durations: list[float] = []
     while len(durations) < repetitions and (len(durations) < 3 or sum(durations) < seconds):

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import benchmark_work
+from support.command_line import Finished, call
 
 from benchmarks.__main__ import main
 from benchmarks.analysis import plots, report, tables
@@ -267,39 +268,32 @@ def results(tmp_path):
     return tmp_path / "out"
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["benchmarks", *map(str, arguments)])
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest's own answers stay
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return ended.value.code
-
-
-def test_the_command_tabulates(results, monkeypatch, capsys, tmp_path):
+def test_the_command_tabulates(results, tmp_path):
     for latex in (False, True):
         expected = tables.table(read_rows(results), latex=latex)
-        assert call(monkeypatch, "table", results, *["--latex"] * latex) == 0
-        assert capsys.readouterr().out == expected.rstrip("\n") + "\n"
-        assert call(monkeypatch, "table", results, *["--latex"] * latex, "--out", tmp_path / "table") == 0
+        shown = call(main, "table", results, *["--latex"] * latex)
+        assert (shown.returncode, shown.stdout) == (0, expected.rstrip("\n") + "\n")
+        written = call(main, "table", results, *["--latex"] * latex, "--out", tmp_path / "table")
+        assert (written.returncode, written.stdout) == (0, f"table       {tmp_path}/table\n")
         assert (tmp_path / "table").read_text() == expected
-        assert capsys.readouterr().out == f"table       {tmp_path}/table\n"
 
 
-def test_the_command_plots_and_reports(results, monkeypatch, capsys):
+def test_the_command_plots_and_reports(results, monkeypatch):
     monkeypatch.setattr(plots, "plot", lambda folder, out, svg: [out / f"of-{folder.name}.{'svg' if svg else 'png'}"])
     monkeypatch.setattr(report, "report", lambda folder, out: out.with_name(f"{folder.name}-{out.name}"))
-    assert call(monkeypatch, "plot", results) == 0
-    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.png\n"
-    assert call(monkeypatch, "plot", results, "--svg") == 0
-    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.svg\n"
-    assert call(monkeypatch, "report", results, "--out", results / "page.html") == 0
-    assert capsys.readouterr().out == f"report      {results}/out-page.html\n"
+    for words, line in (
+        (["plot"], f"plot        {results}/plots/of-out.png\n"),
+        (["plot", "--svg"], f"plot        {results}/plots/of-out.svg\n"),
+        (["report", "--out", results / "page.html"], f"report      {results}/out-page.html\n"),
+    ):
+        assert call(main, *words, results) == Finished(0, line, "")
 
 
-def test_results_that_are_not_there_are_refused(monkeypatch, capsys, tmp_path):
+def test_results_that_are_not_there_are_refused(tmp_path):
     for name in ("table", "plot", "report"):
-        assert call(monkeypatch, name, tmp_path / "nothing") == 2
-        assert capsys.readouterr().err.startswith("benchmarks: ")
+        done = call(main, name, tmp_path / "nothing")
+        assert done.returncode == 2
+        assert done.stderr.startswith("benchmarks: ")
 
 
 def test_a_cluster_that_is_not_there_is_refused_at_once():
