@@ -75,15 +75,27 @@ AGENT = {
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
-RULES = ENV | AGENT
+# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis <- training; speed beside.
+BENCHMARKS = {
+    "benchmarks": set(),
+    "benchmarks.suite": set(),
+    "benchmarks.analysis": {"benchmarks.suite"},
+    "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
+    "benchmarks.speed": set(),
+    "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
+}
+RULES = ENV | AGENT | BENCHMARKS
 COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 MOST_MODULES, LONGEST_FILE = 15, 520
 
 
 def modules_of(top: str) -> dict[str, Path]:
-    """The files of an installed package by their dotted names: those of a checkout, or of a wheel."""
-    folder = Path(next(iter(find_spec(top).submodule_search_locations)))
+    """The files of a package by their dotted names: of a checkout, or of a wheel, which has no benchmarks."""
+    spec = find_spec(top)
+    if spec is None and top == "benchmarks":
+        return {}
+    folder = Path(next(iter(spec.submodule_search_locations)))
     found = {}
     for path in sorted(folder.rglob("*.py")):
         parts = path.relative_to(folder.parent).with_suffix("").parts
@@ -91,7 +103,8 @@ def modules_of(top: str) -> dict[str, Path]:
     return found
 
 
-MODULES = modules_of("limslam_env") | modules_of("limslam_agent")
+INSTALLED = modules_of("limslam_env") | modules_of("limslam_agent")
+MODULES = INSTALLED | modules_of("benchmarks")
 PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
 
 
@@ -123,9 +136,10 @@ def place_of(name: str) -> str:
 def places_imported(names: list[str]) -> set[str]:
     """The places in the project that modules import."""
     found = set().union(*(imports(MODULES[name]) for name in names))
-    return {place_of(name) for name in found if name.split(".")[0] in {"limslam_env", "limslam_agent"}}
+    return {place_of(name) for name in found if name.split(".")[0] in TOPS}
 
 
+TOPS = {"limslam_env", "limslam_agent", "benchmarks"}
 PLACES = {place: [name for name in MODULES if place_of(name) == place] for place in map(place_of, MODULES)}
 
 
@@ -137,13 +151,19 @@ def test_every_package_has_a_rule():
 def test_a_package_imports_only_what_its_rule_names(place):
     # What __init__ loads on demand, for users, is no import of the package.
     names = [name for name in PLACES[place] if name not in {"limslam_env", "limslam_agent"}]
-    assert places_imported(names) - {place} - RULES[place] == set()
+    found = places_imported(names) - {place} - RULES[place]
+    assert {other for other in found if place not in BENCHMARKS or other in BENCHMARKS} == set()
+
+
+def test_what_is_installed_imports_no_benchmark():
+    found = {
+        name for name, path in INSTALLED.items() if any(full.split(".")[0] == "benchmarks" for full in imports(path))
+    }
+    assert found == set()
 
 
 def test_no_package_is_in_an_import_circle():
-    graph = {
-        place: places_imported(names) - {place} for place, names in PLACES.items() if place not in PLACES.get("", [])
-    }
+    graph = {place: places_imported(names) - {place} for place, names in PLACES.items()}
     graph["limslam_env"] = graph["limslam_agent"] = set()  # they load what users ask for, on demand
     while graph:
         leaves = {place for place, others in graph.items() if not others & set(graph)}
@@ -160,7 +180,7 @@ def test_no_package_has_too_many_modules(place):
     ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", {"limslam_env.compilation"})]
 )
 def test_these_modules_alone_import_it(library, owners):
-    found = {name for name, path in MODULES.items() if any(full.split(".")[0] == library for full in imports(path))}
+    found = {name for name, path in INSTALLED.items() if any(full.split(".")[0] == library for full in imports(path))}
     assert found == owners
 
 

@@ -158,7 +158,7 @@ def test_it_acts_where_there_is_no_physics_to_import(recording: Recording, tmp_p
     )
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", WITHOUT_PHYSICS, str(log), str(answer)],
-        capture_output=True, text=True, check=False, timeout=120,
+        capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert np.load(answer).tobytes() == actions.tobytes()

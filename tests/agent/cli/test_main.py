@@ -4,10 +4,14 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 from support.bags import odometry, scan, write_bag
+from support.command_line import call
+
+from limslam_agent.cli.main import main
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
@@ -18,11 +22,7 @@ RUN_FILES = {
 SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
 
 
-def limslam(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "limslam_agent.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, check=False, cwd=cwd,
-    )  # fmt: skip
+limslam = partial(call, main)
 
 
 def carmen_line(x, time):

@@ -2,7 +2,6 @@
 
 import json
 import math
-import subprocess
 import sys
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -13,7 +12,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
+from support.command_line import call
 
+from limslam_agent.cli.main import main
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score
 from limslam_env.bounds import offline_optimum, optimum_solver
@@ -393,10 +394,9 @@ def test_without_gtsam_nothing_is_driven(monkeypatch):
     assert not RunConfig().limit
 
 
-def test_without_gtsam_the_command_says_so_in_a_line(tmp_path):
-    code = "import sys; sys.modules['gtsam'] = None; from limslam_agent.cli.main import main; main()"
-    command = [sys.executable, "-c", code, "run", "--limit", "--out", str(tmp_path / "run")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+def test_without_gtsam_the_command_says_so_in_a_line(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    result = call(main, "run", "--limit", "--out", tmp_path / "run")
     assert result.returncode == 2
     assert result.stderr.splitlines() == [
         "limslam: the offline optimum needs gtsam, which is not installed: pip install 'limslam[limits]'"
@@ -406,9 +406,8 @@ def test_without_gtsam_the_command_says_so_in_a_line(tmp_path):
 
 @needs_gtsam
 def test_the_command_writes_both_metrics(tmp_path):
-    command = [sys.executable, "-W", "error", "-m", "limslam_agent.cli.main", "run", "--world", "square", "--laps", "1"]
-    command += ["--limit", "--noise", "0.02", "--max-time", "20", "--out", str(tmp_path / "run")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    drive = ("--world", "square", "--laps", "1", "--noise", "0.02", "--max-time", "20")
+    result = call(main, "run", *drive, "--limit", "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     written = json.loads((tmp_path / "run" / "result.json").read_text())
     metrics = written["metrics"]
