@@ -12,11 +12,13 @@ from scipy.linalg.blas import dtrsm, dtrsv
 
 from limslam_env.geometry import FloatArray
 
+Matrix = NDArray[np.floating[Any]]
+
 _COLUMNS = 6
 
 
-def solve_lower(factor: FloatArray, values: NDArray[np.floating[Any]]) -> FloatArray:
-    """Solve L x = b for a lower triangular matrix L; every bit is as ``solve_triangular`` has it.
+def solve_lower(factor: Matrix, values: Matrix) -> FloatArray:
+    """Solve L x = b for a lower triangular matrix L, by the operations of ``solve_triangular`` in the same order.
 
     Parameters
     ----------
