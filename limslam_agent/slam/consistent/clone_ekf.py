@@ -10,11 +10,11 @@ once.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm
 
 from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings, expected_ranges
 from limslam_agent.slam.core.ekf import POSE, LineEKF
+from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
@@ -210,7 +210,7 @@ class CloneEKF(LineEKF):
             weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), LEAST_RESIDUAL)) if huber else weights
         factor = np.linalg.cholesky(S)
         self._transport(moved)
-        self._subtract_square(np.ascontiguousarray(solve_triangular(factor, HP, lower=True, check_finite=False)))
+        self._subtract_square(np.ascontiguousarray(solve_lower(factor, HP)))
         self._correct(change)
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
@@ -249,7 +249,7 @@ class CloneEKF(LineEKF):
         S = HP[:, columns] @ H.T + np.diag(EQUALITY_NOISE)
         gain = np.linalg.solve(S, HP)
         factor = np.linalg.cholesky(S)
-        self._subtract_square(solve_triangular(factor, HP, lower=True, check_finite=False))
+        self._subtract_square(solve_lower(factor, HP))
         self._correct(-off @ gain)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))

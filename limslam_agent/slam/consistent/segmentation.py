@@ -9,11 +9,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from limslam_agent.config.consistent import SegmentationConfig
 from limslam_agent.slam.consistent.beam_model import GRAZING, Readings, expected_ranges, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
 
@@ -144,7 +144,7 @@ def _fit(
     factor = _factor(first.by_pose[clear], own.clones[clear], belief, std)
     for _ in range(2):
         expected = expected_ranges(poses, own, state, anchor)
-        whitened = _whiten(factor, np.column_stack((own.ranges - expected.ranges, expected.by_line))[clear])
+        whitened = solve_lower(factor, np.column_stack((own.ranges - expected.ranges, expected.by_line))[clear])
         basis, triangle = np.linalg.qr(whitened[:, 1:])
         step = np.linalg.solve(triangle, basis.T @ whitened[:, 0])
         state = state + step
@@ -175,7 +175,7 @@ def _bend(
     places = np.quantile(along, KINKS_AT)
     scaled = 2.0 * (along - along.min()) / np.ptp(along) - 1.0
     shapes = np.column_stack((np.maximum(along[:, None] - places, 0.0), scaled[:, None] ** np.array([2, 3, 4])))
-    shapes = _whiten(factor, shapes / cosines[:, None])
+    shapes = solve_lower(factor, shapes / cosines[:, None])
     shapes -= basis @ (basis.T @ shapes)
     kinks, curves = shapes[:, : len(places)], shapes[:, len(places) :]
     squares = np.maximum(np.sum(kinks**2, axis=0), LEAST_GAIN)
@@ -195,7 +195,7 @@ def _loose_ends(
     loose = np.zeros(len(along), dtype=bool)
     for end in (along.min(), along.max()):
         zone = np.abs(along - end) < config.end_zone
-        shape = _whiten(factor, zone / cosines)
+        shape = solve_lower(factor, zone / cosines)
         shape -= basis @ (basis.T @ shape)
         square = float(shape @ shape)
         if not zone.all() and square > LEAST_GAIN and float(left @ shape) ** 2 > config.end_gate * square:
@@ -212,11 +212,6 @@ def _factor(by_pose: FloatArray, clones: IntArray, belief: CloneEKF, std: float)
     return np.asarray(
         np.linalg.cholesky(by_poses @ belief.clone_covariance(own) @ by_poses.T + std**2 * np.eye(len(clones)))
     )
-
-
-def _whiten(factor: FloatArray, values: FloatArray) -> FloatArray:
-    """L^-1 V for a lower Cholesky factor L (n, n) and columns V (n, ...)."""
-    return np.asarray(solve_triangular(factor, values, lower=True, check_finite=False))
 
 
 def _extent(along: FloatArray) -> float:
