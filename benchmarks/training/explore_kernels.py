@@ -10,14 +10,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.policies.collision_guard import _GHOST, _LOOK_AHEAD, _MARGIN, _SHARES, _TOUCHING
-from limslam_agent.policies.collision_guard import _MEMORY as MEMORY
-from limslam_agent.policies.collision_guard import _TOUCH as TOUCH
+from limslam_agent.policies.collision_guard import (
+    _GHOST,
+    _LOOK_AHEAD,
+    _MARGIN,
+    _MEMORY,
+    _SHARES,
+    _TOUCH,
+    _TOUCHING,
+)
 from limslam_agent.policies.learned.polar_view import _FAR, FREE_TOLL, LEAST_UNKNOWN, TIGHT_TOLL
 from limslam_agent.slam.batch.grid import SKIPPED, change_cells, touched_cells
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.rays import compiled
 
+MEMORY, TOUCH = _MEMORY, _TOUCH
 _STOPPING_SHARES = (*_SHARES, 0.0)
 _FAR_AWAY = 1 << 30
 
