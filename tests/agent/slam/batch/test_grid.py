@@ -16,16 +16,15 @@ CELLS = 160
 def check(poses: list[FloatArray], ranges: list[FloatArray], usable: list[BoolArray], cells: int = CELLS) -> None:
     """Update both grids by the same readings, and compare all cells of the plain one after each of them."""
     plain, config, settings = OccupancyGrid(config_of().grid), config_of().grid, spec().settings[0]
-    values, marks = np.zeros((cells, cells), dtype=np.int16), np.zeros((cells, cells), dtype=np.uint8)
+    values, stamps = np.zeros((cells, cells), dtype=np.int16), np.zeros((cells, cells), dtype=np.int32)
     window = np.floor(poses[0][1::-1] / config.cell).astype(np.int64) - cells // 2
-    for pose, reading, new in zip(poses, ranges, usable, strict=True):
+    for stamp, (pose, reading, new) in enumerate(zip(poses, ranges, usable, strict=True)):
         plain.update(pose, ROBOT, reading, new)
-        update(pose, values, window, reading, new, settings, spec().beams, marks)
+        update(pose, values, window, reading, new, settings, spec().beams, stamps, stamp + 1)
         view = plain.view
         row, column = np.round(view.low[::-1] / config.cell).astype(int)
         rows, columns = row + np.arange(view.values.shape[0]), column + np.arange(view.values.shape[1])
         np.testing.assert_array_equal(values[np.ix_(rows % cells, columns % cells)], view.values)
-        assert not marks.any()
         assert np.count_nonzero(values) == np.count_nonzero(view.values)
     assert (values > 0).any()
     assert (values < 0).any()
@@ -51,9 +50,9 @@ def test_random_readings(seed: int) -> None:
 
 
 def test_values_are_limited_and_a_known_cell_is_never_zero() -> None:
-    values, marks = np.array([[1, -9, 9, 0]], dtype=np.int16), np.zeros((1, 4), dtype=np.uint8)
+    values, stamps = np.array([[1, -9, 9, 0]], dtype=np.int16), np.zeros((1, 4), dtype=np.int32)
     crossed, ended, skipped = batch_grid.CROSSED, batch_grid.ENDED, batch_grid.SKIPPED
     cells = np.array([[0, 0, ended], [0, 0, crossed], [0, 1, ended], [0, 2, crossed], [0, 3, skipped]])
-    change_cells(values, cells, marks, 2, 1, 10)
+    change_cells(values, cells, stamps, 1, 2, 1, 10)
     assert values.tolist() == [[-1, -10, 10, 0]]
-    assert not marks.any()
+    assert stamps.tolist() == [[1, 1, 1, 0]]
