@@ -96,7 +96,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     def _make_room(self, count: int, beams: int) -> None:
         self._values = np.zeros((count, SIDE, SIDE), dtype=np.int8)
         self._corners, self._boxes = np.zeros((count, 2), dtype=np.int64), np.zeros((count, 4), dtype=np.int64)
-        self._marks = np.zeros((SIDE, SIDE), dtype=np.uint8)
+        self._stamps, self._stamp = np.zeros((SIDE, SIDE), dtype=np.int32), 1
         self._points, self._ages = np.zeros((count, MEMORY, beams, 2)), np.full((count, MEMORY, beams), -1)
         self._slots, self._poses = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
         self._steps, self._tolls = np.zeros((SIDE, SIDE), dtype=np.int32), np.zeros((SIDE, SIDE), dtype=np.int32)
@@ -160,9 +160,10 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self._add(which, told["ranges"])
 
     def _add(self, which: BoolArray, ranges: NDArray[np.float32]) -> None:
+        self._stamp += self.num_envs
         self._ranges[which] = ranges[which]
         take_in(
-            which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._marks,
+            which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._stamps, self._stamp,
             self._points, self._ages, self._slots, self._beams, self.robot.radius, self._rules,
         )  # fmt: skip
 

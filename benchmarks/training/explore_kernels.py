@@ -33,7 +33,8 @@ def mark_grid(
     values: NDArray[np.int8],
     corner: IntArray,
     box: IntArray,
-    marks: NDArray[np.uint8],
+    stamps: NDArray[np.int32],
+    stamp: int,
     pose: FloatArray,
     ranges: ReadingArray,
     measured: BoolArray,
@@ -51,8 +52,8 @@ def mark_grid(
         Column and row of the lower left cell, counted from the world's origin.
     box
         First row, row past the last, first column, and column past the last of the known cells; changed.
-    marks
-        Scratch (side, side), all zero before and after.
+    stamps, stamp
+        Scratch (side, side), and a number that it does not contain yet.
     pose
         (3,), m and rad, at which the readings are placed.
     measured
@@ -74,7 +75,7 @@ def mark_grid(
             box[2], box[3] = min(box[2], column), max(box[3], column + 1)
         else:
             cells[i, 0], cells[i, 1], cells[i, 2] = 0, 0, SKIPPED
-    change_cells(values, cells, marks, int(rules[1]), int(rules[2]), int(rules[3]))
+    change_cells(values, cells, stamps, stamp, int(rules[1]), int(rules[2]), int(rules[3]))
 
 
 @compiled
@@ -268,7 +269,8 @@ def take_in(
     values: NDArray[np.int8],
     corners: IntArray,
     boxes: IntArray,
-    marks: NDArray[np.uint8],
+    stamps: NDArray[np.int32],
+    stamp: int,
     points: FloatArray,
     ages: IntArray,
     slots: IntArray,
@@ -278,15 +280,15 @@ def take_in(
 ) -> None:
     """Grids and collision guards of the robots ``which`` (n,) take in a step's readings (n, n_beams) at poses (n, 3).
 
-    ``marks`` (side, side) is scratch that all robots share, all zero before and after.
+    ``stamps`` (side, side) is scratch that all robots share: robot i uses ``stamp + i``.
     """
     measured = np.ones(ranges.shape[1], dtype=np.bool_)
     for robot in range(len(poses)):
         if which[robot]:
             slots[robot] += 1
             mark_grid(
-                values[robot], corners[robot], boxes[robot], marks, poses[robot], ranges[robot], measured, beams,
-                radius, rules,
+                values[robot], corners[robot], boxes[robot], stamps, stamp + robot, poses[robot], ranges[robot],
+                measured, beams, radius, rules,
             )  # fmt: skip
             note_touch(points[robot], ages[robot], slots[robot], poses[robot], ranges[robot], beams)
 

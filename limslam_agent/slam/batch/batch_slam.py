@@ -14,7 +14,7 @@ from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.batch.clone_ekf import predict
 from limslam_agent.slam.batch.compilation import algebra, entry
 from limslam_agent.slam.batch.consistent import measure, process
-from limslam_agent.slam.batch.grid import MarkArray, crop, update
+from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.motion import motion_from_wheels
 from limslam_agent.slam.batch.pending_readings import has_ended
 from limslam_agent.slam.batch.state import (
@@ -301,13 +301,14 @@ def step_some(
     chosen: IntArray,
     pose: FloatArray,
     covariance: FloatArray,
-    grids: MarkArray,
+    grids: CropArray,
 ) -> None:
     """Update the chosen robots by one observation each, and fill their rows of the estimates."""
     # The compiler processes a function and all below it again for each function above it, so there are few levels.
-    marks, settings = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.uint8), spec.settings[0]
+    stamps, settings = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32), spec.settings[0]
     measured = np.zeros(ranges.shape[1], dtype=np.bool_)
-    for number in chosen:
+    for stamp in range(len(chosen)):
+        number = chosen[stamp]
         state = state_of(states, number)
         ekf, travel = state.filter, state.travel
         accept(state, ranges[number], wheels[number], settings, spec.beams, measured)
@@ -317,7 +318,9 @@ def step_some(
                 process(ekf, state.walls, state.pending, side, travel[DRIVEN], settings, spec.beams, is_over)
         pose[number] = ekf.x[:POSE]
         covariance[number] = ekf.top[:, :POSE]
-        update(pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, marks)
+        update(
+            pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, stamp + 1
+        )  # fmt: skip
         if grids.shape[3]:
             crop(pose[number], state.grid, state.window, settings.cell, grids[number, 0])
 

@@ -151,18 +151,18 @@ def incorporate(
 ) -> bool:  # fmt: skip
     """Associate a wall segment with a known landmark, or add a new one; whether the readings are consumed."""
     room = len(ekf.anchors)
-    scores, rows, told = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
-    number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, told)
+    scores, rows, details = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
+    number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, details)
     while number > 1 and scores[1] <= settings.gate:
         if not closes_loop(ekf, walls, rows[0], rows[1], settings):
             break
-        number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, told)
+        number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, details)
     best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
     if second <= settings.gate and second - best < settings.ambiguity:
         return True
     if best <= settings.gate:
         index = rows[0]
-        if not fits(ekf, walls, index, points, segment, settings, best, told[index, 0], told[index, 1]):
+        if not fits(ekf, walls, index, points, segment, settings, best, details[index, 0], details[index, 1]):
             return False
         update(ekf, walls, places, readings, index, settings, settings.iterations)
         return True
@@ -184,7 +184,7 @@ def incorporate(
 def candidates(
     ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, points: FloatArray, segment: FloatArray,
     settings: Settings,
-    scores: FloatArray, rows: IntArray, told: FloatArray,
+    scores: FloatArray, rows: IntArray, details: FloatArray,
 ) -> int:  # fmt: skip
     """Number of landmarks that a wall segment may show.
 
@@ -200,7 +200,7 @@ def candidates(
             continue
         of_line, left, used = disagreement(ekf, places, readings, index, settings.std)
         if used:
-            scores[size], rows[size], told[index, 0], told[index, 1] = of_line, index, left, used
+            scores[size], rows[size], details[index, 0], details[index, 1] = of_line, index, left, used
             size += 1
     sort_with(scores, rows, size)
     return size

@@ -18,7 +18,8 @@ from limslam_agent.slam.batch.state import FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TO
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
 GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
-MarkArray: TypeAlias = NDArray[np.uint8]
+CropArray: TypeAlias = NDArray[np.uint8]
+StampArray: TypeAlias = NDArray[np.int32]
 
 FREE, OCCUPIED = 127, 255
 SKIPPED, CROSSED, ENDED = 0, 1, 2
@@ -46,7 +47,8 @@ def touched_cells(
     Returns
     -------
     cells
-        (n, 3): row and column, counted from the world's origin, and ``CROSSED`` or ``ENDED``. Cells may repeat.
+        (n, 3): row and column, counted from the world's origin, and ``CROSSED`` or ``ENDED``. Cells may repeat, and
+        those in which a beam ended come first.
     """
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     spacing, most = 0.5 * cell, len(BODY)
@@ -57,20 +59,28 @@ def touched_cells(
     for beam in range(len(ranges)):
         length = float(ranges[beam])
         # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
-        if not (measured[beam] and length > beams[beam, TOO_NEAR]):
-            continue
-        count = math.floor(length / spacing)
-        ended = length < beams[beam, TOO_FAR]
-        for i in range(count + ended):
-            along = i * spacing if i < count else length
-            px = beams[beam, FROM_X] + along * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + along * beams[beam, TOWARDS_Y]
+        if measured[beam] and beams[beam, TOO_NEAR] < length < beams[beam, TOO_FAR]:
+            px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
             cells[size, 0] = math.floor((px * sin + py * cos + y) / cell)
             cells[size, 1] = math.floor((px * cos - py * sin + x) / cell)
-            cells[size, 2] = CROSSED
+            cells[size, 2] = ENDED
             size += 1
-        if ended:
-            cells[size - 1, 2] = ENDED
+    for beam in range(len(ranges)):
+        length = float(ranges[beam])
+        if not (measured[beam] and length > beams[beam, TOO_NEAR]):
+            continue
+        first = size
+        for i in range(math.floor(length / spacing)):
+            px = beams[beam, FROM_X] + i * spacing * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + i * spacing * beams[beam, TOWARDS_Y]
+            row = math.floor((px * sin + py * cos + y) / cell)
+            column = math.floor((px * cos - py * sin + x) / cell)
+            # Samples are half a cell apart, so that many lie in the same cell as the one before.
+            if size > first and row == cells[size - 1, 0] and column == cells[size - 1, 1]:
+                continue
+            cells[size, 0], cells[size, 1], cells[size, 2] = row, column, CROSSED
+            size += 1
     for k in range(len(BODY)):
         cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)
         cells[size, 1] = math.floor((x + radius * BODY[k, 0]) / cell)
@@ -80,7 +90,9 @@ def touched_cells(
 
 
 @compiled
-def change_cells(values: GridArray, cells: IntArray, marks: MarkArray, seen_through: int, hit: int, limit: int) -> None:
+def change_cells(
+    values: GridArray, cells: IntArray, stamps: StampArray, stamp: int, seen_through: int, hit: int, limit: int
+) -> None:
     """Change the values of touched cells, each of them once, however many beams touch it.
 
     Parameters
@@ -88,21 +100,18 @@ def change_cells(values: GridArray, cells: IntArray, marks: MarkArray, seen_thro
     values
         (rows, columns), changed: positive is free, negative is occupied, 0 is unknown.
     cells
-        (n, 3): row and column in ``values``, and what happened there. A cell in which a beam ended is not crossed.
-    marks
-        Scratch (rows, columns), all zero before and after.
+        (n, 3): row and column in ``values``, and what happened there. Of a cell that repeats, the first row counts.
+    stamps, stamp
+        Scratch (rows, columns), and a number that it does not contain yet.
     seen_through, hit, limit
         What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value.
     """
     for i in range(len(cells)):
         row, column = cells[i, 0], cells[i, 1]
-        marks[row, column] = max(marks[row, column], cells[i, 2])
-    for i in range(len(cells)):
-        row, column = cells[i, 0], cells[i, 1]
-        if not (cells[i, 2] and marks[row, column]):
+        if cells[i, 2] == SKIPPED or stamps[row, column] == stamp:
             continue
-        amount = -hit if marks[row, column] == ENDED else seen_through
-        marks[row, column] = 0
+        stamps[row, column] = stamp
+        amount = -hit if cells[i, 2] == ENDED else seen_through
         value = min(max(values[row, column] + amount, -limit), limit)
         # The value 0 is reserved for unknown cells.
         values[row, column] = value or (1 if amount > 0 else -1)
@@ -127,11 +136,11 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 @compiled
 def update(
     pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: Settings,
-    beams: FloatArray, marks: MarkArray,
+    beams: FloatArray, stamps: StampArray, stamp: int,
 ) -> None:  # fmt: skip
     """Update a grid by one step's readings (b,), m, of which those ``measured`` (b,) are new.
 
-    ``marks`` (cells, cells) is scratch, all zero before and after.
+    ``stamps`` (cells, cells) is scratch, and ``stamp`` a number that it does not contain yet.
     """
     cells, side = touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell), grid.shape[0]
     for axis in range(2):
@@ -145,11 +154,11 @@ def update(
             cells[i, 2] = SKIPPED
         cells[i, 0] %= side
         cells[i, 1] %= side
-    change_cells(grid, cells, marks, settings.seen_through, settings.hit, settings.limit)
+    change_cells(grid, cells, stamps, stamp, settings.seen_through, settings.hit, settings.limit)
 
 
 @compiled
-def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: MarkArray) -> None:
+def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: CropArray) -> None:
     """Fill ``out`` (size, size) with the grid around the robot, which is in the middle and looks up.
 
     Cells are 0 where unknown, ``FREE``, or ``OCCUPIED``.

@@ -63,7 +63,7 @@ def collect(
 @algebra
 def has_ended(counts: IntArray, travel: FloatArray, side: int, gap: float) -> bool:
     """Whether a side has pending readings but no hit within the last ``gap`` (m): the wall there has ended."""
-    return counts[PENDING + side] > 0 and travel[DRIVEN] - travel[LAST_HIT + side] > gap
+    return bool(counts[PENDING + side] > 0 and travel[DRIVEN] - travel[LAST_HIT + side] > gap)
 
 
 @algebra

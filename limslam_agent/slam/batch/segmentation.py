@@ -234,5 +234,5 @@ def principal_line(points: FloatArray, members: IntArray) -> FloatArray:
     """(r, theta), not normalised, of the line through some points by total least squares."""
     own = points[members]
     middle = np.array([own[:, 0].mean(), own[:, 1].mean()])
-    across = np.linalg.svd(own - middle, False)[2][1]  # noqa: FBT003 (numba knows it by its place only)
+    across = np.linalg.svd(own - middle, False)[2][1]  # noqa: FBT003 (numba knows it as a positional argument only)
     return np.array([middle[0] * across[0] + middle[1] * across[1], math.atan2(across[1], across[0])])

@@ -75,4 +75,4 @@ def reach(walls: Walls, counts: IntArray, index: int, place: int) -> int:
             reached[row, before:length] = reached[row, : length - before].copy()
             reached[row, :before] = np.inf if row == LEAST else -np.inf
     wall[LENGTH] = length
-    return place - wall[LOW]
+    return int(place - wall[LOW])

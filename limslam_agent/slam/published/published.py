@@ -48,7 +48,7 @@ class PublishedEstimator(Estimator):
     def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Add points to the buffers, and use each buffer that is full."""
         for side, buffer in self._buffers[number].items():
-            buffer.carry(motion.increment, float(motion.covariance[2, 2]))
+            buffer.move(motion.increment, float(motion.covariance[2, 2]))
             for scan in buffer.add(front.ranges, front.measured, front.hits, front.step):
                 self._use(number, front.step, side, scan)
 

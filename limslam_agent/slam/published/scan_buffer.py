@@ -69,7 +69,7 @@ class ScanBuffer:
         """The points in the buffer."""
         return self._scan
 
-    def carry(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
+    def move(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
         """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
         back = inverse(increment)
         scan = self._scan
