@@ -1,4 +1,4 @@
-"""Many environments at once: the simulation behind the batched adapters."""
+"""The simulation of many environments at once."""
 
 import os
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _SETTINGS, _PLACES = 1, 2
 
 
 class BatchReadings(NamedTuple):
-    """What the sensors of all environments say: new arrays.
+    """The measurements in all environments, in new arrays.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class BatchReadings(NamedTuple):
 
 
 class BatchTruth(NamedTuple):
-    """What is really so in all environments: new arrays, the fields of ``simulation.Truth``.
+    """The ground truth of all environments, in new arrays: the fields of ``simulation.Truth``.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class BatchSimulation:
     places
         The worlds of the environments.
     robot
-        What all robots are.
+        The specification of all robots.
     noise
         One setting for all environments or one for each; ranges in it are drawn from at each reset.
     num_threads

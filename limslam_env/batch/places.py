@@ -55,7 +55,7 @@ class Places:
         if isinstance(source, FloorPlanConfig):
             if plans is None:
                 self._config = source
-                # A plan that nobody sees: what is wrong with the settings shows at once.
+                # This plan is not used: it shows at once whether the settings can be used.
                 floor_plan(source, np.random.default_rng(0), robot.radius)
                 return
             self._is_drawn = True
@@ -102,7 +102,7 @@ class Places:
                 poses[rows] = self._started(world, site, keys[rows])
             else:
                 moves += self._start_at(rows, world, start, keys, poses)
-        # Nothing may be refused from here on: what is above changes nothing.
+        # No error may be raised from here on, and nothing above changes this object.
         for rows, variant, site in moves:
             if variant not in self._variants:
                 self._variants[variant] = len(self.sites)

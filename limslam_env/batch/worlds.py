@@ -22,7 +22,7 @@ _MOST_NEAR = 60
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A world made ready for a batch: its walls sorted, what can be seen of it, and where robots start.
+    """A world prepared for a batch: its sorted walls, its coverage grid and its starting places.
 
     Attributes
     ----------
@@ -81,8 +81,8 @@ def from_tiles(tiles: Words, shape: tuple[int, int]) -> BoolArray:
     return np.asarray(blocks[: shape[0], : shape[1]], dtype=bool)
 
 
-class _Shelf:
-    """Rows of many worlds, one after the other, with room to put others in their place."""
+class _RowStore:
+    """The rows of many worlds, one after the other, with space to replace a world."""
 
     def __init__(self, dtype: type[np.generic], *width: int) -> None:
         self.rows: NDArray[Any] = np.zeros((0, *width), dtype=dtype)
@@ -96,7 +96,7 @@ class _Shelf:
             self._firsts.append(0)
             self._sizes.append(-1)
         if len(rows) > self._sizes[slot]:
-            # Who moves in later may need a little more.
+            # A later world may need a little more.
             size = len(rows) if self._sizes[slot] < 0 else len(rows) * 5 // 4
             self._firsts[slot], self._sizes[slot] = self._taken, size
             self._taken += size
@@ -123,8 +123,8 @@ class Sites:
     """
 
     def __init__(self) -> None:
-        self._edges, self._cells, self._items = _Shelf(np.float64, 4), _Shelf(np.int32), _Shelf(np.int32)
-        self._near_cells, self._near_items = _Shelf(np.int32), _Shelf(np.int32)
+        self._edges, self._cells, self._items = _RowStore(np.float64, 4), _RowStore(np.int32), _RowStore(np.int32)
+        self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.int32)
         self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
         self.grids: FloatArray = np.zeros((0, 3))
         self.areas: FloatArray = np.zeros((0, 3))

@@ -82,7 +82,7 @@ def coverage_tour(
     seen: BoolArray | None = None,
     evaluations: int = EVALUATIONS,
 ) -> FloatArray:
-    """A quick tour from which the beams see everything: the limit that explorers can be measured by.
+    """A short tour from which the beams see everything: a bound for the exploration time.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class Tours:
         return np.flatnonzero(self._views[:, cell >> 3] >> (7 - (cell & 7)) & 1)
 
     def _view(self, place: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-        """The coverable cells that a robot sees that looks round, a bit each."""
+        """The coverable cells that a robot sees when it turns around, one bit each."""
         headings = np.arange(0.0, 2.0 * math.pi, _VIEW)
         seen = np.zeros_like(self._grid.coverable)
         self._sweep.mark(np.column_stack((np.broadcast_to(place, (len(headings), 2)), headings)), seen)
@@ -247,7 +247,7 @@ class Tours:
                     continue
                 poses, then = poses_along(pose, leg, self._robot, self._speeds), seen.copy()
                 new = int(self._sweep.mark(poses, then).sum())
-                # Where nobody sees anything new on the way, to the nearest.
+                # If no path shows a new cell, go to the nearest place.
                 score = (new**power + 1e-9) / len(poses)
                 if score > best_score:
                     best, best_score = (int(place), leg, poses[-1], then, new), score

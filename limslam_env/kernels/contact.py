@@ -7,18 +7,18 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.kernels.wall_cells import Walls
 
 TOUCH = 1e-5
-"""Gap up to which things touch, m."""
+"""Largest gap that counts as contact, m."""
 
 MAX_PUSHES = 24
-"""How often robots are pushed in a step, before those that are still deep in something go back."""
+"""Number of pushes in a step before robots that still overlap something return to their last position."""
 
 DEEPEST = 5e-4
-"""How deep a robot may stay in something, m."""
+"""Overlap that is tolerated, m."""
 
 LONGEST_MOVE = 0.5
-"""Longest move without a look at what is touched, in radii."""
+"""Longest move between two checks for contact, in radii."""
 
-# How far is looked for things that could be touched in later steps, m.
+# Distance up to which obstacles are searched for, m.
 _OUTLOOK = 0.3
 
 
@@ -53,7 +53,7 @@ def nearest_wall(
     if distance >= outlook:
         return outlook, 0.0, 0.0
     if distance <= TOUCH:
-        # The centre is on the wall: either side is as good.
+        # The centre lies on the wall: both normals are equally good.
         best_x, best_y = normal_x, normal_y
     size = math.sqrt(best_x * best_x + best_y * best_y)
     return distance, best_x / size, best_y / size
@@ -81,7 +81,7 @@ def nearest_thing(
 
 
 @compiled
-def separate(  # noqa: C901 (walls, robots, and who is wedged)
+def separate(  # noqa: C901 (walls, robots, and pushes that do not converge)
     places: FloatArray,
     before: FloatArray,
     deep: BoolArray,
@@ -91,9 +91,9 @@ def separate(  # noqa: C901 (walls, robots, and who is wedged)
 ) -> float:
     """Push robots at ``places`` (m, 2 or more) out of what they overlap, along the shortest way.
 
-    As ``simulation.physics.Physics`` does: a few times where walls meet; who is wedged all the same goes back
-    to where it was ``before``. Sets ``contact`` (m,). Returns how far the robots can get before one may touch
-    something, m. ``deep`` (m,) is scratch memory.
+    The pushes are repeated where walls meet, as in ``simulation.physics.Physics``; robots that still overlap something
+    return to their positions ``before``. Sets ``contact`` (m,). Returns the distance that the robots can travel before
+    one of them may touch something, m. ``deep`` (m,) is scratch memory.
     """
     gap = _OUTLOOK
     for robot in range(len(places)):

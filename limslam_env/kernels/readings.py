@@ -22,7 +22,7 @@ def noisy_reading(
     normal: float,
     uniform: float,
 ) -> float:
-    """What a beam reads of a wall at ``ideal`` (m), with numbers drawn from N(0, 1) and U(0, 1).
+    """The reading (m) of a beam for a true distance ``ideal`` (m), with random numbers from N(0, 1) and U(0, 1).
 
     Noise: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
     resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing reads
@@ -42,7 +42,7 @@ def noisy_reading(
 def reported_travel(
     travel: float, unreported: float, factor: float, variance: float, resolution: float, limit: float, normal: float
 ) -> tuple[float, float]:
-    """What an encoder says of a wheel's ``travel`` (m), and what it will have to say later (m).
+    """The travel (m) that an encoder reports of a wheel's ``travel`` (m), and the remainder for later reports (m).
 
     It counts ``factor`` times the travel, with noise of ``variance`` per metre from the N(0, 1) number ``normal``,
     and what was ``unreported`` so far (m); in steps of ``resolution`` (m; 0 for none), and no more than ``limit`` (m).

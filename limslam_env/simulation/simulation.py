@@ -1,4 +1,4 @@
-"""N robots in one world, step by step: physics, sensors, odometry, and the truth beside them."""
+"""The simulation of one or several robots in one world: physics, sensors, odometry and the ground truth."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from limslam_env.worlds.world import World
 
 
 class Readings(NamedTuple):
-    """What the robots' sensors say after a step: new arrays.
+    """The measurements of all robots after a step, in new arrays.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Readings(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What is really so after a step. For scoring, never for an agent.
+    """The ground truth after a step. It is for evaluation, never for an agent.
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ class Truth(NamedTuple):
     coverage
         Share of the coverable cells that have been seen by any robot, 0 to 1.
     new_area
-        Coverable area that each robot was the first to see in this step, m^2. What two see at once counts
-        for the first of them.
+        Coverable area that each robot was the first to see in this step, m^2. Area that two robots see in the same
+        step counts for the robot with the lower number.
     contact
         Which robots touched something.
     wall_seen
@@ -68,11 +68,11 @@ class Simulation:
     Parameters
     ----------
     world
-        Where they are.
+        The world.
     robot
-        What each of them is.
+        The specification of each robot.
     num_robots
-        How many there are.
+        Number of robots.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A world: walls, obstacles, doors and starts; read from TOML, refused with a reason when it cannot be."""
+"""A world: its walls, obstacles, doors and starts, and checks that robots can use it."""
 
 import functools
 import hashlib
@@ -25,24 +25,24 @@ class WorldError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Walls and what stands between them. Arrays are read-only; lengths in metres, angles in radians.
+    """The geometry of a building. Arrays are read-only; lengths are in metres, angles in radians.
 
     Attributes
     ----------
     name
-        What the world is called.
+        Name of the world.
     size
-        Width and height that the world is drawn in. They add no walls.
+        Width and height of the drawing. They add no walls.
     walls
         (n, 4): x1, y1, x2, y2 of each wall. Walls have no thickness.
     obstacles
         Closed polygons, each (k, 2).
     doors
-        (m, 4): openings that a good map keeps open.
+        (m, 4): openings; a good map has no wall there.
     starts
-        (s, 3): poses that robots may start from. Empty: drawn by seed.
+        (s, 3): start poses of the robots. Empty: random starts.
     loop
-        (l, 2): corners of a closed tour to drive laps on. Empty: there is none.
+        (l, 2): corners of a closed tour for driving laps. Empty: no tour.
     """
 
     name: str
@@ -66,14 +66,14 @@ class World:
 
     @functools.cached_property
     def edges(self) -> FloatArray:
-        """All that stops a beam, (k, 4): the walls first, then the obstacles' edges in order."""
+        """Everything that blocks a beam, (k, 4): the walls first, then the obstacles' edges in order."""
         edges = np.vstack((self.walls, *(polygon_edges(polygon) for polygon in self.obstacles)))
         edges.setflags(write=False)
         return edges
 
     @functools.cached_property
     def digest(self) -> str:
-        """A name for the content: equal worlds have equal digests."""
+        """A digest of the content: equal worlds have equal digests."""
         arrays = (self.walls, *self.obstacles, self.doors, self.starts, self.loop)
         parts = [
             repr((self.name, self.size)).encode(),
@@ -92,7 +92,7 @@ class World:
         return World, tuple(getattr(self, part.name) for part in fields(self))
 
     def free_space(self, radius: float) -> FreeSpace:
-        """Where a disc of ``radius`` (m) fits outside every obstacle; remembered for later calls."""
+        """The space where a disc of ``radius`` (m) fits; cached for later calls."""
         return _free_space(self, radius)
 
     def check(self, radius: float) -> None:
@@ -112,7 +112,7 @@ class World:
         region = space.largest_closed_region()
         if not region.any():
             raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
-        self._check_closed([("its largest room", space.first_centre(region))], radius)
+        self._check_closed([("its largest region", space.first_centre(region))], radius)
 
     def check_pose(self, pose: FloatArray, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) may start at ``pose`` (3,).
@@ -157,7 +157,7 @@ def _free_space(world: World, radius: float) -> FreeSpace:
 
 @contextmanager
 def named(label: object) -> Iterator[None]:
-    """Put ``label``, such as a file's name, in front of what a refusal says."""
+    """Put ``label``, such as a file's name, in front of the message of a ``WorldError``."""
     try:
         yield
     except WorldError as error:
@@ -184,7 +184,7 @@ def _check_name(name: Any) -> None:
         name.encode()
     except UnicodeEncodeError as error:
         # JSON and YAML can spell half a surrogate pair, which no file can hold.
-        raise WorldError(f"name {name!r} holds a character that is none") from error
+        raise WorldError(f"name {name!r} holds an invalid character") from error
 
 
 def _check_edges(world: World) -> None:

@@ -37,7 +37,7 @@ from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.formats.loading import load_world
 
-needs_gtsam = pytest.mark.skipif(find_spec("gtsam") is None, reason="the limit needs gtsam, the extra limits")
+needs_gtsam = pytest.mark.skipif(find_spec("gtsam") is None, reason="needs gtsam, the extra limits")
 
 FOUR_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 45.0, -45.0, -90.0), 0.10))
 WHEEL_VARIANCE = 2e-5

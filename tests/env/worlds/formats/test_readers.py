@@ -472,7 +472,7 @@ class TestPlans:
             (b'{"id": "n", "walls": [[0, 1, 2, 1]]}', "stand on one line and enclose nothing"),
             (b'{"walls": [[0, 0, 1, 1]]}', "the key 'id' is missing"),
             (b'{"id": 7, "walls": [[0, 0, 1, 1]]}', "id must be a text"),
-            (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds a character that is none"),
+            (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds an invalid character"),
             (b'{"id": "n", "verts": []}', "verts is empty"),
             (b'{"id": "n", "verts": [[0, 0, 0]]}', "verts must have 2 numbers a row, not 3"),
             (b'{"id": "n", "verts": [[0, 0], [1, 1]]}', "fewer than three corners"),
