@@ -125,7 +125,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise FolderError(f"{path}: cannot be read: {error.strerror or error}") from error
     if not isinstance(content, dict):
-        raise FolderError(f"{path}: does not have the content that a run writes")
+        raise FolderError(f"{path}: does not hold the content that a run writes")
     return content
 
 

@@ -116,7 +116,7 @@ class VideoWriter:
             If the image is not a frame, has another size than the first, or the writer's context has ended.
         """
         if self._beside is None:
-            raise VideoError(f"{self.path}: write frames inside of the writer's context")
+            raise VideoError(f"{self.path}: frames must be written within the writer's context")
         if image.dtype != np.uint8 or image.shape[2:] != (3,) or image.shape[0] % 2 or image.shape[1] % 2:
             raise VideoError(f"{self.path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
         if self._encoder is None:
