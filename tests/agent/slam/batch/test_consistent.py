@@ -136,14 +136,16 @@ def test_pruned_clones(recorded: ConsistentEstimator, state: States, most: int) 
 @pytest.mark.parametrize("seed", range(5))
 def test_points_near_corners(recorded: ConsistentEstimator, seed: int) -> None:
     generator = np.random.default_rng(seed)
-    along = np.sort(generator.uniform(0.0, 0.8, 24))
-    points = np.vstack((np.column_stack((along[:12], np.zeros(12))), np.column_stack((np.zeros(12), along[12:]))))
+    along = np.sort(generator.uniform(0.0, 0.8, (2, 12)), axis=1)
+    # One reading of each wall lies near the corner at least.
+    along[:, 0] = 0.01
+    points = np.vstack((np.column_stack((along[0], np.zeros(12))), np.column_stack((np.zeros(12), along[1]))))
     points += 0.01 * generator.standard_normal(points.shape)
     owner = np.repeat([0, 1], 12)
     fitted: list[LineFit] = [fit_line(points[owner == number], NOISE) for number in range(2)]
     lines = [ExtractedLine(fit, np.flatnonzero(owner == number)) for number, fit in enumerate(fitted)]
     expected = {float(line[1]): members for line, members in recorded._uncontested(points, lines)}
-    near = spec().settings[0].near_corner
+    near = float(spec().settings[0]["near_corner"])
     rows, ends = np.array([fit.line for fit in fitted]), np.array([fit.ends for fit in fitted])
     for number, fit in enumerate(fitted):
         members = uncontested(points, owner, rows, ends, 2, number, near)
