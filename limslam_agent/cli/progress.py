@@ -4,21 +4,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
 Advance = Callable[[float, str], None]
 """Told how much is done, and the state in words."""
-
-_console = Console(stderr=True, highlight=False)
 
 
 @contextmanager
 def progress_bar(task: str, total: float) -> Iterator[Advance]:
     """A progress bar on a terminal, and nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())
-    quiet = not _console.is_terminal
-    with Progress(*columns, console=_console, transient=True, refresh_per_second=5, disable=quiet) as progress:
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, refresh_per_second=5, disable=quiet) as progress:
         bar = progress.add_task(task, total=total, state="")
         yield lambda done, state: progress.update(bar, completed=done, state=state)
 

@@ -1,6 +1,5 @@
 """Settings as TOML tables: read with the checks of their dataclasses, and written."""
 
-import tomllib
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
@@ -27,6 +26,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     SettingsError
         If there is no such file, or it is not TOML.
     """
+    import tomllib
+
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise SettingsError(f"{path}: is larger than {MAX_FILE_BYTES} bytes")

@@ -1,7 +1,7 @@
-"""Estimates the constant bias of a log's odometry from known motions of a calibration run.
+"""The constant bias of a log's odometry, estimated from known motions.
 
-Odometry of a real robot has systematic errors: one wheel is slightly larger, and distances are wrong by a factor. Both
-can be estimated from a short run whose true motions are known (as relations), and hold for other runs.
+The odometry of a real robot has constant errors: one wheel is larger than the other, and the wheels differ from their
+nominal size. The errors are estimated from a short run with known motions (relations), and hold for later runs.
 """
 
 import math
@@ -15,14 +15,14 @@ from limslam_agent.logs.relations import Relations
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 LONGEST_DRIVE = 20.0
-"""Relations over a longer drive (m) than this are left out. They overlap, so one slip would count in many of them."""
+"""Relations over more driving (m) than this are left out: they overlap, and one slip would count in many of them."""
 
 LEAST_DRIVE = 1.0
-"""Least distance (m) that all relations together must cover."""
+"""Metres that have to be driven in the relations together."""
 
-# Standard deviation of the known motions themselves: m, rad.
+# What a measured relation itself may be off by: m, rad.
 _MEASURED_WITHIN = 0.02, math.radians(0.5)
-# Residuals beyond this many standard deviations count linearly (Huber), because slip is not a bias.
+# Residuals past this many standard deviations count linearly (Huber): a wheel that slipped is no bias.
 _HUBER = 1.5
 _ROUNDS = 30
 _LARGEST_SCALE = 2.0
@@ -30,18 +30,18 @@ _LARGEST_SCALE = 2.0
 
 @dataclass(frozen=True)
 class OdometryBias:
-    """Systematic errors of odometry.
+    """The constant errors of odometry.
 
     Attributes
     ----------
     turn_per_metre
-        True minus reported heading per metre driven, rad per metre.
+        True minus reported heading for each metre driven, rad per metre.
     distance_scale
-        True distance divided by reported distance.
+        True distance over reported distance.
     turn_std, scale_std
-        Standard deviations of the two, under the assumed noise.
+        Their standard deviations under the assumed noise.
     relations
-        Number of relations that were used.
+        Number of relations that they were estimated from.
     driven
         Distance driven in these relations by odometry, m.
     """
@@ -55,24 +55,25 @@ class OdometryBias:
 
 
 def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig | None = None) -> OdometryBias:
-    """Fit turn per metre and distance scale to known motions by least squares.
+    """Fit turn per metre and distance scale to known motions, by least squares.
 
-    Both fits are linear. The heading error grows with the distance driven, whatever the scale is. After the turn is
-    corrected, lengths grow with the scale. Each relation is weighted by the variance of odometry over the relation.
+    Both are linear: the heading's error grows with the distance driven whatever the scale is, and lengths, once the
+    turn is put right, grow with the scale. Each relation is weighted by the variance that odometry has gathered over
+    it.
 
     Parameters
     ----------
     log
         A log with odometry poses.
     relations
-        Known motions. Motions outside of the log or over a long drive are left out.
+        Known motions; those outside of the log's time or over a long drive are left out.
     noise
-        Random errors of the odometry. The defaults if None.
+        The odometry's random errors, the defaults when None.
 
     Raises
     ------
     ValueError
-        If the log has no odometry, the relations cover too little driving, or they do not belong to this log.
+        If the log has no odometry, too little is driven in the relations, or they do not fit this log.
     """
     if log.odometry is None:
         raise ValueError("has wheel travel; a bias can be estimated for odometry poses only")
@@ -94,7 +95,7 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
         path.between(path.signed, known), known.relative[:, 2] - path.between(path.heading, known), heading_variance,
         angles=True,
     )  # fmt: skip
-    # A heading error e at the end of a path of length d moves the end sideways by e d / sqrt(3), rms.
+    # A heading that is off bends a way of length d aside by d / sqrt(3), rms.
     length_variance = noise.distance_variance * driven + heading_variance * driven**2 / 3.0 + _MEASURED_WITHIN[0] ** 2
     lengths = np.hypot(*known.relative[:, :2].T)
     scale, scale_std = _fit(path.lengths(known, turn), lengths, length_variance, angles=False)
@@ -104,7 +105,7 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
 
 
 def within(relations: Relations, begin: float, end: float) -> BoolArray:
-    """Which relations (k,) begin and end within a time interval, s."""
+    """Which relations (k,) lie within a time, both ends of them, s."""
     low = np.minimum(relations.start_time, relations.end_time)
     high = np.maximum(relations.start_time, relations.end_time)
     return np.asarray((low >= begin) & (high <= end))
@@ -116,26 +117,26 @@ def select(relations: Relations, chosen: BoolArray) -> Relations:
 
 
 class _Path:
-    """Cumulative sums of odometry over time, which can be evaluated at any time."""
+    """Sums of odometry over time, interpolated at any time."""
 
     def __init__(self, time: FloatArray, odometry: FloatArray) -> None:
-        # The times of a log may step back.
+        # Logs step back in time here and there.
         order = np.argsort(time, kind="stable")
         self.time, self._odometry = time[order], odometry[order]
         self._steps = se2.between(self._odometry[:-1], self._odometry[1:])
         length = np.hypot(self._steps[:, 0], self._steps[:, 1])
         self.driven = _sums(length)
-        # As in motion_from_odometry, the heading error per metre changes its sign when driving backwards.
+        # As in motion_from_odometry: what the heading misses a metre unwinds when driving backwards.
         self.signed = _sums(np.copysign(length, self._steps[:, 0]))
         self.turned = _sums(np.abs(self._steps[:, 2]))
         self.heading = _sums(self._steps[:, 2])
 
     def between(self, sums: FloatArray, relations: Relations) -> FloatArray:
-        """Growth (k,) of a cumulative sum (n,) over each relation."""
+        """What a sum (n,) has grown by (k,) over each relation."""
         return self._at(sums, relations.end_time) - self._at(sums, relations.start_time)
 
     def lengths(self, relations: Relations, turn_per_metre: float) -> FloatArray:
-        """Straight distance (k,), m, between the two ends of each relation, with the heading error corrected."""
+        """Straight distance (k,), m, between the two ends of each relation, with the turn put right."""
         heading = (self.heading + turn_per_metre * self.signed)[:-1]
         cos, sin = np.cos(heading), np.sin(heading)
         x = _sums(cos * self._steps[:, 0] - sin * self._steps[:, 1])
@@ -147,7 +148,7 @@ class _Path:
 
 
 def _fit(reported: FloatArray, known: FloatArray, variance: FloatArray, *, angles: bool) -> tuple[float, float]:
-    """The factor f in known = f * reported (k,), and its standard deviation: least squares with Huber weights."""
+    """The factor f with known = f * reported (k,), and its standard deviation: least squares with Huber's weights."""
     factor, weights = 0.0, 1.0 / variance
     information = 0.0
     for _ in range(_ROUNDS):

@@ -1,4 +1,4 @@
-"""What the options of ``limslam replay`` say, read and checked, and the calibration that they may ask for."""
+"""The options of ``limslam replay``, read and checked, and the calibration of the odometry that they start."""
 
 import math
 from collections.abc import Callable
@@ -106,14 +106,14 @@ def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) ->
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A bias estimated from the log itself or from another one.
+    """A bias of the odometry, estimated from the log itself or from another log.
 
     Attributes
     ----------
     bias
-        What odometry is wrong by.
+        The estimated bias.
     begin, end
-        The stretch of the log that it was estimated on, s; both None where that was another log.
+        The part of the log that the bias was estimated from, s; both None if that was another log.
     """
 
     bias: OdometryBias
@@ -121,11 +121,11 @@ class Calibration:
     end: float | None
 
     def applied_to(self, odometry: OdometryConfig) -> OdometryConfig:
-        """Settings that take the bias off."""
+        """Settings that correct the bias."""
         return replace(odometry, turn_bias=self.bias.turn_per_metre, distance_scale=self.bias.distance_scale)
 
     def held_out(self, relations: Relations) -> Relations:
-        """The relations that can be scored: not those within the stretch that the bias comes from."""
+        """The relations that can be scored: those outside of the part that the bias was estimated from."""
         if self.begin is None or self.end is None:
             return relations
         return select(relations, ~within(relations, self.begin, self.end))
@@ -144,7 +144,7 @@ class Calibration:
 
     @property
     def words(self) -> str:
-        """For the screen."""
+        """A line for the terminal."""
         bias = self.bias
         turn = f"{math.degrees(bias.turn_per_metre):.3f} +- {math.degrees(bias.turn_std):.3f} deg/m"
         scale = f"scale {bias.distance_scale:.4f} +- {bias.scale_std:.4f}"
@@ -153,7 +153,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CalibrationRun:
-    """What ``--calibrate``, ``--calibrate-until`` and ``--calibrate-log`` say.
+    """The options ``--calibrate``, ``--calibrate-until`` and ``--calibrate-log``.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ class CalibrationRun:
     def estimate(
         self, recorded: RecordedLog, odometry: OdometryConfig, read: Callable[[Path], RecordedLog]
     ) -> Calibration | None:
-        """Calibrate, if that was asked for.
+        """Estimate the bias, if ``--calibrate`` was given.
 
         ``read`` opens another log in the way in which ``recorded`` was opened.
 
