@@ -61,7 +61,7 @@ def test_its_log_can_be_replayed(live_run):
     assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
 
 
-def test_the_live_loop_imports_the_mind_and_the_interface_alone():
+def test_the_live_loop_imports_only_the_agent_and_the_interface():
     if not EXAMPLE.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
     lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
