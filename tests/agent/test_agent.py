@@ -1,4 +1,4 @@
-"""LimSlamAgent from a recorded list of observations: the same actions every time, with no world around it."""
+"""LimSlamAgent on a recorded list of observations: it gives the same actions every time, without a simulator."""
 
 import subprocess
 import sys

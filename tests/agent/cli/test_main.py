@@ -172,7 +172,7 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
         (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
         (("replay", "{log}", "--calibrate", "{log}", "--calibrate-until", "nan"), "--calibrate-until"),
-        (("replay", "{log}", "--odometry-topic", "/odom"), "is no ROS bag"),
+        (("replay", "{log}", "--odometry-topic", "/odom"), "is not a ROS bag"),
         (("replay", "{log}", "--range-topics", "/left:somewhere"), "'somewhere' is no direction"),
     ],
 )
