@@ -1,4 +1,4 @@
-"""The loop for a live robot: read wheels and ranges from anywhere, let the agent decide, send wheel speeds.
+"""The loop for a live robot: read wheels and ranges from anywhere, call the agent, send wheel speeds.
 
     python examples/live_robot.py --out my_room
 
@@ -105,7 +105,7 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
     try:
         while step < steps and not agent.done:
             wheels, ranges = robot.read_wheels(), robot.read_ranges()
-            # The agent wants a beam's maximum where nothing was seen.
+            # The agent expects the longest range of a beam that saw nothing.
             readings = np.nan_to_num(ranges, nan=np.inf).clip(0.0, SPEC.max_ranges)
             action = agent.act({"wheels": np.array(wheels), "ranges": readings})
             # A log holds the pose by odometry, and ranges from the robot's centre. These beams start on its rim.
@@ -115,7 +115,7 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
             robot.send_wheel_speeds(float(left), float(right))
             robot.wait()
             step += 1
-    finally:  # whatever happens, a robot must not drive on
+    finally:  # also after an error, the robot must stop
         robot.send_wheel_speeds(0.0, 0.0)
         if log is not None:
             log.write_text("\n".join(rows) + "\n", encoding="utf-8")
