@@ -4,15 +4,15 @@ from benchmarks.speed import batch_slam, ekf, env, vector
 
 
 def main() -> None:
-    """Print the tables of the environment, the batches of environments, the filters and the batches of beliefs."""
-    for title, measure in (
-        ("Environments", lambda: env.main([])),
-        ("Batches of environments", lambda: vector.main([])),
-        ("Filters", ekf.main),
-        ("Batches of beliefs", lambda: batch_slam.main([])),
-    ):
-        print(f"\n## {title}\n", flush=True)
-        measure()
+    """Print the tables of the environments, their batches, the filters and the batches of beliefs."""
+    print("## Environments\n", flush=True)
+    env.main([])
+    print("\n## Batches of environments\n", flush=True)
+    vector.main([])
+    print("\n## Filters\n", flush=True)
+    ekf.main()
+    print("\n## Batches of beliefs\n", flush=True)
+    batch_slam.main([])
 
 
 if __name__ == "__main__":
