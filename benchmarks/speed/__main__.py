@@ -4,19 +4,15 @@ from benchmarks.speed import batch_slam, ekf, env, vector
 
 
 def main() -> None:
-    """Print the tables of the environment, the batches of environments, the filters and the batches of beliefs."""
-    _print_title("Environments")
+    """Print the tables of the environments, their batches, the filters and the batches of beliefs."""
+    print("## Environments\n", flush=True)
     env.main([])
-    _print_title("Batches of environments")
+    print("\n## Batches of environments\n", flush=True)
     vector.main([])
-    _print_title("Filters")
+    print("\n## Filters\n", flush=True)
     ekf.main()
-    _print_title("Batches of beliefs")
+    print("\n## Batches of beliefs\n", flush=True)
     batch_slam.main([])
-
-
-def _print_title(title: str) -> None:
-    print(f"\n## {title}\n", flush=True)
 
 
 if __name__ == "__main__":

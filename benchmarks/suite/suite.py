@@ -151,7 +151,7 @@ def _grid(table: dict[str, Any]) -> list[Job]:
     if "limit" in table:
         shared["limit"] = _one(table, "limit", _Kind("true or false", lambda value: isinstance(value, bool)))
     jobs = [Job(**dict(zip(axes, values, strict=True)), **shared) for values in itertools.product(*axes.values())]
-    for job in dict.fromkeys(map(_combination, jobs)):
+    for job in {_combination(job): job for job in reversed(jobs)}.values():
         with _named(job.world):
             run_config(job)
     return jobs
