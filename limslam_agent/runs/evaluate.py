@@ -13,7 +13,7 @@ import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.runs.actors import Actions, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
-from limslam_env.envs.adapter import Staged
+from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.interface import RobotSpec
 
@@ -142,13 +142,13 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
         raise ValueError(f"there is no environment {env_id!r}") from error
     except gym.error.Error as error:
         raise ValueError(str(error)) from error
-    if not isinstance(env.unwrapped, Staged):
+    if not isinstance(env.unwrapped, SimulationEnv):
         env.close()
         raise ValueError(f"{env_id!r} is not a LimSLAM environment")  # noqa: TRY004 (a wrong value)
     return env
 
 
-def _scored(driver: Driver, robots: _Robots, stage: Staged, seed: int) -> Result:
+def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) -> Result:
     """Drive one episode and score it."""
     rows, stop_reason = _drive(driver, robots, seed)
     time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))

@@ -1,4 +1,4 @@
-"""Which world each environment of a batch is in, and where its robots start there."""
+"""The worlds of a batch's environments, and the start poses in them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,9 +20,9 @@ class Places:
     Parameters
     ----------
     source
-        A world for all, a world for each, or what floor plans are drawn by.
+        One world, one world per environment, or the settings of random floor plans.
     robot, num_robots
-        What drives there, and how many of them in each environment.
+        The robots' specification, and their number in each environment.
     num_envs
         How many environments there are.
     plans
@@ -114,7 +114,7 @@ class Places:
     def _begin_drawn(
         self, config: FloorPlanConfig, envs: IntArray, keys: Words, start: FloatArray | None
     ) -> FloatArray:
-        """Give each environment a floor plan of its own."""
+        """Generate a separate floor plan for each environment."""
         poses = np.zeros((len(envs), self.num_robots, 3))
         sites: list[Site] = []
         for row, key in enumerate(keys):

@@ -82,7 +82,7 @@ def info_of(truth: Truth, robot: int) -> dict[str, Any]:
     }
 
 
-class Stage:
+class EpisodeSimulation:
     """A simulation that is replaced when a reset asks for another world.
 
     Parameters
@@ -184,7 +184,7 @@ class Stage:
         return Simulation(load_world(source), self._robot, self._num_robots)
 
 
-class Staged:
+class SimulationEnv:
     """Base of the single environments: their simulation and its pictures, and all methods but reset and step.
 
     Attributes
@@ -215,22 +215,22 @@ class Staged:
         self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
         noise = noise or NoiseConfig()
         self.noise = noise if sensor_noise is None else replace(noise, sensor_noise=sensor_noise)
-        self._stage = Stage(world, self.robot, num_robots, self.noise)
+        self._episode = EpisodeSimulation(world, self.robot, num_robots, self.noise)
 
     @property
     def world(self) -> World:
         """The world that the robots are in."""
-        return self._stage.simulation.world
+        return self._episode.simulation.world
 
     @property
     def coverage_grid(self) -> CoverageGrid:
         """The cells that count for coverage. Known after the first reset."""
-        return self._stage.running.coverage_grid
+        return self._episode.running.coverage_grid
 
     @property
     def seen(self) -> BoolArray:
         """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
-        return self._stage.running.seen
+        return self._episode.running.seen
 
     @property
     def overlay(self) -> Sequence[Overlay]:
@@ -253,7 +253,7 @@ class Staged:
         """A picture (height, width, 3) of world, robots, beams and paths; None without a render mode or in a window."""
         if self.render_mode is None:
             return None
-        return self._painter.paint(self._stage.simulation)
+        return self._painter.paint(self._episode.simulation)
 
     def close(self) -> None:
         """Close the window, if there is one. May be called again."""

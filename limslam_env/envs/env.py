@@ -10,7 +10,7 @@ from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import (
     Action,
     PlaceSource,
-    Staged,
+    SimulationEnv,
     action_space,
     info_of,
     observation_of,
@@ -22,7 +22,7 @@ from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.simulation.task import is_done, reward
 
 
-class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
+class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]]):
     """Explore an unknown building with a few range beams and wheel encoders.
 
     ## Description
@@ -137,8 +137,8 @@ class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
             If the world or the start cannot be used.
         """
         super().reset(seed=seed)
-        readings, truth = self._stage.reset(self.np_random, options)
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.reset(self.np_random, options)
+        self._painter.follow(self._episode.simulation, readings, truth)
         return observation_of(readings, 0), info_of(truth, 0)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -151,8 +151,8 @@ class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
-        readings, truth = self._stage.step((wheel_speeds(action),))
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.step((wheel_speeds(action),))
+        self._painter.follow(self._episode.simulation, readings, truth)
         value = reward(self.task.reward, truth.new_area[0], truth.contact[0])
         is_over = is_done(self.task, truth.coverage)
         return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)

@@ -15,7 +15,7 @@ from limslam_env.envs.adapter import (
     RESET_OPTIONS,
     Action,
     PlaceSource,
-    Staged,
+    SimulationEnv,
     action_space,
     info_of,
     observation_of,
@@ -27,7 +27,7 @@ from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.simulation.task import is_done, reward
 
 
-class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
+class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
     """Explore an unknown building with several robots, each with a few range beams and wheel encoders.
 
     The agents are called `robot_0`, `robot_1`, and so on. They act simultaneously, their beams detect the other
@@ -127,8 +127,8 @@ class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
             self._generator, _ = seeding.np_random(seed)
         # PettingZoo's own test hands over options that no environment knows.
         known = {key: value for key, value in (options or {}).items() if key in RESET_OPTIONS}
-        readings, truth = self._stage.reset(self._generator, known)
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.reset(self._generator, known)
+        self._painter.follow(self._episode.simulation, readings, truth)
         self.agents, self._cycles = list(self.possible_agents), 0
         robots = list(enumerate(self.agents))
         observations = {name: observation_of(readings, number) for number, name in robots}
@@ -150,8 +150,8 @@ class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
             raise gym.error.ResetNeeded("call reset before step, and after an episode's end")
         if set(actions) != set(self.agents):
             raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {list(actions)}")
-        readings, truth = self._stage.step([wheel_speeds(actions[name]) for name in self.agents])
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.step([wheel_speeds(actions[name]) for name in self.agents])
+        self._painter.follow(self._episode.simulation, readings, truth)
         self._cycles += 1
         is_over = is_done(self.task, truth.coverage)
         is_late = self._max_cycles is not None and self._cycles >= self._max_cycles

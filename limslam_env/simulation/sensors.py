@@ -1,4 +1,4 @@
-"""Range sensors: walls sorted for the rays, and the beams and their noise as the kernels read them."""
+"""Range sensors: the index of walls for ray casting, and the tables of beams and noise for the kernels."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ _BORDER = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class WallIndex:
-    """Walls sorted by where they are, so that a ray looks at those on its way only.
+    """Walls sorted by position, so that a ray is only compared with walls near it.
 
     The fields are the *scene* of :mod:`limslam_env.kernels.wall_cells`.
 

@@ -56,7 +56,7 @@ def _load_file(path: Path) -> World:
 
 
 def read_json(path: str | os.PathLike[str]) -> World:
-    """The world in a JSON file, which is HouseExpo's if it has the key ``verts``, and a wall list otherwise.
+    """The world in a JSON file, which is HouseExpo's if it has the key ``verts`` and a wall list otherwise.
 
     Raises
     ------

@@ -52,7 +52,7 @@ class MapInfo:
 
 
 def read_map_server(path: str | os.PathLike[str]) -> World:
-    """The world that a map_server's ``.yaml`` and the ``.pgm`` beside it show.
+    """The world in a map of map_server: a ``.yaml`` file and the ``.pgm`` picture that it names.
 
     Walls run along the outlines of the occupied cells, a quarter of a cell within them, and are straightened by up to
     one cell. A solid patch is an obstacle. Cells that are unknown are not walls.

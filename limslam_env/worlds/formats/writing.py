@@ -11,8 +11,8 @@ from limslam_env.worlds.world import World, WorldError
 def write_world(world: World, path: str | os.PathLike[str], resolution: float = 0.05) -> None:
     """Write a world as ``.toml``, or as ``.yaml`` for map_server with a ``.pgm`` beside it.
 
-    A map has walls and obstacles only: of a world's doors, starts and loop nothing is left in it. Its walls are
-    one cell thick; what they close in is free, and the outside is unknown.
+    A map holds walls and obstacles only: doors, starts and the loop are not written. Walls are one cell thick, enclosed
+    cells are free, and cells outside are unknown.
 
     Parameters
     ----------

@@ -130,7 +130,7 @@ def test_noise_has_the_same_distributions():
     # One step from the same start again and again: all that differs is the noise.
     single, rows = LimSlamEnv("env1", noise=noise), []
     single.reset(seed=6)
-    simulation = single._stage.simulation
+    simulation = single._episode.simulation
     start = load_world("env1").starts[:1]
     for _ in range(count):
         simulation._physics.place(start, single.robot.axle)
