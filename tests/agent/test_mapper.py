@@ -133,13 +133,13 @@ def test_finish_uses_the_buffered_readings(drive):
     mapper = mapped(start, steps[:150])
     for observations in steps[150:]:
         mapper.step(*observations)
-        if sum(len(side.points) for side in mapper.slam.waiting) > 24:
+        if sum(len(side.points) for side in mapper.slam.pending_points) > 24:
             break
     associations = []
     mapper.slam.on_association = associations.append
     mapper.finish()
     assert associations
-    assert all(len(side.points) == 0 for side in mapper.slam.waiting)
+    assert all(len(side.points) == 0 for side in mapper.slam.pending_points)
 
 
 def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
