@@ -23,7 +23,7 @@ from limslam_env.envs.arguments import (
 )
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.simulation.task import is_done, reward
+from limslam_env.simulation.reward import is_done, reward
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
 """The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""

@@ -19,7 +19,7 @@ from limslam_env.envs.adapter import (
 )
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
-from limslam_env.simulation.task import is_done, reward
+from limslam_env.simulation.reward import is_done, reward
 
 
 class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]]):

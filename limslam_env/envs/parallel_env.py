@@ -24,7 +24,7 @@ from limslam_env.envs.adapter import (
 )
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
-from limslam_env.simulation.task import is_done, reward
+from limslam_env.simulation.reward import is_done, reward
 
 
 class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):

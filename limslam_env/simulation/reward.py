@@ -1,4 +1,4 @@
-"""The exploration task: the reward of a step and the goal. Pure functions."""
+"""The reward of a step, and the goal that ends an episode. Pure functions."""
 
 from typing import Any, cast, overload
 
