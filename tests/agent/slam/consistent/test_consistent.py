@@ -24,6 +24,7 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
@@ -157,6 +158,19 @@ def test_a_segment_with_a_hole_updates_a_landmark_inside_its_known_ends() -> Non
         assert hits[1].min() - hits[0].max() > SETTINGS.segmentation.max_hole
         assert not record.is_new
     assert len(slam.all_landmarks) == 1
+
+
+def largest_error(config: AgentConfig) -> float:
+    """Largest error of the position, m, in the first minute of a tour of the world env3."""
+    run = RunConfig("env3", seed=108, policy="tour", max_time=60.0, settings=config)
+    episode = run_episode(run)
+    return float(np.linalg.norm((episode.estimated - episode.true)[..., :2], axis=-1).max())
+
+
+def test_a_tour_of_env3_does_not_diverge_where_segments_bridge_holes() -> None:
+    # The two beams ahead see two facets of a rounded obstacle as one segment.
+    assert largest_error(CONFIG) < 0.1
+    assert largest_error(with_max_hole(CONFIG, 9.0)) > 0.3
 
 
 @pytest.mark.parametrize("end", [0.8, 0.9, 1.0, 1.1])
