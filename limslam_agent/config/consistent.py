@@ -68,6 +68,10 @@ class SegmentationConfig(Bounded):
     gap_ahead
         Largest hole between the points of the beams ahead that still belong to one wall, m. It replaces the
         ``max_gap`` of the Hough transform for these beams, which meet a wall at places far apart.
+    max_hole
+        A segment with a wider hole between neighbouring points, m, creates no landmark, and it updates a landmark only
+        if most of its points lie inside the landmark's known ends. The points on either side of such a hole may lie on
+        two different walls.
     """
 
     kink_gate: NonNegative = 12.0
@@ -76,6 +80,7 @@ class SegmentationConfig(Bounded):
     end_zone: NonNegative = 0.10
     end_gate: NonNegative = 6.0
     gap_ahead: NonNegative = 0.9
+    max_hole: NonNegative = 0.3
 
 
 @dataclass(frozen=True)

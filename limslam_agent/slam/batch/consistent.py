@@ -19,7 +19,7 @@ from limslam_agent.slam.batch.clone_ekf import (
 from limslam_agent.slam.batch.compilation import algebra, compiled
 from limslam_agent.slam.batch.hough import extract_lines
 from limslam_agent.slam.batch.pending_readings import collect, is_due, place_of, readings_of
-from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA, wall_segments
+from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA, hole, wall_segments
 from limslam_agent.slam.batch.state import (
     CLONE,
     CLONES,
@@ -168,7 +168,7 @@ def incorporate(
         return True
     least = settings.new_length_complete if is_complete else settings.new_length
     is_enough = len(points) >= settings.new_readings * settings.std
-    is_sure = is_enough and segment[ANGLE_STD] <= settings.max_angle_std
+    is_sure = is_enough and segment[ANGLE_STD] <= settings.max_angle_std and is_whole(points, segment, settings)
     if best < settings.far_gate or segment[EXTENT] < least or not is_sure:
         return False
     if ekf.counts[LINES] == room:
@@ -233,8 +233,15 @@ def fits(
         segment[EXTENT] >= settings.beyond_length
         and of_line <= settings.beyond_gate
         and segment[ANGLE_STD] <= settings.beyond_angle_std
+        and is_whole(points, segment, settings)
     )
     return inside / len(points) >= 0.5 or is_clear
+
+
+@algebra
+def is_whole(points: FloatArray, segment: FloatArray, settings: Settings) -> bool:
+    """Whether no hole in a segment is so wide that its points may lie on two walls."""
+    return hole(points, segment[THETA]) <= settings.max_hole
 
 
 @algebra

@@ -230,6 +230,15 @@ def loose_ends(
 
 
 @algebra
+def hole(points: FloatArray, theta: float) -> float:
+    """Largest distance between neighbouring points (n, 2) along a wall whose normal has the direction theta, m."""
+    cos, sin, along = math.cos(theta), math.sin(theta), np.empty(len(points))
+    for i in range(len(points)):
+        along[i] = -sin * points[i, 0] + cos * points[i, 1]
+    return np.diff(np.sort(along)).max()
+
+
+@algebra
 def principal_line(points: FloatArray, members: IntArray) -> FloatArray:
     """(r, theta), not normalised, of the line through some points by total least squares."""
     own = points[members]

@@ -175,6 +175,7 @@ class Settings(NamedTuple):
     near_corner: float
     segment_gap: float
     gap_ahead: float
+    max_hole: float
     segment_length: float
     only_best: bool
     kink_gate: float

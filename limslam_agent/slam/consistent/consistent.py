@@ -216,7 +216,7 @@ class ConsistentEstimator(Estimator):
             return self._observe(robot, step, readings, segment, candidates[0])
         least = creation.min_length_complete if is_complete else creation.min_length
         is_enough = len(segment.members) >= creation.readings_per_std * self._std
-        is_sure = is_enough and segment.angle_std <= creation.max_angle_std
+        is_sure = is_enough and segment.angle_std <= creation.max_angle_std and self._is_whole(segment)
         if best < settings.far_gate or segment.length < least or not is_sure:
             return False
         self._add(robot, step, readings, segment)
@@ -263,8 +263,13 @@ class ConsistentEstimator(Estimator):
             segment.length >= settings.beyond_length
             and known.of_line <= settings.beyond_gate
             and segment.angle_std <= settings.beyond_angle_std
+            and self._is_whole(segment)
         )
         return bool(is_inside or is_clear)
+
+    def _is_whole(self, segment: WallSegment) -> bool:
+        """Whether no hole in a segment is so wide that its points may lie on two walls."""
+        return segment.hole <= self._settings.segmentation.max_hole
 
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
         self._filter.add_line(segment.theta, segment.middle)

@@ -66,6 +66,12 @@ class WallSegment:
     length: float
     angle_std: float
 
+    @property
+    def hole(self) -> float:
+        """Largest distance between neighbouring end points along the wall, m."""
+        along = np.sort(self.points @ direction(np.array([0.0, self.theta])))
+        return float(np.diff(along).max())
+
 
 @dataclass(frozen=True, eq=False)
 class _Fit:

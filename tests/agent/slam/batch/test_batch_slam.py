@@ -3,6 +3,7 @@
 import copy
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -12,6 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
 
 from limslam_agent.agent import LimSlamAgent
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
@@ -112,10 +114,20 @@ def followed(
 
 def test_loops_are_closed_alike() -> None:
     # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
-    log = laps_of_square(0.0, 1, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
+    log = laps_of_square(0.0, 0, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
     config = preset("consistent", NominalNoise(0.0, 2e-4))
     slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
+
+
+def test_walls_with_a_hole_between_them_create_no_landmark_alike() -> None:
+    config = config_of(0.0)
+    assert isinstance(config.estimator, ConsistentConfig)
+    segmentation = replace(config.estimator.segmentation, max_hole=9.0)
+    bridging = replace(config, estimator=replace(config.estimator, segmentation=segmentation))
+    walls = np.array([[2.0, -2.0, 2.0, -0.2], [2.0, 0.2, 2.0, 2.0]])
+    observations, _ = drive(walls, START, straight(1.0))
+    assert [followed(observations, each)[1].num_landmarks[0] for each in (config, bridging)] == [0, 1]
 
 
 def test_walls_are_taken_back_alike() -> None:

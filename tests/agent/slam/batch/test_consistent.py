@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -34,28 +35,26 @@ def state(recorded: ConsistentEstimator) -> States:
     return state_from(recorded)
 
 
+def places_along(count: int) -> list[FloatArray]:
+    """Positions (count,) along a wall, m: without a hole, with a hole, and with a hole and beyond the wall's end."""
+    whole = np.linspace(-0.3, 0.3, count)
+    bridge = whole + 0.4 * (np.arange(count) >= count // 2)
+    return [whole, bridge, bridge + 9.0]
+
+
 def segments_near(estimator: ConsistentEstimator, points: FloatArray) -> list[tuple[WallSegment, FloatArray]]:
     """Segments near each landmark, off it by more and more, and the same as rows of the batch."""
     found = []
-    for index in range(estimator._filter.num_lines):
-        theta, middle = estimator._filter.anchored[index, 1], estimator._filter.anchors[index]
-        for step in range(4):
-            normal = np.array([np.cos(theta), np.sin(theta)])
-            places = (
-                middle + 0.1 * step * normal + np.linspace(-0.3, 0.3, len(points))[:, None] * normal[::-1] * [-1, 1]
-            )
-            segment = WallSegment(
-                np.arange(len(points)),
-                theta + 0.05 * step,
-                middle + 0.1 * step * normal,
-                places,
-                0.1 + 0.2 * step,
-                0.01,
-            )
-            row = np.zeros(8)
-            row[[THETA, MIDDLE_X, MIDDLE_Y]] = segment.theta, *segment.middle
-            row[EXTENT], row[ANGLE_STD] = segment.length, segment.angle_std
-            found.append((segment, row))
+    for index, step, along in product(range(estimator._filter.num_lines), range(4), places_along(len(points))):
+        theta = estimator._filter.anchored[index, 1]
+        normal = np.array([np.cos(theta), np.sin(theta)])
+        middle = estimator._filter.anchors[index] + 0.1 * step * normal
+        places = middle + along[:, None] * normal[::-1] * [-1, 1]
+        segment = WallSegment(np.arange(len(points)), theta + 0.05 * step, middle, places, 0.1 + 0.2 * step, 0.01)
+        row = np.zeros(8)
+        row[[THETA, MIDDLE_X, MIDDLE_Y]] = segment.theta, *segment.middle
+        row[EXTENT], row[ANGLE_STD] = segment.length, segment.angle_std
+        found.append((segment, row))
     return found
 
 

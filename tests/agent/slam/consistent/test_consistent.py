@@ -24,6 +24,7 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
@@ -31,7 +32,7 @@ from limslam_agent.team import LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import nearest_form, through
-from limslam_env.geometry.se2 import compose, inverse, wrap_angle
+from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances, lengths, polygon_edges
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics
@@ -63,12 +64,29 @@ def with_creation(**changes: float) -> AgentConfig:
     return replace(CONFIG, estimator=replace(SETTINGS, creation=replace(SETTINGS.creation, **changes)))
 
 
+def with_max_hole(config: AgentConfig, hole: float) -> AgentConfig:
+    """Settings with another widest hole of a segment, m."""
+    estimator = config.estimator
+    assert isinstance(estimator, ConsistentConfig)
+    return replace(config, estimator=replace(estimator, segmentation=replace(estimator.segmentation, max_hole=hole)))
+
+
 def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
     """How far a landmark's line is from a wall's (2,), m and rad."""
     line = through(wall[:2], wall[2:])
     off = nearest_form(np.array([mark.r, mark.theta]), line) - line
     off[1] = wrap_angle(float(off[1]))
     return off
+
+
+def hits_of(poses: FloatArray, observations: list[Observation], readings: FloatArray) -> FloatArray:
+    """End points (n, 2), m, of readings (n, 2), which are steps and beams."""
+    found = []
+    for step, beam in readings.astype(int).tolist():
+        heading = poses[step, 2] + ROBOT.beam_angles[beam]
+        origin = transform_points(poses[step], ROBOT.beam_origins[beam][None])[0]
+        found.append(origin + observations[step]["ranges"][beam] * np.array([math.cos(heading), math.sin(heading)]))
+    return np.array(found)
 
 
 def check_covariance(slam: LineSlam) -> None:
@@ -107,6 +125,52 @@ def test_a_new_landmark_is_made_of_enough_readings() -> None:
     more = with_creation(readings_per_std=(count + 0.5) / CONFIG.range_std)
     _, later = slam_after(observations, more, np.zeros(3))
     assert all(len(record.readings) > count for record in later if record.is_new)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("door", [0.0, 0.4, 0.6])
+def test_two_walls_ahead_with_a_hole_between_them_create_no_landmark(noise: float, door: float) -> None:
+    # Two beams 30 degrees apart see a wall ahead at two places, and nothing in between.
+    walls = np.array([[2.0, -2.0, 2.0, -0.5 * door], [2.0, 0.5 * door, 2.0, 2.0]])
+    observations, _ = drive(walls, np.zeros(3), straight(1.0), noise=noise)
+    config = preset("consistent", NominalNoise(noise))
+    slam, records = slam_after(observations, config, np.zeros(3))
+    assert not records
+    assert not slam.all_landmarks
+    # Without the limit the two walls become one landmark.
+    bridged, _ = slam_after(observations, with_max_hole(config, 9.0), np.zeros(3))
+    assert len(bridged.all_landmarks) == 1
+
+
+def test_a_segment_with_a_hole_updates_a_landmark_inside_its_known_ends() -> None:
+    # Along a wall to the left, back to its middle, and then straight towards it.
+    wall = np.array([[-1.0, 1.0, 4.0, 1.0]])
+    wheels = [*straight(3.0), *straight(-1.5), *turn(90.0), *straight(0.2)]
+    observations, poses = drive(wall, np.zeros(3), wheels)
+    slam, records = slam_after(observations, CONFIG, np.zeros(3))
+    towards = len(observations) - len(straight(0.2))
+    ahead = [record for record in records if record.readings[:, 0].min() >= towards]
+    ahead = [record for record in ahead if set(record.readings[:, 1].tolist()) == {2, 3}]
+    assert ahead
+    for record in ahead:
+        left, right = (record.readings[record.readings[:, 1] == beam] for beam in (2, 3))
+        hits = [hits_of(poses, observations, each)[:, 0] for each in (left, right)]
+        assert hits[1].min() - hits[0].max() > SETTINGS.segmentation.max_hole
+        assert not record.is_new
+    assert len(slam.all_landmarks) == 1
+
+
+def largest_error(config: AgentConfig) -> float:
+    """Largest error of the position, m, in the first minute of a tour of the world env3."""
+    run = RunConfig("env3", seed=108, policy="tour", max_time=60.0, settings=config)
+    episode = run_episode(run)
+    return float(np.linalg.norm((episode.estimated - episode.true)[..., :2], axis=-1).max())
+
+
+def test_a_tour_of_env3_does_not_diverge_where_segments_bridge_holes() -> None:
+    # The two beams ahead see two facets of a rounded obstacle as one segment.
+    assert largest_error(CONFIG) < 0.1
+    assert largest_error(with_max_hole(CONFIG, 9.0)) > 0.3
 
 
 @pytest.mark.parametrize("end", [0.8, 0.9, 1.0, 1.1])
