@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -106,11 +106,36 @@ def write_json(path: Path, content: Any) -> None:
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
-    """The content of ``map.json`` in the world frame, m and rad."""
+class WallsAndGrid(Protocol):
+    """The final map of a run or a replay, from which every file of the map, its picture and its scores are made."""
+
+    @property
+    def segments(self) -> FloatArray:
+        """Walls (N, 4) as x1, y1, x2, y2 in the world frame, m, cut at doors and holes."""
+
+    @property
+    def landmarks(self) -> list[Landmark]:
+        """The lines that the walls lie on, with covariances."""
+
+    @property
+    def grid(self) -> GridView:
+        """Occupancy grid."""
+
+
+def write_map(folder: Path, final: WallsAndGrid) -> None:
+    """Write ``map.json``, ``map.pgm`` and ``map.yaml``."""
+    write_json(folder / "map.json", map_content(final))
+    write_grid(folder, final.grid)
+
+
+def map_content(final: WallsAndGrid) -> dict[str, Any]:
+    """The content of ``map.json`` in the world frame, m and rad.
+
+    The segments are written with all their digits, so that a score of the file equals the score of the run.
+    """
     return {
         "frame": "world",
-        "segments": [[round(float(value), 6) for value in mark.ends.ravel()] for mark in landmarks],
+        "segments": final.segments.tolist(),
         "landmarks": [
             {
                 "r": mark.r,
@@ -118,8 +143,9 @@ def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
                 "cov": mark.covariance.tolist(),
                 "ends": mark.ends.tolist(),
                 "observations": mark.observations,
+                "segments": list(mark.segments),
             }
-            for mark in landmarks
+            for mark in final.landmarks
         ],
     }
 

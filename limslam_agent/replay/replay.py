@@ -15,7 +15,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.output.export import write_json, write_map, write_tum
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_env.geometry import FloatArray
@@ -182,8 +182,7 @@ def write_replay(
     write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
     if log.true_pose is not None:
         write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
-    write_json(folder / "map.json", map_content(replay.landmarks))
-    write_grid(folder, replay.grid)
+    write_map(folder, replay)
     true_path = None if log.true_pose is None else log.true_pose[:, :2]
     title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
     picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
