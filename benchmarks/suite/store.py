@@ -3,7 +3,6 @@
 A run can be killed at any moment. A line is there when it is whole, and a job's series are there before its line is.
 """
 
-import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ import numpy as np
 from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
 from benchmarks.suite.provenance import version_changes
 from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.output.claims import clear_up, locked
 
 RESULTS, STAMP, LOCK, SERIES = "results.jsonl", "suite.json", ".lock", "series"
 
@@ -123,10 +123,8 @@ class Store:
 
     def _write_series(self, key: str, series: dict[str, Any]) -> str:
         name = f"{SERIES}/{key}.npz"
-        with atomic_write(self.folder / name) as beside, beside.open("wb") as file:
-            np.savez_compressed(file, **series)
-            file.flush()
-            os.fsync(file.fileno())
+        with atomic_write(self.folder / name) as beside:
+            np.savez_compressed(beside, **series)
         return name
 
 
@@ -151,12 +149,7 @@ def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Ite
     """
     _check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("a") as lock:
-        # The lock goes with the process, however that ends; the file stays.
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{folder}: another run is writing there") from None
+    with locked(folder / LOCK, f"{folder}: another run is writing there"):
         _check_stamp(folder, stamp)
         _mend(folder)
         if retry_failed:
@@ -201,16 +194,13 @@ def _mend(folder: Path) -> None:
     whole = content[: content.rfind(b"\n") + 1]
     if whole != content or not path.is_file():
         _replace(path, whole)
-    for pattern in (".results-*.jsonl", ".suite-*.json", ".*-*.npz", f"{SERIES}/.*-*.npz"):
-        for left in folder.glob(pattern):
-            left.unlink()
+    clear_up(folder)
+    clear_up(folder / SERIES)
 
 
 def _replace(path: Path, content: bytes) -> None:
-    with atomic_write(path) as beside, beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)
 
 
 def _append_line(path: Path, line: bytes) -> None:

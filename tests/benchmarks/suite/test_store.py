@@ -86,7 +86,10 @@ def test_a_torn_line_is_mended_wherever_it_was_torn(folder):
 
 
 def test_what_a_kill_left_half_written_is_removed(folder):
-    left = [folder / ".results-1a.jsonl", folder / ".suite-1a.json", folder / SERIES / ".12ab-x.npz"]
+    left = [
+        folder / ".results.jsonl.limslam-new.jsonl", folder / ".suite.json.limslam-new.json",
+        folder / SERIES / ".12ab.npz.limslam-new.npz", folder / SERIES / ".12ab.npz.limslam-lock",
+    ]  # fmt: skip
     for path in left:
         path.write_bytes(b"half")
     with open_store(folder, MADE_BY):
@@ -96,7 +99,7 @@ def test_what_a_kill_left_half_written_is_removed(folder):
 
 def test_a_kill_before_the_first_row_leaves_a_folder_that_can_be_used(tmp_path):
     (tmp_path / ".lock").touch()
-    (tmp_path / ".suite-1a.json").write_bytes(b'{"su')
+    (tmp_path / ".suite.json.limslam-new.json").write_bytes(b'{"su')
     with open_store(tmp_path, MADE_BY) as store:
         assert store.rows == {}
     assert json.loads((tmp_path / STAMP).read_text()) == asdict(MADE_BY)
