@@ -79,7 +79,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
         If it cannot be replayed or written.
     """
     from limslam_agent.output.run_folder import new_folder
-    from limslam_agent.output.summary import replay_summary
+    from limslam_agent.output.summary import record_summary, replay_summary
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
 
@@ -93,10 +93,10 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
             result = replay_log(job.log, job.config, lambda done: advance(done, f"{done} of {count} events"))
         scores = _scores(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
-        write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
+        content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
         write_replay_settings(folder.beside, options, agent)
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
-    for line in calibrated + replay_summary({**scores, "landmarks": len(result.landmarks)}):
+    for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
     typer.echo(f"results     {folder.target}")
 

@@ -47,7 +47,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
         If it cannot be run or written.
     """
     from limslam_agent.output.run_folder import new_folder
-    from limslam_agent.output.summary import run_summary
+    from limslam_agent.output.summary import record_summary, run_summary
     from limslam_agent.runs.results import write_episode
 
     config = run_config(given, options)
@@ -60,7 +60,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
         episode = _filmed_run(config, advance, options.video, force=options.force)
         result = write_episode(folder.beside, episode)
         write_run_settings(folder.beside, options, config)
-    for line in run_summary(result["metrics"], result["cost"]):
+    for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):
         typer.echo(line)
     if options.video is not None:
         typer.echo(f"video       {options.video}")
