@@ -105,12 +105,13 @@ def table(
 ) -> None:
     """Print medians with intervals, as the paper's grid."""
     from benchmarks.analysis.tables import table as tabulate
-    from benchmarks.suite.store import read_rows
+    from benchmarks.suite.store import read_jobs
     from limslam_agent.output.atomic_write import atomic_write
 
-    rows = [row for folder in folders for row in read_rows(folder)]
+    rows = read_jobs(folders)
     # The course of runs is looked up where they lie; of several folders there is no such place.
-    text = tabulate(rows, latex=latex, folder=folders[0] if len(folders) == 1 else None)
+    is_one = len({folder.resolve() for folder in folders}) == 1
+    text = tabulate(rows, latex=latex, folder=folders[0] if is_one else None)
     if out is None:
         typer.echo(text.rstrip("\n"))
         return

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from limslam_agent import LimSlamAgent, preset
-from limslam_agent.output.export import map_content, write_grid, write_json
+from limslam_agent.output.export import write_map
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
 # Measure your robot: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.
@@ -136,8 +136,7 @@ def main() -> None:
     robot = FakeRobot(in_real_time=options.real_time)
     steps = explore(robot, agent, options.steps, options.out / "log.csv")
     belief = agent.snapshot()
-    write_json(options.out / "map.json", map_content(belief.landmarks))
-    write_grid(options.out, belief.grid)
+    write_map(options.out, belief)
     print(f"{steps} steps: {agent.stop_reason or 'time is up'}; {len(belief.segments)} walls in {options.out}/map.json")
 
 

@@ -5,6 +5,7 @@ import time
 import numpy as np
 
 from limslam_agent.belief import Belief
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.core.motion import motion_of
@@ -48,7 +49,7 @@ class Mapper:
     def __init__(
         self, robot: RobotSpec, config: AgentConfig | None = None, start_pose: FloatArray | None = None
     ) -> None:
-        self.robot, self.config = robot, config or preset("consistent")
+        self.robot, self.config = robot, config or preset(DEFAULT_PRESET)
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
     def reset(self, start_pose: FloatArray) -> None:

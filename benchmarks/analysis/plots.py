@@ -9,7 +9,7 @@ from benchmarks.analysis.figure_style import Drawing, save
 from benchmarks.analysis.groups import groups
 from benchmarks.analysis.map_figures import map_drawings
 from benchmarks.analysis.method_figures import method_drawings
-from benchmarks.suite.store import Row, read_rows
+from benchmarks.suite.store import Row, read_jobs
 
 
 def drawings(rows: Sequence[Row], folder: Path) -> Iterator[Drawing]:
@@ -54,7 +54,7 @@ def plot(folder: Path, out: Path, *, svg: bool = False) -> list[Path]:
     ValueError
         If there are no rows, or a series is missing or damaged.
     """
-    rows, written = read_rows(folder), list[Path]()
+    rows, written = read_jobs([folder]), list[Path]()
     for drawing in drawings(rows, folder):
         out.mkdir(parents=True, exist_ok=True)
         for ending in ("png", "svg") if svg else ("png",):

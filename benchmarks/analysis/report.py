@@ -17,7 +17,7 @@ from benchmarks.analysis.figure_style import Drawing, write_png
 from benchmarks.analysis.plots import drawings
 from benchmarks.analysis.sheets import render
 from benchmarks.analysis.tables import cost_sheet, failure_sheet, number_sheets
-from benchmarks.suite.store import Row, read_rows
+from benchmarks.suite.store import Row, read_jobs
 from limslam_agent.output.atomic_write import atomic_write
 
 _COLOURS = 96
@@ -49,7 +49,7 @@ def report(folder: Path, out: Path) -> Path:
     ValueError
         If there are no rows, or a series is missing or damaged.
     """
-    rows = read_rows(folder)
+    rows = read_jobs([folder])
     if not rows:
         raise ValueError(f"{folder}: no results: there is not one row to report")
     path = out if out.suffix.lower() in {".html", ".htm"} else out / "report.html"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.suite.store import Row
+from benchmarks.suite.store import Row, series_path
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
@@ -67,11 +67,11 @@ def read_series(folder: Path, row: Row) -> Series | None:
     Raises
     ------
     ValueError
-        If its file is missing or damaged; the message names it.
+        If its file is missing or damaged, or does not lie in the folder; the message names it.
     """
     if row.series is None:
         return None
-    path = folder / row.series
+    path = series_path(folder, row.series)
     try:
         # numpy would leave a file open that turns out to be none of its own.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as content:

@@ -29,6 +29,8 @@ class Summary:
         Title and reason of all that failed, now or before.
     seconds
         Wall-clock time of this run.
+    lost
+        How many of them had to be done again because the files of their series were lost.
     """
 
     jobs: int
@@ -36,12 +38,16 @@ class Summary:
     before: int
     failures: tuple[tuple[str, str], ...]
     seconds: float
+    lost: int = 0
 
     @property
     def words(self) -> str:
         """For the screen."""
         earlier = f", {self.before} of them before" if self.before else ""
-        return f"{self.done} of {self.jobs} jobs done{earlier}, {len(self.failures)} failed, {self.seconds:.1f} s"
+        again = f", {self.lost} again because their series were lost" if self.lost else ""
+        return (
+            f"{self.done} of {self.jobs} jobs done{earlier}{again}, {len(self.failures)} failed, {self.seconds:.1f} s"
+        )
 
 
 def run_suite(
@@ -80,7 +86,7 @@ def run_suite(
                         advance(store.append(job, result))
         rows = {job.title: store.rows[job.key] for job in suite.jobs if job.key in store.rows}
         failures = tuple((title, row.error) for title, row in rows.items() if row.error is not None)
-        return Summary(len(suite.jobs), len(store.rows), before, failures, time.monotonic() - begin)
+        return Summary(len(suite.jobs), len(store.rows), before, failures, time.monotonic() - begin, store.lost)
 
 
 @contextmanager

@@ -3,12 +3,13 @@
 A run can be killed at any moment. A line is there when it is whole, and a job's series are there before its line is.
 """
 
-import fcntl
 import json
 import os
-from collections.abc import Iterator
+import sys
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
 from benchmarks.suite.provenance import version_changes
 from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.output.claims import clear_up, locked
 
 RESULTS, STAMP, LOCK, SERIES = "results.jsonl", "suite.json", ".lock", "series"
 
@@ -90,12 +92,14 @@ class Store:
         Where it is.
     stamp
         What its results are made by.
+    lost
+        How many jobs have to be done again because their series are no longer there.
     rows
         What is there already, by the jobs' keys.
     """
 
-    def __init__(self, folder: Path, stamp: Stamp) -> None:
-        self.folder, self.stamp = folder, stamp
+    def __init__(self, folder: Path, stamp: Stamp, lost: int = 0) -> None:
+        self.folder, self.stamp, self.lost = folder, stamp, lost
         self.rows: dict[str, Row] = {row.key: row for row in read_rows(folder)}
 
     def append(self, job: Job, result: Outcome | Failure) -> Row:
@@ -123,10 +127,8 @@ class Store:
 
     def _write_series(self, key: str, series: dict[str, Any]) -> str:
         name = f"{SERIES}/{key}.npz"
-        with atomic_write(self.folder / name) as beside, beside.open("wb") as file:
-            np.savez_compressed(file, **series)
-            file.flush()
-            os.fsync(file.fileno())
+        with atomic_write(self.folder / name) as beside:
+            np.savez_compressed(beside, **series)
         return name
 
 
@@ -151,18 +153,34 @@ def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Ite
     """
     _check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("a") as lock:
-        # The lock goes with the process, however that ends; the file stays.
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{folder}: another run is writing there") from None
+    with locked(folder / LOCK, f"{folder}: another run is writing there"):
         _check_stamp(folder, stamp)
         _mend(folder)
-        if retry_failed:
-            kept = [row for row in read_rows(folder) if row.error is None]
+        before, _ = rows_once(read_rows(folder))
+        wanted = [row for row in before if not retry_failed or row.error is None]
+        kept = [row for row in wanted if _has_series(folder, row)]
+        if len(kept) < len(before):
             _replace(folder / RESULTS, b"".join(_line(row) for row in kept))
-        yield Store(folder, stamp)
+        yield Store(folder, stamp, len(wanted) - len(kept))
+
+
+def _has_series(folder: Path, row: Row) -> bool:
+    """Whether a row's series are there, if it should have any."""
+    return row.series is None or zipfile.is_zipfile(series_path(folder, row.series))
+
+
+def series_path(folder: Path, name: str) -> Path:
+    """The file of a row's series in a folder of results.
+
+    Raises
+    ------
+    ValueError
+        If the name leads out of the folder.
+    """
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{folder}: the series {name!r} lead out of the folder")
+    return path
 
 
 def _check_folder(folder: Path) -> None:
@@ -201,16 +219,13 @@ def _mend(folder: Path) -> None:
     whole = content[: content.rfind(b"\n") + 1]
     if whole != content or not path.is_file():
         _replace(path, whole)
-    for pattern in (".results-*.jsonl", ".suite-*.json", ".*-*.npz", f"{SERIES}/.*-*.npz"):
-        for left in folder.glob(pattern):
-            left.unlink()
+    clear_up(folder)
+    clear_up(folder / SERIES)
 
 
 def _replace(path: Path, content: bytes) -> None:
-    with atomic_write(path) as beside, beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)
 
 
 def _append_line(path: Path, line: bytes) -> None:
@@ -223,9 +238,6 @@ def _append_line(path: Path, line: bytes) -> None:
 
 def _line(row: Row) -> bytes:
     return json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
-
-
-_FIELDS = frozenset(each.name for each in fields(Row))
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -247,14 +259,98 @@ def read_rows(path: Path) -> list[Row]:
     return [_row(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
 
 
+def rows_once(rows: Iterable[Row]) -> tuple[list[Row], int]:
+    """Each job's row once, and the number of rows that were left out because they repeat another.
+
+    Cost and series are not compared: a job that was done twice has two of each.
+
+    Raises
+    ------
+    ValueError
+        If two different rows claim to be of the same job.
+    """
+    found: dict[tuple[Any, ...], Row] = {}
+    skipped = 0
+    for row in rows:
+        job = (row.key,) if row.key else (
+            row.world, row.noise, row.robots, row.preset, row.policy, row.ablation, row.laps, row.seed
+        )  # fmt: skip
+        first = found.setdefault(job, row)
+        if first is row:
+            continue
+        if different := next((name for name in _COMPARED if getattr(first, name) != getattr(row, name)), ""):
+            where = f"{row.world}, {row.preset}, {row.policy}, seed {row.seed}"
+            raise ValueError(f"two different rows claim the same job ({where}): their {different} differ")
+        skipped += 1
+    return list(found.values()), skipped
+
+
+def read_jobs(paths: Sequence[Path]) -> list[Row]:
+    """The rows of folders of results, each job once. A line on standard error says how many rows repeat others.
+
+    Raises
+    ------
+    ValueError
+        If a file is missing, a line of it is no row, or two different rows claim the same job.
+    """
+    rows, skipped = rows_once(row for path in paths for row in read_rows(path))
+    if skipped:
+        repeats = "1 row repeats another and is" if skipped == 1 else f"{skipped} rows repeat others and are"
+        print(f"benchmarks: {repeats} not counted again", file=sys.stderr)
+    return rows
+
+
 def _row(line: bytes, label: str) -> Row:
     try:
         table = json.loads(line)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{label}: not JSON: {error}") from error
-    if not isinstance(table, dict) or not table.keys() <= _FIELDS:
+    if not isinstance(table, dict) or not table.keys() <= _FIELDS.keys():
         raise ValueError(f"{label}: not a row of results")
+    if wrong := [name for name, value in table.items() if not _FIELDS[name](value)]:
+        raise ValueError(f"{label}: not a row of results: {wrong[0]} is {str(table[wrong[0]])[:60]!r}")
     try:
         return Row(**table)
     except TypeError as error:
         raise ValueError(f"{label}: not a row of results: {error}") from error
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_text_or_none(value: Any) -> bool:
+    return value is None or isinstance(value, str)
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 0
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float)
+
+
+def _is_metrics(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        each is None or isinstance(each, str | int | float) for each in value.values()
+    )
+
+
+def _is_costs(value: Any) -> bool:
+    return isinstance(value, dict) and all(map(_is_number, value.values()))
+
+
+def _is_versions(value: Any) -> bool:
+    return isinstance(value, dict) and all(map(_is_text, value.values()))
+
+
+_FIELDS: dict[str, Callable[[Any], bool]] = {
+    "world": _is_text, "noise": _is_number, "robots": _is_count, "preset": _is_text, "policy": _is_text,
+    "ablation": _is_text_or_none, "laps": _is_count, "seed": _is_count, "metrics": _is_metrics, "cost": _is_costs,
+    "versions": _is_versions, "commit": _is_text, "config": _is_text, "series": _is_text_or_none, "key": _is_text,
+    "error": _is_text_or_none,
+}  # fmt: skip
+"""What the values of a row's fields may be."""
+
+_COMPARED = tuple(name for name in _FIELDS if name not in {"cost", "series"})

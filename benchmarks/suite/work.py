@@ -168,7 +168,7 @@ def _replayed(job: Job, source: LogSource) -> Outcome:
     config = replace(settings, odometry=_odometry(source))
     log = read_log(path, source.beams, source.max_range)
     result = replay_log(log, config)
-    scores: dict[str, Any] = {"landmarks": len(result.landmarks), "refused_readings": result.refused_readings}
+    scores: dict[str, Any] = {"landmarks": len(result.segments), "refused_readings": result.refused_readings}
     if log.true_pose is not None:
         scores |= trajectory_scores(log.true_pose, result.estimated, result.odometry, result.covariances)
     if source.relations is not None:

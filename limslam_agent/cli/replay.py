@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.progress import progress_bar, unused
+from limslam_agent.cli.progress import progress_bar
 from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, write_replay_settings
 
 if TYPE_CHECKING:
@@ -78,27 +78,27 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
     ValueError
         If it cannot be replayed or written.
     """
-    from limslam_agent.output.export import new_folder
-    from limslam_agent.output.summary import replay_summary
+    from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.output.summary import record_summary, replay_summary
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
     job = _job(options.log, options, agent)
-    target = options.out or unused(Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}")
+    target = options.out or Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}"
     count = len(job.log)
-    with new_folder(target, force=options.force) as folder:
+    with new_folder(target, force=options.force, numbered=options.out is None) as folder:
         with progress_bar("replaying", count) as advance:
             result = replay_log(job.log, job.config, lambda done: advance(done, f"{done} of {count} events"))
         scores = _scores(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
-        write_replay(folder, result, job.source, {**scores, **figures}, versions())
-        write_replay_settings(folder, options, agent)
+        content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
+        write_replay_settings(folder.beside, options, agent)
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
-    for line in calibrated + replay_summary({**scores, "landmarks": len(result.landmarks)}):
+    for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
-    typer.echo(f"results     {target}")
+    typer.echo(f"results     {folder.target}")
 
 
 def _job(log: Path, options: ReplayOptions, agent: "AgentConfig") -> _Job:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.progress import Advance, progress_bar, unused
+from limslam_agent.cli.progress import Advance, progress_bar
 from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
 
 if TYPE_CHECKING:
@@ -46,22 +46,25 @@ def carry_out(given: Given, options: RunOptions) -> None:
     ValueError
         If it cannot be run or written.
     """
-    from limslam_agent.output.export import new_folder
-    from limslam_agent.output.summary import run_summary
+    from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.output.summary import record_summary, run_summary
     from limslam_agent.runs.results import write_episode
 
     config = run_config(given, options)
-    target = options.out or unused(Path("runs") / _folder_name(config))
+    target = options.out or Path("runs") / _folder_name(config)
     task = "driving" if options.laps else "exploring"
-    with new_folder(target, force=options.force) as folder, progress_bar(task, options.max_time) as advance:
+    with (
+        new_folder(target, force=options.force, numbered=options.out is None) as folder,
+        progress_bar(task, options.max_time) as advance,
+    ):
         episode = _filmed_run(config, advance, options.video, force=options.force)
-        result = write_episode(folder, episode)
-        write_run_settings(folder, options, config)
-    for line in run_summary(result["metrics"], result["cost"]):
+        result = write_episode(folder.beside, episode)
+        write_run_settings(folder.beside, options, config)
+    for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):
         typer.echo(line)
     if options.video is not None:
         typer.echo(f"video       {options.video}")
-    typer.echo(f"results     {target}")
+    typer.echo(f"results     {folder.target}")
 
 
 def _folder_name(config: "RunConfig") -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class RunOptions(Bounded):
 
     world: str = "env1"
     noise: _Std = 0.02
-    preset: str = "consistent"
+    preset: str = DEFAULT_PRESET
     seed: CountOrNone = 0
     max_time: _Time = 1800.0
     policy: str = "frontier"
@@ -51,7 +52,7 @@ class ReplayOptions(Bounded):
     beams: str | None = None
     max_range: float | None = None
     noise: _Std = 0.02
-    preset: str = "paper"
+    preset: str = DEFAULT_PRESET
     odometry_noise: str | None = None
     odometry_bias: str | None = None
     self_calibrate: bool = False

@@ -23,13 +23,13 @@ def show(
 ) -> None:
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.finished_run import PICTURE, read_run
-    from limslam_agent.output.summary import replay_summary, run_summary
+    from limslam_agent.output.summary import record_summary, replay_summary, run_summary
 
     if out is not None:
         _check_target(out, force=force)
     run = read_run(folder)
     metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
-    lines = replay_summary(metrics) if run.is_replay else run_summary(metrics, cost)
+    lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
     for line in (f"run         {run.title}", *lines):
         typer.echo(line)
     edges = true_edges(run)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 from limslam_agent.config.bounds import Bounded, NonNegative
 from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
@@ -63,8 +64,8 @@ class AgentConfig(Bounded):
         Exploration.
     """
 
-    preset: str = "consistent"
-    estimator: EstimatorConfig = field(default_factory=ConsistentConfig)
+    preset: str = DEFAULT_PRESET
+    estimator: EstimatorConfig = field(default_factory=lambda: ESTIMATORS[DEFAULT_PRESET])
     noise: NominalNoise = field(default_factory=NominalNoise)
     min_range_std: NonNegative = 0.005
     odometry: OdometryConfig = field(default_factory=OdometryConfig)

@@ -1,6 +1,5 @@
 """Cost of a run: wall-clock time and memory."""
 
-import resource
 import sys
 
 import numpy as np
@@ -25,11 +24,15 @@ def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[
         for name, values in step_ms.items()
         for label, share in (("median", 50.0), ("p99", 99.0))
     }
+    return {**parts, "speed_x_real_time": duration / wall_clock, "wall_clock_s": wall_clock, **_memory()}
+
+
+def _memory() -> dict[str, float]:
+    """The most memory that this process has had, MB. Windows does not tell it in this way."""
+    if sys.platform == "win32":
+        return {}
+    import resource
+
     # Linux counts kilobytes, macOS bytes.
     unit = 1e6 if sys.platform == "darwin" else 1e3
-    return {
-        **parts,
-        "speed_x_real_time": duration / wall_clock,
-        "wall_clock_s": wall_clock,
-        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit,
-    }
+    return {"peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit}

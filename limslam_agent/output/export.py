@@ -1,96 +1,14 @@
-"""Writes trajectories, maps and the folder of a run, which is either complete or does not exist."""
+"""Writes trajectories and maps."""
 
 import json
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray
-
-RESULT_FILE = "result.json"
-
-
-class OutputError(ValueError):
-    """Results cannot be written to a folder. The message says which folder and why."""
-
-
-@contextmanager
-def new_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """A folder to write to, which is moved to ``target`` only when everything has been written.
-
-    Parameters
-    ----------
-    target
-        Final place of the results. An empty folder may exist there.
-    force
-        Replace the results of an earlier run there.
-
-    Yields
-    ------
-    Path
-        The folder beside ``target`` to write to.
-
-    Raises
-    ------
-    OutputError
-        If something else is there, or the folder cannot be written.
-    """
-    target = target.absolute()
-    _check_target(target, force=force)
-    missing = [parent for parent in target.parents if not parent.exists()]
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error.strerror or error}") from error
-    try:
-        yield beside
-        # mkdtemp makes private folders. Results get the permissions of the user's other files.
-        mask = os.umask(0)
-        os.umask(mask)
-        beside.chmod(0o777 & ~mask)
-        _put_in_place(beside, target)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-        for parent in missing:
-            if parent.is_dir() and not any(parent.iterdir()):
-                parent.rmdir()
-
-
-def _check_target(target: Path, *, force: bool) -> None:
-    if target.is_dir():
-        if not any(target.iterdir()):
-            return
-        if not (target / RESULT_FILE).is_file():
-            raise OutputError(f"{target}: is not empty and does not hold the results of a run")
-        if not force:
-            raise OutputError(f"{target}: already holds the results of a run; --force replaces them")
-    elif target.exists() or target.is_symlink():
-        raise OutputError(f"{target}: is not a folder")
-
-
-def _put_in_place(beside: Path, target: Path) -> None:
-    if not target.is_dir():
-        beside.rename(target)
-        return
-    old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent)) / "run"
-    target.rename(old)
-    try:
-        beside.rename(target)
-    except BaseException:  # an interrupt must not destroy the old results, either
-        old.rename(target)
-        raise
-    finally:
-        if target.is_dir():
-            shutil.rmtree(old.parent, ignore_errors=True)
 
 
 def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
@@ -106,11 +24,36 @@ def write_json(path: Path, content: Any) -> None:
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
-    """The content of ``map.json`` in the world frame, m and rad."""
+class WallsAndGrid(Protocol):
+    """The final map of a run or a replay, from which every file of the map, its picture and its scores are made."""
+
+    @property
+    def segments(self) -> FloatArray:
+        """Walls (N, 4) as x1, y1, x2, y2 in the world frame, m, cut at doors and holes."""
+
+    @property
+    def landmarks(self) -> list[Landmark]:
+        """The lines that the walls lie on, with covariances."""
+
+    @property
+    def grid(self) -> GridView:
+        """Occupancy grid."""
+
+
+def write_map(folder: Path, final: WallsAndGrid) -> None:
+    """Write ``map.json``, ``map.pgm`` and ``map.yaml``."""
+    write_json(folder / "map.json", map_content(final))
+    write_grid(folder, final.grid)
+
+
+def map_content(final: WallsAndGrid) -> dict[str, Any]:
+    """The content of ``map.json`` in the world frame, m and rad.
+
+    The segments are written with all their digits, so that a score of the file equals the score of the run.
+    """
     return {
         "frame": "world",
-        "segments": [[round(float(value), 6) for value in mark.ends.ravel()] for mark in landmarks],
+        "segments": final.segments.tolist(),
         "landmarks": [
             {
                 "r": mark.r,
@@ -118,8 +61,9 @@ def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
                 "cov": mark.covariance.tolist(),
                 "ends": mark.ends.tolist(),
                 "observations": mark.observations,
+                "segments": list(mark.segments),
             }
-            for mark in landmarks
+            for mark in final.landmarks
         ],
     }
 

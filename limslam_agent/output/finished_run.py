@@ -4,12 +4,14 @@ import json
 import math
 import zipfile
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from limslam_agent.output.claims import OutputError, hidden, repair
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 
@@ -82,11 +84,16 @@ class FinishedRun:
 def read_run(folder: Path) -> FinishedRun:
     """Read a folder that ``limslam run`` or ``limslam replay`` has written.
 
+    Results that a process was killed over while it replaced them are first put back in place.
+
     Raises
     ------
     FolderError
         If the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
     """
+    if not folder.exists() and hidden(folder.absolute(), "old").exists():
+        with suppress(OutputError, OSError):
+            repair(folder.absolute())
     if not folder.is_dir():
         raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
     if not (folder / RESULT).is_file():

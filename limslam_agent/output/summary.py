@@ -1,7 +1,67 @@
 """A finished run or replay in a few lines of text, for the command line."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray
+
+
+def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]) -> dict[str, Any]:
+    """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
+
+    Parameters
+    ----------
+    time
+        Times of the steps (n,), s.
+    paths
+        Poses (n, 3) of each robot along which the driven distance is measured: the true ones where they are known.
+    odometry
+        Poses (n, 3) of each robot by odometry alone.
+    """
+    driven = [float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) for poses in paths]
+    ends = [[float(x), float(y), float(np.degrees(heading))] for x, y, heading in (poses[-1] for poses in odometry)]
+    return {
+        "steps": len(time),
+        "duration_s": float(np.ptp(time)),
+        "driven_m": float(np.mean(driven)),
+        "odometry_end": ends,
+    }
+
+
+def record_summary(result: Mapping[str, Any]) -> list[str]:
+    """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
+    config, record = _part(result, "config"), _part(result, "record")
+    agent = _part(config, "agent")
+    preset, beams = config.get("preset") or agent.get("preset"), _part(config, "robot").get("beams")
+    noise = _part(agent, "noise").get("range_std")
+    method = [
+        " ".join(str(each) for each in (preset, config.get("ablation")) if each),
+        f"{len(beams)} beams" if isinstance(beams, list | tuple) else "",
+        f"range noise of {100.0 * noise:g} cm assumed" if isinstance(noise, int | float) else "",
+    ]
+    lines = [f"method      {', '.join(filter(None, method))}"] if any(method) else []
+    if _has(record, "steps", "duration_s", "driven_m"):
+        lasted = f"{record['steps']} steps, {record['duration_s']:.1f} s, {record['driven_m']:.1f} m driven"
+        is_team = _has(config, "robots") and config["robots"] > 1
+        lines.append(f"record      {lasted}{' by each robot' if is_team else ''}")
+    if "log" in config and (end := _pose(record)) is not None:
+        lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
+    return lines
+
+
+def _pose(record: Mapping[str, Any]) -> list[float] | None:
+    """Where the odometry of the first robot ended."""
+    ends = record.get("odometry_end")
+    end = ends[0] if isinstance(ends, list) and ends else None
+    is_pose = isinstance(end, list) and len(end) == 3 and all(isinstance(value, int | float) for value in end)
+    return end if is_pose else None
+
+
+def _part(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    part = content.get(name)
+    return part if isinstance(part, dict) else {}
 
 
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:

@@ -15,7 +15,8 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.output.export import write_json, write_map, write_tum
+from limslam_agent.output.summary import record_of
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_env.geometry import FloatArray
@@ -159,8 +160,8 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
 
 def write_replay(
     folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any], versions: dict[str, str]
-) -> None:
-    """Write trajectory, map, picture and result of a replay into a folder.
+) -> dict[str, Any]:
+    """Write trajectory, map, picture and result of a replay into a folder. Returns the content of ``result.json``.
 
     Parameters
     ----------
@@ -182,19 +183,20 @@ def write_replay(
     write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
     if log.true_pose is not None:
         write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
-    write_json(folder / "map.json", map_content(replay.landmarks))
-    write_grid(folder, replay.grid)
+    write_map(folder, replay)
     true_path = None if log.true_pose is None else log.true_pose[:, :2]
     title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
     picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
     draw_map(folder / "map.png", picture)
-    counts = {"landmarks": len(replay.landmarks), "refused_readings": replay.refused_readings}
+    counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
     found = replay.self_calibration.figures if replay.self_calibration else {}
     result = {
         "metrics": {**scores, **found, **counts},
         "cost": run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms),
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
+        "record": record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry]),
         "versions": versions,
         "seed": None,
     }
     write_json(folder / "result.json", result)
+    return result

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.ablations import ablated
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.slam.core.diagnostics import Closure
@@ -78,7 +79,7 @@ class RunConfig:
 
     world: WorldSource = "env1"
     noise: float = 0.0
-    preset: str = "consistent"
+    preset: str = DEFAULT_PRESET
     seed: int = 0
     max_time: float = 1800.0
     laps: int = 0

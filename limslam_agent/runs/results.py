@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.output.export import write_json, write_map, write_tum
+from limslam_agent.output.summary import record_of
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.team import Snapshot
@@ -165,8 +166,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         suffix = f"_{number}" if config.robots > 1 else ""
         write_tum(folder / f"trajectory_true{suffix}.tum", episode.time, episode.true[:, number])
         write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
-    write_json(folder / "map.json", map_content(episode.snapshot.landmarks))
-    write_grid(folder, episode.snapshot.grid)
+    write_map(folder, episode.snapshot)
     _draw(folder / "map.png", episode)
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
@@ -175,12 +175,16 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
-        "metrics": score(episode), "cost": cost(episode), "config": written_config,
+        "metrics": score(episode), "cost": cost(episode), "config": written_config, "record": _record(episode),
         "closures": [asdict(closure) for closure in episode.closures],
         "versions": {**versions(), **({"gtsam": version("gtsam")} if config.limit else {})}, "seed": config.seed,
     }  # fmt: skip
     write_json(folder / "result.json", result)
     return result
+
+
+def _record(episode: Episode) -> dict[str, Any]:
+    return record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
 
 
 def _write_log(path: Path, episode: Episode) -> None:

@@ -1,6 +1,6 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from limslam_agent.slam.consistent.beam_model import GRAZING
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction, normal
 from limslam_env.geometry.segment import lengths
 
@@ -99,15 +99,18 @@ class WallMap:
     @property
     def segments(self) -> FloatArray:
         """The walls of the map (N, 4), m: where beams ended, and none passed."""
-        shown = [each for wall, each in zip(self.walls, self._segments, strict=True) if self._is_shown(wall)]
-        every = np.concatenate((np.zeros((0, 4)), *shown))
-        return np.asarray(every[lengths(every) >= self._config.min_length])
+        return self._shown_segments[0]
 
     @property
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
+        owners = self._shown_segments[1]
         marked = zip(self.all_landmarks, self.walls, self._segments, strict=True)
-        return [mark for mark, wall, drawn in marked if self._is_shown(wall) and len(drawn)]
+        return [
+            replace(mark, segments=tuple(np.flatnonzero(owners == index).tolist()))
+            for index, (mark, wall, drawn) in enumerate(marked)
+            if self._is_shown(wall) and len(drawn)
+        ]
 
     @property
     def all_landmarks(self) -> list[Landmark]:
@@ -159,6 +162,16 @@ class WallMap:
                 for index, wall in enumerate(self.walls)
             ]
         return self._drawn
+
+    @property
+    def _shown_segments(self) -> tuple[FloatArray, IntArray]:
+        """The walls of the map (N, 4), m, and the index of the landmark that each of them lies on (N,)."""
+        drawn = [
+            each if self._is_shown(wall) else each[:0] for wall, each in zip(self.walls, self._segments, strict=True)
+        ]
+        every = np.concatenate((np.zeros((0, 4)), *drawn))
+        is_long = lengths(every) >= self._config.min_length
+        return every[is_long], np.repeat(np.arange(len(drawn)), [len(each) for each in drawn])[is_long]
 
     def _points(self, index: int, along: FloatArray) -> FloatArray:
         """Points (..., 2) of the world, m, at positions (...) along a landmark."""

@@ -26,6 +26,8 @@ class Landmark:
         Number of observed lines that the landmark was estimated from.
     number
         Identifies the landmark; an older landmark has a smaller number.
+    segments
+        Which rows of the map's segments lie on this landmark. Empty for a provisional landmark.
     """
 
     r: float
@@ -34,6 +36,7 @@ class Landmark:
     ends: FloatArray
     observations: int
     number: int = 0
+    segments: tuple[int, ...] = ()
 
 
 class LineMap:

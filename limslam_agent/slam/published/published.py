@@ -1,6 +1,7 @@
 """The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -76,7 +77,7 @@ class PublishedEstimator(Estimator):
     def landmarks(self) -> list[Landmark]:
         """The walls of the map as landmarks, with covariances."""
         every = self.all_landmarks
-        return [every[index] for index in self._confirmed.tolist()]
+        return [replace(every[index], segments=(row,)) for row, index in enumerate(self._confirmed.tolist())]
 
     @property
     def all_landmarks(self) -> list[Landmark]:

@@ -1,14 +1,20 @@
 """Results in a folder: nothing lost, nothing twice, nothing of another suite among them."""
 
 import json
+import shutil
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support import benchmark_work
+from support.benchmark_rows import grid, write_folder
+from support.command_line import call
 
+from benchmarks.__main__ import main as benchmarks
+from benchmarks.analysis.series import read_series
 from benchmarks.suite.jobs import Failure, Job
-from benchmarks.suite.store import RESULTS, SERIES, STAMP, Row, Stamp, open_store, read_rows
+from benchmarks.suite.store import RESULTS, SERIES, STAMP, Row, Stamp, open_store, read_jobs, read_rows
 
 JOBS = [Job("env1", 0.02, seed=seed) for seed in range(3)]
 MADE_BY = Stamp("tiny", "d1", 3, {"python": "3.11", "numpy": "2.0"}, "abc")
@@ -86,7 +92,10 @@ def test_a_torn_line_is_mended_wherever_it_was_torn(folder):
 
 
 def test_what_a_kill_left_half_written_is_removed(folder):
-    left = [folder / ".results-1a.jsonl", folder / ".suite-1a.json", folder / SERIES / ".12ab-x.npz"]
+    left = [
+        folder / ".results.jsonl.limslam-new.jsonl", folder / ".suite.json.limslam-new.json",
+        folder / SERIES / ".12ab.npz.limslam-new.npz", folder / SERIES / ".12ab.npz.limslam-lock",
+    ]  # fmt: skip
     for path in left:
         path.write_bytes(b"half")
     with open_store(folder, MADE_BY):
@@ -96,7 +105,7 @@ def test_what_a_kill_left_half_written_is_removed(folder):
 
 def test_a_kill_before_the_first_row_leaves_a_folder_that_can_be_used(tmp_path):
     (tmp_path / ".lock").touch()
-    (tmp_path / ".suite-1a.json").write_bytes(b'{"su')
+    (tmp_path / ".suite.json.limslam-new.json").write_bytes(b'{"su')
     with open_store(tmp_path, MADE_BY) as store:
         assert store.rows == {}
     assert json.loads((tmp_path / STAMP).read_text()) == asdict(MADE_BY)
@@ -164,3 +173,83 @@ def test_keys_tell_jobs_apart():
     job = Job("env1", 0.02)
     assert len({job.key, *(replace(job, **change).key for change in changes)}) == len(changes) + 1
     assert job.key == Job("env1", 0.02).key
+
+
+def change_row(folder, number, **changes):
+    """Change fields of a row of ``results.jsonl``."""
+    lines = [json.loads(line) for line in (folder / RESULTS).read_text().splitlines()]
+    lines[number] |= changes
+    (folder / RESULTS).write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def test_a_row_that_repeats_another_is_counted_once(folder, capsys):
+    with (folder / RESULTS).open("a") as file:
+        file.write((folder / RESULTS).read_text())
+    assert [row.seed for row in read_jobs([folder])] == [0, 1]
+    assert capsys.readouterr().err == "benchmarks: 2 rows repeat others and are not counted again\n"
+    assert len(read_jobs([folder, folder, folder])) == 2
+    with open_store(folder, MADE_BY) as store:
+        assert len(store.rows) == 2
+
+
+def test_a_job_that_was_done_twice_at_other_cost_is_counted_once(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "again")
+    change_row(tmp_path / "again", 0, cost={"job_s": 99.0})
+    assert [row.cost for row in read_jobs([folder, tmp_path / "again"])] == [{"job_s": 0.1}, {}]
+
+
+@pytest.mark.parametrize("changes", [{"metrics": {"ate_m": 9.0}}, {"error": "it broke"}, {"commit": "other"}])
+def test_two_different_rows_of_one_job_are_refused(folder, tmp_path, changes):
+    shutil.copytree(folder, tmp_path / "again")
+    change_row(tmp_path / "again", 0, **changes)
+    words = f"two different rows claim the same job .env1, paper, frontier, seed 0.: their {next(iter(changes))} differ"
+    with pytest.raises(ValueError, match=words):
+        read_jobs([folder, tmp_path / "again"])
+
+
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:100])])
+def test_series_that_are_lost_are_made_again(folder, damage):
+    series = folder / SERIES / f"{JOBS[0].key}.npz"
+    damage(series)
+    with open_store(folder, MADE_BY) as store:
+        assert (store.lost, set(store.rows)) == (1, {JOBS[1].key})
+        store.append(JOBS[0], benchmark_work.outcome(JOBS[0]))
+    assert series.is_file()
+    with open_store(folder, MADE_BY) as store:
+        assert (store.lost, len(store.rows)) == (0, 2)
+
+
+@pytest.mark.parametrize("name", ["../secret.npz", "/etc/passwd", "series/../../secret.npz", "series/link/secret.npz"])
+def test_series_that_lead_out_of_the_folder_are_not_opened(folder, name):
+    np.savez(folder.parent / "secret.npz", time=np.zeros(1))
+    (folder / SERIES / "link").symlink_to(folder.parent)
+    change_row(folder, 0, series=name)
+    with pytest.raises(ValueError, match="lead out of the folder"):
+        read_series(folder, read_rows(folder)[0])
+    assert "lead out of the folder" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"metrics": [1]}, {"metrics": {"ate_m": [1]}}, {"cost": {"job_s": "long"}}, {"seed": "one"}, {"noise": None},
+        {"versions": 3}, {"series": 5}, {"error": {}}, {"world": ["env1"]}, {"key": None},
+    ],
+)  # fmt: skip
+def test_a_row_with_a_value_of_another_kind_is_refused_in_one_line(folder, changes):
+    change_row(folder, 1, **changes)
+    with pytest.raises(ValueError, match=rf"results.jsonl, line 2: not a row of results: {next(iter(changes))} is"):
+        read_rows(folder)
+    result = call(benchmarks, "table", folder)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("benchmarks: ")
+
+
+def test_the_table_of_a_folder_given_twice_is_the_table_of_the_folder(tmp_path):
+    folder = write_folder(tmp_path / "made-up", grid(seeds=3, worlds=("env1",)))
+    once, twice = call(benchmarks, "table", folder), call(benchmarks, "table", folder, folder)
+    assert once.returncode == twice.returncode == 0
+    assert twice.stdout == once.stdout
+    assert twice.stderr == "benchmarks: 12 rows repeat others and are not counted again\n"
+    assert once.stderr == ""
