@@ -1,6 +1,8 @@
 """How the kernels of the batch are compiled; in here numba is imported, and nowhere else in the agent."""
 
+import inspect
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -9,13 +11,11 @@ from numba import njit
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 
-def _stamp() -> tuple[float, int]:
-    """When the last of the kernels' files was changed, and how long they are together."""
-    files = [path.stat() for path in Path(__file__).parent.glob("*.py")]
+@cache
+def _stamp(folder: Path) -> tuple[float, int]:
+    """When the last of a folder's files was changed, and how long they are together."""
+    files = [path.stat() for path in folder.glob("*.py")]
     return max(each.st_mtime for each in files), sum(each.st_size for each in files)
-
-
-_STAMP = _stamp()
 
 
 def compiled(kernel: Kernel) -> Kernel:
@@ -35,5 +35,5 @@ def entry(kernel: Kernel) -> Kernel:
     # too, so it has to go when any of their files changes. numba has no public way to say so.
     file = getattr(getattr(done, "_cache", None), "_cache_file", None)
     if file is not None:
-        file._source_stamp = _STAMP  # noqa: SLF001
+        file._source_stamp = _stamp(Path(inspect.getfile(kernel)).parent)  # noqa: SLF001
     return cast(Kernel, done)

@@ -1,0 +1,157 @@
+"""Settings of the line smoother, which solves for all poses of a run. All are ours; m and rad."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray
+
+
+@dataclass(frozen=True)
+class CalibrationPrior:
+    """What is known of constant errors of wheels and beams before they are estimated.
+
+    Attributes
+    ----------
+    size_std
+        Standard deviation of the size of both wheels together, as a share.
+    uneven_std
+        Of the right wheel beside the left one, as a share.
+    axle_std
+        Of the axle, as a share.
+    bias_std
+        Of what all ranges read too much, m.
+    """
+
+    size_std: float = 0.03
+    uneven_std: float = 0.03
+    axle_std: float = 0.03
+    bias_std: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 < value < 1.0:
+                raise ValueError(f"{name} must lie between 0 and 1, not {value}")
+
+    @property
+    def information(self) -> FloatArray:
+        """Inverse covariance (4, 4) of the calibration: left wheel, right wheel, axle, bias."""
+        both, half = self.size_std**2, 0.25 * self.uneven_std**2
+        covariance = np.diag([both + half, both + half, self.axle_std**2, self.bias_std**2])
+        covariance[[0, 1], [1, 0]] = both - half
+        return np.asarray(np.linalg.inv(covariance))
+
+
+@dataclass(frozen=True)
+class ReassociationConfig:
+    """How readings are given to lines anew, and lines are merged.
+
+    Attributes
+    ----------
+    rounds
+        At most so many rounds of merging, association and solving.
+    settled
+        A round that moves no pose farther than this, m, is the last one.
+    gate, beyond
+        A reading belongs to a line that predicts it within ``gate`` standard deviations and that reaches to
+        within ``beyond`` (m) of the place where the beam meets it.
+    margin
+        A second line must predict the reading worse by so many standard deviations; otherwise it is not used.
+    fewest
+        A line has at least so many readings.
+    one_wall_gate
+        Two lines may be one wall below this chi-square (two degrees of freedom).
+    max_offset, max_angle, min_overlap
+        They must lie this close together, m and rad, and share so much of the wall, m.
+    """
+
+    rounds: int = 8
+    settled: float = 2e-3
+    gate: float = 3.5
+    beyond: float = 0.10
+    margin: float = 1.0
+    fewest: int = 6
+    one_wall_gate: float = 16.0
+    max_offset: float = 0.15
+    max_angle: float = 0.12
+    min_overlap: float = 0.15
+
+
+@dataclass(frozen=True)
+class ScoreConfig:
+    """What a map without truth is worth: log-likelihood of wheels and ranges, less the prices of what it claims.
+
+    Attributes
+    ----------
+    clip
+        A reading that no line explains costs as much as this squared residual, in variances.
+    contradiction
+        Price of a beam that goes through a wall.
+    line
+        Price of a line.
+    """
+
+    clip: float = 16.0
+    contradiction: float = 8.0
+    line: float = 24.0
+
+
+@dataclass(frozen=True)
+class MendingConfig:
+    """How wrong associations of a whole map are taken back.
+
+    Attributes
+    ----------
+    rounds
+        At most so many rounds of moves.
+    gain
+        A move is kept if the score rises by so much.
+    cut
+        A line is cut where it was not read for so far a drive, m.
+    max_offset, max_angle, min_overlap
+        Pieces that may be one wall lie this close together, m and rad, and share so much of it, m.
+    dropped_share, dropped_least
+        A line is dropped when beams contradict it more often than this, and than this share of its readings.
+    unexplained
+        Readings that are farther than so many standard deviations from every line may found new ones.
+    reborn_readings
+        New lines have at least so many of them.
+    """
+
+    rounds: int = 6
+    gain: float = 5.0
+    cut: float = 3.0
+    max_offset: float = 0.8
+    max_angle: float = 0.4
+    min_overlap: float = 0.10
+    dropped_share: float = 0.2
+    dropped_least: int = 5
+    unexplained: float = 4.0
+    reborn_readings: int = 8
+
+
+@dataclass(frozen=True)
+class SmootherConfig:
+    """The line smoother.
+
+    Attributes
+    ----------
+    calibration
+        What is known of constant errors that are to be estimated; None where robots are taken to be as specified.
+    calibration_gate
+        Constant errors are only believed when they raise the log-likelihood by so much.
+    """
+
+    reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)
+    score: ScoreConfig = field(default_factory=ScoreConfig)
+    mending: MendingConfig = field(default_factory=MendingConfig)
+    calibration: CalibrationPrior | None = None
+    calibration_gate: float = 20.0
+    max_gap: float = 0.30
+    through_tolerance: float = 1.0
+    through_sigmas: float = 3.0
+    through_slack: float = 0.05
+    shown_readings: int = 10
+    shown_length: float = 0.20
+    least_angle: float = math.radians(0.0)
