@@ -14,8 +14,8 @@ from limslam_agent.slam.graph.chain_kernels import COLUMNS, COSINE, RANGE, expec
 from limslam_env.geometry import FloatArray, IntArray
 
 GRAZING = 0.2
-_TRIED_ANGLES = 180
-_FITTED = 80  # readings of a line at most, from which it is fitted
+_TRIED_ANGLES = 90
+_FITTED = 40  # readings of a line at most, from which it is fitted
 _FAR = 1e9
 _OUTLIER = 25.0  # what explains a reading worse, in variances, is no worse than this
 _REGULAR = (1e-6, 1e-8)  # added to the covariance of the difference of two lines, m^2 and rad^2
@@ -33,16 +33,16 @@ def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]
 def hit_points(
     poses: FloatArray, places: IntArray, beams: FloatArray, distances: FloatArray, points: FloatArray
 ) -> None:
-    """Where readings end: rows x, y, m, and the beam's direction, rad, in ``points`` (k, 3)."""
+    """Where readings end, m, and the unit vectors of their beams, as rows of ``points`` (k, 4)."""
     for k in range(len(places)):
         x, y, ux, uy = ray(poses[places[k]], beams[k])
         points[k, 0], points[k, 1] = x + distances[k] * ux, y + distances[k] * uy
-        points[k, 2] = poses[places[k], 2] + beams[k, 2]
+        points[k, 2], points[k, 3] = ux, uy
 
 
 @entry
 def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArray, anchors: FloatArray) -> None:
-    """Lines (m, 2) and anchors (m, 2) through points (k, 3), which are grouped: group i begins at ``firsts[i]``.
+    """Lines (m, 2) and anchors (m, 2) through points (k, 4), which are grouped: group i begins at ``firsts[i]``.
 
     Of many angles, the one that explains most readings. Total least squares of the points would take the noise along
     the beams for the line where points are crowded together.
@@ -66,33 +66,15 @@ def _fit_at(points: FloatArray, anchor: FloatArray, angle: float, std: float) ->
     total, weights = 0.0, 0.0
     for k in range(len(points)):
         # A point is farther from the line by the cosine than along the beam.
-        weight = max(abs(math.cos(angle - points[k, 2])), GRAZING) ** -2.0
+        weight = 1.0 / max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING) ** 2
         total += weight * ((points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny)
         weights += weight
     offset, cost = total / weights, 0.0
     for k in range(len(points)):
-        cosine = max(abs(math.cos(angle - points[k, 2])), GRAZING)
+        cosine = max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING)
         away = (points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny - offset
         cost += min((away / (cosine * std)) ** 2, _OUTLIER)
     return cost, offset
-
-
-@compiled
-def meet(
-    pose: FloatArray, beam: FloatArray, line: FloatArray, anchor: FloatArray
-) -> tuple[float, float, float]:
-    """How far a beam goes to a line, m, at which place of the line, m, and the cosine between beam and normal.
-
-    The distance is negative where the beam does not meet the line or grazes it.
-    """
-    x, y, ux, uy = ray(pose, beam)
-    nx, ny = math.cos(line[1]), math.sin(line[1])
-    cosine = nx * ux + ny * uy
-    if abs(cosine) < GRAZING:
-        return -1.0, 0.0, cosine
-    distance = (line[0] - nx * (x - anchor[0]) - ny * (y - anchor[1])) / cosine
-    hit_x, hit_y = x + distance * ux - anchor[0], y + distance * uy - anchor[1]
-    return distance, nx * hit_y - ny * hit_x, cosine
 
 
 @entry
@@ -140,17 +122,36 @@ def best_lines(
     best, misfits
         To be filled: the line or -1, and how far the reading is from the best and from the second one (k, 2), m.
     """
+    normals = _normals(lines, anchors)
     for k in range(len(places)):
         best[k], misfits[k, 0], misfits[k, 1] = -1, _FAR, _FAR
+        x, y, ux, uy = ray(poses[places[k]], beams[k])
         for line in range(len(lines)):
-            distance, along, _ = meet(poses[places[k]], beams[k], lines[line], anchors[line])
-            if distance <= 0.0 or along < ends[line, 0] - beyond or along > ends[line, 1] + beyond:
+            nx, ny = normals[line, 0], normals[line, 1]
+            cosine, height = nx * ux + ny * uy, normals[line, 2] - nx * x - ny * y
+            distance = height / cosine
+            if abs(cosine) < GRAZING or distance <= 0.0:
                 continue
+            along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
             misfit = abs(distance - distances[k])
+            if misfit >= misfits[k, 1] or along < ends[line, 0] - beyond or along > ends[line, 1] + beyond:
+                continue
             if misfit < misfits[k, 0]:
                 misfits[k, 1], misfits[k, 0], best[k] = misfits[k, 0], misfit, line
-            elif misfit < misfits[k, 1]:
+            else:
                 misfits[k, 1] = misfit
+
+
+@compiled
+def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
+    """Of each line its normal, and how far it and its anchor lie along normal and direction from the origin (m, 4)."""
+    result = np.empty((len(lines), 4))
+    for line in range(len(lines)):
+        nx, ny = math.cos(lines[line, 1]), math.sin(lines[line, 1])
+        x, y = anchors[line, 0], anchors[line, 1]
+        result[line, 0], result[line, 1] = nx, ny
+        result[line, 2], result[line, 3] = lines[line, 0] + nx * x + ny * y, nx * y - ny * x
+    return result
 
 
 @compiled
@@ -171,19 +172,27 @@ def _difference(
 
 @compiled
 def _agreement(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, covariance: FloatArray, jacobian: FloatArray
-) -> float:
-    """Squared Mahalanobis distance of two lines, with their joint covariance."""
-    offset, angle = _difference(first, second, lines, anchors, jacobian)
+    first: int, second: int, lines: FloatArray, anchors: FloatArray, covariance: FloatArray, work: FloatArray
+) -> tuple[float, float]:
+    """Squared Mahalanobis distance of two lines, and the logarithm of their difference's determinant.
+
+    ``work`` (2, 8) is left with the Jacobian, the difference's offset and angle, and its information matrix.
+    """
+    work[0, 4], work[1, 4] = _difference(first, second, lines, anchors, work[:, :4])
     a, b, c = _REGULAR[0], 0.0, _REGULAR[1]
     for i in range(4):
         row = 2 * (first if i < 2 else second) + i % 2
         for j in range(4):
             value = covariance[row, 2 * (first if j < 2 else second) + j % 2]
-            a += jacobian[0, i] * value * jacobian[0, j]
-            b += jacobian[0, i] * value * jacobian[1, j]
-            c += jacobian[1, i] * value * jacobian[1, j]
-    return (c * offset * offset - 2.0 * b * offset * angle + a * angle * angle) / max(a * c - b * b, 1e-300)
+            a += work[0, i] * value * work[0, j]
+            b += work[0, i] * value * work[1, j]
+            c += work[1, i] * value * work[1, j]
+    determinant = max(a * c - b * b, 1e-30)
+    work[0, 5], work[0, 6] = c / determinant, -b / determinant
+    work[1, 5], work[1, 6] = -b / determinant, a / determinant
+    offset, angle = work[0, 4], work[1, 4]
+    squared = (c * offset * offset - 2.0 * b * offset * angle + a * angle * angle) / determinant
+    return squared, math.log(determinant)
 
 
 @compiled
@@ -202,70 +211,177 @@ def _apart(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends
 
 
 @entry
-def one_wall_pairs(
+def merge_lines(
     lines: FloatArray,
     anchors: FloatArray,
     ends: FloatArray,
     covariance: FloatArray,
     limits: FloatArray,
-    pairs: FloatArray,
+    most_moved: FloatArray,
+    merged_into: IntArray,
 ) -> int:
-    """Pairs of lines that may be one wall, as rows (chi-square, first, second) of ``pairs``; returns how many.
+    """Merge lines that may be one wall, the surest pair first; returns how many merged.
 
-    ``limits`` are the largest chi-square, offset (m) and angle (rad), and the least overlap (m).
+    Every merged pair is a constraint that moves all other lines, as their joint covariance tells. The surest pair is
+    that with the greatest likelihood: a pair of which little is known agrees easily, and proves nothing.
+
+    Parameters
+    ----------
+    lines, anchors, ends, covariance
+        (m, 2), (m, 2), (m, 2) and (2 m, 2 m); lines, ends and covariance are changed.
+    limits
+        The largest chi-square, offset (m) and angle (rad), and the least overlap (m).
+    most_moved
+        Stop when a line has moved farther than this, m and rad, and a standard deviation: it is time to linearise
+        again.
+    merged_into
+        To be filled: for each line the one that it was merged into, itself where it was not, (m,).
     """
-    count, jacobian = 0, np.zeros((2, 4))
+    begin, work, count = lines.copy(), np.zeros((2, 8)), 0
+    spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
+    for line in range(len(lines)):
+        merged_into[line] = line
+    pairs = _near_pairs(lines, anchors, ends, limits)
+    while True:
+        best, chosen = np.inf, -1
+        for k in range(len(pairs)):
+            first, second = pairs[k]
+            if merged_into[first] != first or merged_into[second] != second:
+                continue
+            if not _is_near(first, second, lines, anchors, ends, limits):
+                continue
+            squared, volume = _agreement(first, second, lines, anchors, covariance, work)
+            if squared < limits[0] and squared + volume < best:
+                best, chosen = squared + volume, k
+        if chosen < 0:
+            return count
+        first, second = pairs[chosen]
+        _agreement(first, second, lines, anchors, covariance, work)
+        _constrain(first, second, lines, covariance, work)
+        _unite_ends(first, second, lines, anchors, ends)
+        merged_into[second] = first
+        count += 1
+        if _has_moved(lines - begin, spread, merged_into, most_moved):
+            return count
+
+
+@compiled
+def _near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
+    """Pairs of lines that are near enough now, or may get so, as (first, second) (k, 2)."""
+    loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
+    count, pairs = 0, np.empty((len(lines) * (len(lines) - 1) // 2, 2), dtype=np.int64)
     for first in range(len(lines)):
         for second in range(first + 1, len(lines)):
-            if count == len(pairs):
-                return count
-            turn = (lines[first, 1] - lines[second, 1] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-            if abs(turn) > limits[2]:
-                continue
-            off, overlap = _apart(first, second, lines, anchors, ends)
-            if off > limits[1] or overlap < limits[3]:
-                continue
-            squared = _agreement(first, second, lines, anchors, covariance, jacobian)
-            if squared < limits[0]:
-                pairs[count, 0], pairs[count, 1], pairs[count, 2] = squared, first, second
+            if _is_near(first, second, lines, anchors, ends, loose):
+                pairs[count, 0], pairs[count, 1] = first, second
                 count += 1
-    return count
+    return pairs[:count].copy()
+
+
+@compiled
+def _is_near(
+    first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray
+) -> bool:
+    turn = (lines[first, 1] - lines[second, 1] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    if abs(turn) > limits[2]:
+        return False
+    off, overlap = _apart(first, second, lines, anchors, ends)
+    return off <= limits[1] and overlap >= limits[3]
+
+
+@compiled
+def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArray, work: FloatArray) -> None:
+    """Let two lines be one: a Kalman update of all lines with their difference, which is zero."""
+    size = len(covariance)
+    gain, crossed = np.zeros((size, 2)), np.zeros((size, 2))
+    for row in range(size):
+        for j in range(2):
+            for i in range(4):
+                column = 2 * (first if i < 2 else second) + i % 2
+                crossed[row, j] += covariance[row, column] * work[j, i]
+        gain[row, 0] = crossed[row, 0] * work[0, 5] + crossed[row, 1] * work[1, 5]
+        gain[row, 1] = crossed[row, 0] * work[0, 6] + crossed[row, 1] * work[1, 6]
+    for row in range(size):
+        lines[row // 2, row % 2] -= gain[row, 0] * work[0, 4] + gain[row, 1] * work[1, 4]
+        for column in range(size):
+            covariance[row, column] -= gain[row, 0] * crossed[column, 0] + gain[row, 1] * crossed[column, 1]
+
+
+@compiled
+def _unite_ends(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> None:
+    """Let the first line reach to the ends of the second one."""
+    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
+    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
+    for end in range(2):
+        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
+        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
+        along = mx * y - my * x
+        ends[first, 0], ends[first, 1] = min(ends[first, 0], along), max(ends[first, 1], along)
+
+
+@compiled
+def _has_moved(moves: FloatArray, spread: FloatArray, merged_into: IntArray, most_moved: FloatArray) -> bool:
+    for line in range(len(moves)):
+        if merged_into[line] == line:
+            for part in range(2):
+                if abs(moves[line, part]) > most_moved[part] + spread[line, part]:
+                    return True
+    return False
 
 
 @entry
-def crossings(
+def count_crossings(
     poses: FloatArray,
     places: IntArray,
     beams: FloatArray,
     reached: FloatArray,
     lines: FloatArray,
     anchors: FloatArray,
-    ends: FloatArray,
-    sigmas: float,
-    std: float,
-    slack: float,
-    found: FloatArray,
+    low: IntArray,
+    hits: IntArray,
+    margin: float,
+    misses: IntArray,
+    against: IntArray,
 ) -> int:
-    """Where beams went through lines between their ends, as rows (reading, line, place along it); returns how many.
+    """Count where beams went through lines; returns how many of them went through a wall.
 
-    A beam has gone through when it ``reached`` (k,) farther, m, than ``sigmas`` times the standard deviation, and
-    ``slack`` (m), both along the normal, beyond the line.
+    A beam went through a line when it reached farther beyond it than ``margin``, m along the line's normal. It went
+    through a wall, once at most, when others have ended in that bin of the line and close to it on both sides.
+
+    Parameters
+    ----------
+    reached
+        How far each beam went without meeting anything (k,), m.
+    low, hits
+        First bin (m,) of each line, and how many beams ended in each bin (m, b), 0 beyond a line's last one.
+    misses, against
+        To be added to: how many went through each bin (m, b), and how many walls of each line (m,) were gone through.
     """
-    count = 0
+    count, normals = 0, _normals(lines, anchors)
     for k in range(len(places)):
+        is_against = False
+        x, y, ux, uy = ray(poses[places[k]], beams[k])
         for line in range(len(lines)):
-            distance, along, cosine = meet(poses[places[k]], beams[k], lines[line], anchors[line])
-            if distance <= 0.0 or along < ends[line, 0] or along > ends[line, 1]:
+            nx, ny = normals[line, 0], normals[line, 1]
+            cosine = nx * ux + ny * uy
+            distance = (normals[line, 2] - nx * x - ny * y) / cosine
+            if abs(cosine) < GRAZING or distance <= 0.0 or distance + margin / abs(cosine) >= reached[k]:
                 continue
-            if distance + (sigmas * std + slack) / abs(cosine) < reached[k]:
-                if count == len(found):
-                    return count
-                found[count, 0], found[count, 1], found[count, 2] = k, line, along
-                count += 1
+            along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+            place = int(math.floor(along / BIN)) - low[line]
+            if place < 0 or place >= hits.shape[1]:
+                continue
+            misses[line, place] += 1
+            if _is_wall(hits[line], place):
+                against[line] += 1
+                is_against = True
+        count += is_against
     return count
 
 
 @compiled
-def bin_of(along: float) -> int:
-    """The bin of a place along a line."""
-    return int(math.floor(along / BIN))
+def _is_wall(hits: IntArray, place: int) -> bool:
+    """Whether beams ended in a bin, and in one of the two bins on each side of it."""
+    if place < 2 or place >= len(hits) - 2 or hits[place] == 0:
+        return False
+    return hits[place - 1] + hits[place - 2] > 0 and hits[place + 1] + hits[place + 2] > 0

@@ -6,7 +6,8 @@ few. So poses are eliminated one after another, a block of three at a time, and 
 lines, the last poses and the calibration. Several robots are several chains that share the lines.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -68,7 +69,9 @@ class Problem:
     wheels, stds
         Reported motions (n, t - 1, 3), m, the last column zero, and their standard deviations.
     readings, range_std
-        What the beams read, and its standard deviation, m.
+        What the beams read of walls, and its standard deviation, m.
+    looks
+        Those readings, and beams that saw nothing: how far each of them went without meeting anything.
     prior
         Inverse covariance (4, 4) of a robot's calibration; None where robots are as specified.
     """
@@ -78,6 +81,7 @@ class Problem:
     wheels: FloatArray
     stds: FloatArray
     readings: Readings
+    looks: Readings
     range_std: float
     prior: FloatArray | None = None
 
@@ -86,11 +90,19 @@ class Problem:
         """Number of steps t."""
         return self.wheels.shape[1] + 1
 
-    @property
+    @cached_property
     def beams(self) -> FloatArray:
         """Origin and direction (k, 3) of the beam of each reading, m, m, rad, in the robot's frame."""
+        return self._beams_of(self.readings)
+
+    @cached_property
+    def look_beams(self) -> FloatArray:
+        """The same for ``looks``."""
+        return self._beams_of(self.looks)
+
+    def _beams_of(self, readings: Readings) -> FloatArray:
         table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
-        return np.asarray(table[self.readings.beams])
+        return np.asarray(table[readings.beams])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,18 +206,20 @@ def make_problem(
     stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
     stds[..., :2] = np.sqrt(noise.wheel_variance * np.abs(reported) + _LEAST_VARIANCE)
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
-    kept = shows_wall(robot, ranges) & (True if usable is None else usable)
-    number, step, beam = np.nonzero(np.moveaxis(kept, 0, 1))
-    readings = Readings(number * len(wheels) + step, beam, np.asarray(ranges[step, number, beam], dtype=float))
+    ranges = np.asarray(ranges, dtype=float)
+    fresh = np.array([robot.measures(step) for step in range(len(ranges))])[:, None]
+    looked = fresh & np.isfinite(ranges) & (ranges > robot.too_near) & (True if usable is None else usable)
+    readings = _listed(looked & (ranges < robot.too_far), ranges)
+    looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     std = max(noise.range_std, LEAST_RANGE_STD)
     information = None if prior is None else prior.information
-    return Problem(robot, np.asarray(starts, dtype=float), motions, stds, readings, std, information)
+    return Problem(robot, np.asarray(starts, dtype=float), motions, stds, readings, looks, std, information)
 
 
-def shows_wall(robot: RobotSpec, ranges: FloatArray) -> BoolArray:
-    """Which readings (t, n, n_beams) are new ones that measured something."""
-    fresh = np.array([robot.measures(step) for step in range(len(ranges))])
-    return np.asarray((ranges > robot.too_near) & (ranges < robot.too_far) & fresh[:, None] & np.isfinite(ranges))
+def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
+    """Those of the ranges (t, n, n_beams) that are kept, in the order of poses."""
+    number, step, beam = np.nonzero(np.moveaxis(kept, 0, 1))
+    return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
 
 
 def state_from_poses(problem: Problem, poses: FloatArray) -> State:
@@ -216,6 +230,12 @@ def state_from_poses(problem: Problem, poses: FloatArray) -> State:
     for chain, motion in zip(chains, motions, strict=True):
         kernels.motions_between(chain, problem.robot.axle, motion)
     return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((len(motions), CALIBRATED)))
+
+
+def state_from_motions(problem: Problem) -> State:
+    """The state without lines to which the reported wheel travel leads."""
+    nothing = np.zeros((0, 2))
+    return moved(problem, problem.wheels, nothing, nothing, np.zeros((len(problem.wheels), CALIBRATED)))
 
 
 def moved(

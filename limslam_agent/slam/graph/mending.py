@@ -1,0 +1,165 @@
+"""Wrong matches that re-association alone cannot undo: lines are cut, dropped and founded anew.
+
+Each move changes the associations of the best solution so far and settles the rest anew. The result is kept when its
+score, which needs no truth, is better.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.graph.line_smoother import DegenerateError, Problem, State, state_from_motions
+from limslam_agent.slam.graph.map_score import Score, explained_by_lines, score, tally
+from limslam_agent.slam.graph.reassociation import Association, OneWall, hit_points, merge, reassociate, solve_labels
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+_RUN_GAP = 0.15  # m of driving without a reading that ends a run
+_POINT_GAP = 0.30  # m between the ends of two readings of one wall
+
+Labels = Callable[[], IntArray]
+"""Makes the associations that a move begins with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A solution, what it is worth, and the move that led to it."""
+
+    association: Association
+    score: Score
+    move: str
+
+
+def mend(problem: Problem, found: Association, first_labels: IntArray, config: SmootherConfig) -> list[Candidate]:
+    """The solutions that were kept one after another, the best one last.
+
+    Parameters
+    ----------
+    found
+        The solution to begin from.
+    first_labels
+        The line of each reading (k,) before any re-association, or -1.
+    """
+    best = Candidate(found, score(problem, found, config.score), "start")
+    kept = [best]
+    for number in range(config.mending.rounds):
+        mender = _Mender(problem, best, config)
+        starts = first_labels if number == 0 else None
+        for move, state, labels in mender.moves(starts):
+            for candidate in mender.tried(move, state, labels):
+                if candidate.score.total > best.score.total + config.mending.gain:
+                    best = candidate
+        if best is kept[-1]:
+            break
+        kept.append(best)
+    return kept
+
+
+class _Mender:
+    """The moves from one solution."""
+
+    def __init__(self, problem: Problem, begin: Candidate, config: SmootherConfig) -> None:
+        self._problem, self._begin, self._config = problem, begin.association, config
+        mending = config.mending
+        self._limits = OneWall(
+            config.reassociation.one_wall_gate, mending.max_offset, mending.max_angle, mending.min_overlap
+        )
+
+    def moves(self, first_labels: IntArray | None) -> Iterator[tuple[str, State, Labels]]:
+        """Names of moves, with the poses and the associations that they begin from."""
+        mending, labels, state = self._config.mending, self._begin.labels, self._begin.state
+        if first_labels is not None:
+            yield "anew", state_from_motions(self._problem), self._anew
+        yield "cut", state, lambda: split(self._problem, labels, mending.cut)
+        found = tally(self._problem, self._begin)
+        least = np.maximum(mending.dropped_least, mending.dropped_share * found.hits.sum(axis=1))
+        bad = np.flatnonzero(found.against > least)
+        if len(bad):
+            yield "drop", state, lambda: split(self._problem, np.where(np.isin(labels, bad), -1, labels), mending.cut)
+        yield "reborn", state, lambda: self._reborn(self._begin)
+
+    def tried(self, move: str, state: State, labels: Labels) -> Iterator[Candidate]:
+        """What a move leads to, and what it leads to with new lines for readings that nothing explains."""
+        try:
+            settled = self._settled(state, labels(), self._config.reassociation.rounds)
+            yield self._candidate(settled, move)
+            if move != "reborn":
+                yield self._candidate(self._settled(settled.state, self._reborn(settled), 4), f"{move}, reborn")
+        except DegenerateError:
+            return
+
+    def _candidate(self, found: Association, move: str) -> Candidate:
+        return Candidate(found, score(self._problem, found, self._config.score), move)
+
+    def _settled(self, state: State, labels: IntArray, rounds: int) -> Association:
+        reassociation = self._config.reassociation
+        begin = solve_labels(self._problem, state, labels, reassociation.fewest)
+        merged, _ = merge(self._problem, begin, self._limits, reassociation.fewest)
+        return reassociate(self._problem, merged.state, merged.labels, reassociation, rounds)
+
+    def _anew(self) -> IntArray:
+        """Associations of nothing but straight pieces, by the shape of the path that the wheels tell."""
+        reported = state_from_motions(self._problem)
+        everything = np.ones(len(self._problem.readings), dtype=bool)
+        return straight_runs(self._problem, reported, everything, self._config.reassociation.fewest)
+
+    def _reborn(self, found: Association) -> IntArray:
+        """The associations with new lines through readings that no line explains."""
+        mending = self._config.mending
+        unexplained = explained_by_lines(self._problem, found, 0.10) > mending.unexplained
+        pieces = straight_runs(self._problem, found.state, unexplained, mending.reborn_readings)
+        return np.where(pieces >= 0, pieces + int(found.labels.max(initial=-1)) + 1, found.labels)
+
+
+def split(problem: Problem, labels: IntArray, gap: float) -> IntArray:
+    """Labels cut where a line was not read for ``gap`` (m) of a robot's drive."""
+    driven = driven_at(problem)
+    order = np.lexsort((np.arange(len(labels)), labels))
+    order = order[labels[order] >= 0]
+    place = problem.readings.places[order]
+    is_new = np.diff(labels[order], prepend=-1) != 0
+    is_new |= np.diff(place // problem.steps, prepend=-1) != 0
+    is_new |= np.diff(driven[place], prepend=0.0) > gap
+    result = np.full(len(labels), -1)
+    result[order] = np.cumsum(is_new) - 1
+    return result
+
+
+def driven_at(problem: Problem) -> FloatArray:
+    """How far each robot's wheels have driven until each pose (n t,), m."""
+    travel = np.abs(problem.wheels[..., :2]).mean(axis=2)
+    start = np.zeros((len(travel), 1))
+    return np.concatenate((start, np.cumsum(travel, axis=1)), axis=1).ravel()
+
+
+def straight_runs(problem: Problem, state: State, chosen: BoolArray, fewest: int) -> IntArray:
+    """Straight pieces of wall among chosen readings: for each reading the number of its piece (k,), or -1.
+
+    The readings of one beam that follow each other are cut at gaps, and where they bend.
+    """
+    readings, driven = problem.readings, driven_at(problem)
+    order = np.lexsort((readings.places, readings.beams, readings.places // problem.steps))
+    order = order[chosen[order]]
+    points = hit_points(problem, state, order)[:, :2]
+    place, beam = readings.places[order], readings.beams[order]
+    breaks = (np.diff(beam) != 0) | (np.diff(driven[place]) > _RUN_GAP) | (np.diff(driven[place]) < 0.0)
+    breaks |= np.linalg.norm(np.diff(points, axis=0), axis=1) > _POINT_GAP
+    result, number = np.full(len(readings), -1), 0
+    for run in np.split(np.arange(len(order)), np.flatnonzero(breaks) + 1):
+        for piece in _unbent(points, run, 4.0 * problem.range_std, fewest):
+            result[order[piece]] = number
+            number += 1
+    return result
+
+
+def _unbent(points: FloatArray, run: IntArray, tolerance: float, fewest: int) -> list[IntArray]:
+    """The pieces of a run whose points lie within a tolerance (m) of a line; split-and-merge without the merge."""
+    if len(run) < fewest:
+        return []
+    off = points[run] - points[run].mean(axis=0)
+    away = np.abs(off @ np.linalg.svd(off, full_matrices=False)[2][1])
+    if away.max() <= tolerance:
+        return [run]
+    cut = min(max(int(away.argmax()), 1), len(run) - 1)
+    return _unbent(points, run[:cut], tolerance, fewest) + _unbent(points, run[cut:], tolerance, fewest)
