@@ -85,15 +85,12 @@ class ScoreConfig:
     Attributes
     ----------
     clip
-        A reading that no line explains costs as much as this squared residual, in variances.
-    contradiction
-        Price of a beam that goes through a wall.
+        A look that no line explains, or that goes through a wall, costs as much as this squared residual, in variances.
     line
         Price of a line.
     """
 
     clip: float = 16.0
-    contradiction: float = 8.0
     line: float = 24.0
 
 
@@ -117,9 +114,15 @@ class MendingConfig:
         Readings that are farther than so many standard deviations from every line may found new ones.
     reborn_readings
         New lines have at least so many of them.
+    doubled_sigmas, doubled_offset, doubled_angle
+        Two lines that share a stretch of wall are made one where they are closer than so many standard deviations of a
+        range, or this offset, m, and this angle, rad.
+    contradicted, unsure_heading
+        Mending is tried where beams contradict more than this share of all looks, or where the filter's heading once
+        had this standard deviation, rad.
     """
 
-    rounds: int = 6
+    rounds: int = 3
     gain: float = 5.0
     cut: float = 3.0
     max_offset: float = 0.8
@@ -129,6 +132,11 @@ class MendingConfig:
     dropped_least: int = 5
     unexplained: float = 4.0
     reborn_readings: int = 8
+    doubled_sigmas: float = 3.0
+    doubled_offset: float = 0.03
+    doubled_angle: float = math.radians(10.0)
+    contradicted: float = 0.01
+    unsure_heading: float = math.radians(4.0)
 
 
 @dataclass(frozen=True)
@@ -137,21 +145,21 @@ class SmootherConfig:
 
     Attributes
     ----------
+    reassociation, score, mending
+        Of its stages.
     calibration
         What is known of constant errors that are to be estimated; None where robots are taken to be as specified.
-    calibration_gate
-        Constant errors are only believed when they raise the log-likelihood by so much.
+    max_gap, through_tolerance
+        What is drawn as one piece: holes that no beam looked at, m, and beams that passed for each one that hit.
+    shown_readings, shown_length
+        A line is drawn if it was read this often, in pieces of this length, m, or more.
     """
 
     reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)
     score: ScoreConfig = field(default_factory=ScoreConfig)
     mending: MendingConfig = field(default_factory=MendingConfig)
     calibration: CalibrationPrior | None = None
-    calibration_gate: float = 20.0
     max_gap: float = 0.30
     through_tolerance: float = 1.0
-    through_sigmas: float = 3.0
-    through_slack: float = 0.05
     shown_readings: int = 10
     shown_length: float = 0.20
-    least_angle: float = math.radians(0.0)

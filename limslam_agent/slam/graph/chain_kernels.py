@@ -230,7 +230,7 @@ def eliminate(
     gains: FloatArray,
     coupled: FloatArray,
     solved: FloatArray,
-) -> int:
+) -> None:
     """Eliminate the poses 1 to t - 2 of a chain; the first pose is known, the last one stays.
 
     A block Cholesky factorisation of an arrow matrix. The readings of the chain, sorted by ``steps`` (k,), couple the
@@ -244,13 +244,9 @@ def eliminate(
     coupled, solved
         To be filled: (t, 3, m) and (t, 3), how each pose is coupled to calibration and lines, and its right side,
         both with the factor taken off. Those of the last pose are left as they are.
-
-    Returns
-    -------
-    columns
-        How many columns of ``coupled`` are not zero: lines are numbered in the order in which they are seen.
     """
     last, first_line = len(diagonal) - 1, border.shape[2]
+    # Lines are numbered in the order in which they are seen: the columns of later lines are still zero.
     active, k = first_line, 0
     while k < len(steps) and steps[k] < 1:
         k += 1
@@ -259,7 +255,7 @@ def eliminate(
         while k < len(steps) and steps[k] == step:
             if weights[k] != 0.0:
                 column = first_line + 2 * label[k]
-                active = max(active, column + 2)
+                active = max(active, int(column) + 2)
                 _couple(coupled[step], column, rows[k], weights[k])
             k += 1
         lower[step] = diagonal[step]
@@ -269,7 +265,6 @@ def eliminate(
         if step < last:
             _factor(lower[step])
             _take_off(lower[step], coupled[step], solved[step], active)
-    return active
 
 
 @compiled

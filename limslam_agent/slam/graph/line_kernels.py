@@ -10,8 +10,8 @@ import numpy as np
 
 from limslam_agent.slam.batch.compilation import compiled, entry
 from limslam_agent.slam.consistent.wall_extent import BIN
-from limslam_agent.slam.graph.chain_kernels import COLUMNS, COSINE, RANGE, expected_reading
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_agent.slam.graph.chain_kernels import COLUMNS, RANGE, expected_reading
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 GRAZING = 0.2
 _TRIED_ANGLES = 90
@@ -241,7 +241,8 @@ def merge_lines(
     spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
     for line in range(len(lines)):
         merged_into[line] = line
-    pairs = _near_pairs(lines, anchors, ends, limits)
+    loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
+    pairs = near_pairs(lines, anchors, ends, loose)
     while True:
         best, chosen = np.inf, -1
         for k in range(len(pairs)):
@@ -265,14 +266,13 @@ def merge_lines(
             return count
 
 
-@compiled
-def _near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
-    """Pairs of lines that are near enough now, or may get so, as (first, second) (k, 2)."""
-    loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
+@entry
+def near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
+    """Pairs of lines (k, 2) within limits of offset (m), angle (rad) and overlap (m): ``limits[1:]``."""
     count, pairs = 0, np.empty((len(lines) * (len(lines) - 1) // 2, 2), dtype=np.int64)
     for first in range(len(lines)):
         for second in range(first + 1, len(lines)):
-            if _is_near(first, second, lines, anchors, ends, loose):
+            if _is_near(first, second, lines, anchors, ends, limits):
                 pairs[count, 0], pairs[count, 1] = first, second
                 count += 1
     return pairs[:count].copy()
@@ -286,7 +286,7 @@ def _is_near(
     if abs(turn) > limits[2]:
         return False
     off, overlap = _apart(first, second, lines, anchors, ends)
-    return off <= limits[1] and overlap >= limits[3]
+    return bool(off <= limits[1] and overlap >= limits[3])
 
 
 @compiled
@@ -368,7 +368,7 @@ def count_crossings(
             if abs(cosine) < GRAZING or distance <= 0.0 or distance + margin / abs(cosine) >= reached[k]:
                 continue
             along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
-            place = int(math.floor(along / BIN)) - low[line]
+            place = math.floor(along / BIN) - low[line]
             if place < 0 or place >= hits.shape[1]:
                 continue
             misses[line, place] += 1
@@ -384,4 +384,87 @@ def _is_wall(hits: IntArray, place: int) -> bool:
     """Whether beams ended in a bin, and in one of the two bins on each side of it."""
     if place < 2 or place >= len(hits) - 2 or hits[place] == 0:
         return False
-    return hits[place - 1] + hits[place - 2] > 0 and hits[place + 1] + hits[place + 2] > 0
+    return bool(hits[place - 1] + hits[place - 2] > 0 and hits[place + 1] + hits[place + 2] > 0)
+
+
+@entry
+def explain_looks(
+    poses: FloatArray,
+    places: IntArray,
+    beams: FloatArray,
+    reached: FloatArray,
+    has_hit: BoolArray,
+    lines: FloatArray,
+    anchors: FloatArray,
+    low: IntArray,
+    hits: IntArray,
+    margin: float,
+    misfits: FloatArray,
+    best: IntArray,
+) -> None:
+    """How well each look fits the walls that its beam meets (k,), m, and the line (k,) that explains it, or -1.
+
+    A beam ends at the first wall that it surely meets, or before that at the end of a wall that it may just meet. So
+    two walls close behind each other explain no more than the first of them does. A look that saw nothing fits exactly
+    unless it went through a wall by more than ``margin``, m along the normal.
+    """
+    normals = _normals(lines, anchors)
+    for k in range(len(places)):
+        ray_of_beam = ray(poses[places[k]], beams[k])
+        first, line, cosine = _first_sure(ray_of_beam, normals, low, hits)
+        if has_hit[k]:
+            misfits[k], best[k] = _nearest_before(ray_of_beam, reached[k], first, normals, low, hits)
+        else:
+            went = first + margin / max(cosine, GRAZING) < reached[k]
+            misfits[k], best[k] = (_FAR, line) if went else (0.0, -1)
+
+
+@compiled
+def _first_sure(
+    beam: tuple[float, float, float, float], normals: FloatArray, low: IntArray, hits: IntArray
+) -> tuple[float, int, float]:
+    """How far a beam goes to the first wall that it surely meets, m, the wall's line, and the cosine."""
+    x, y, ux, uy = beam
+    first, found, its_cosine = _FAR, -1, 1.0
+    for line in range(len(normals)):
+        nx, ny = normals[line, 0], normals[line, 1]
+        cosine = nx * ux + ny * uy
+        distance = (normals[line, 2] - nx * x - ny * y) / cosine
+        if abs(cosine) < GRAZING or distance <= 0.0 or distance >= first:
+            continue
+        along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+        place = math.floor(along / BIN) - low[line]
+        if 0 <= place < hits.shape[1] and _is_wall(hits[line], place):
+            first, found, its_cosine = distance, line, abs(cosine)
+    return first, found, its_cosine
+
+
+@compiled
+def _nearest_before(
+    beam: tuple[float, float, float, float],
+    reading: float,
+    first: float,
+    normals: FloatArray,
+    low: IntArray,
+    hits: IntArray,
+) -> tuple[float, int]:
+    """By how much a reading misses the nearest wall that its beam may meet before, or surely at, ``first``, m."""
+    x, y, ux, uy = beam
+    misfit, best = _FAR, -1
+    for line in range(len(normals)):
+        nx, ny = normals[line, 0], normals[line, 1]
+        cosine = nx * ux + ny * uy
+        distance = (normals[line, 2] - nx * x - ny * y) / cosine
+        if abs(cosine) < GRAZING or distance <= 0.0 or distance > first or abs(distance - reading) >= misfit:
+            continue
+        along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+        place = math.floor(along / BIN) - low[line]
+        if -2 < place <= hits.shape[1] and _has_hits(hits[line], place):
+            misfit, best = abs(distance - reading), line
+    return misfit, best
+
+
+@compiled
+def _has_hits(hits: IntArray, place: int) -> bool:
+    """Whether beams ended in a bin or beside it."""
+    return bool(hits[max(place - 1, 0) : place + 2].sum() > 0)

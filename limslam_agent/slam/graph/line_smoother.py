@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.graph import chain_kernels as kernels
-from limslam_agent.slam.graph.chain_kernels import BY_POSE, CALIBRATED, COLUMNS, COSINE, RANGE
+from limslam_agent.slam.graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -88,7 +88,7 @@ class Problem:
     @property
     def steps(self) -> int:
         """Number of steps t."""
-        return self.wheels.shape[1] + 1
+        return int(self.wheels.shape[1]) + 1
 
     @cached_property
     def beams(self) -> FloatArray:
@@ -99,6 +99,11 @@ class Problem:
     def look_beams(self) -> FloatArray:
         """The same for ``looks``."""
         return self._beams_of(self.looks)
+
+    @cached_property
+    def is_hit(self) -> BoolArray:
+        """Which of the looks (k,) met a wall."""
+        return np.asarray(self.looks.distances < self.robot.too_far[self.looks.beams])
 
     def _beams_of(self, readings: Readings) -> FloatArray:
         table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
@@ -373,9 +378,7 @@ def _descend(
 class _Equations:
     """The linearised problem about a state; chains of poses are eliminated when it is made."""
 
-    def __init__(
-        self, problem: Problem, state: State, labels: IntArray, rows: FloatArray, weights: FloatArray
-    ) -> None:
+    def __init__(self, problem: Problem, state: State, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
         self._problem, self._state = problem, state
         count, steps = state.poses.shape[:2]
         self._first_line = 0 if problem.prior is None else CALIBRATED * count
@@ -443,13 +446,13 @@ class _Equations:
 
     def _add_readings(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
         problem, readings = self._problem, self._problem.readings
-        biases = np.full(len(readings), -1)
+        biases, border = np.full(len(readings), -1), (problem.steps * len(problem.starts), 3, self._first_line)
         if self._first_line:
             biases = CALIBRATED * (readings.places // problem.steps) + 3
         kernels.add_readings(
             readings.places, labels, rows, _range_residuals(problem, self._state, rows),
             weights / problem.range_std**2, biases, self._first_line,
-            self._diagonal.reshape(-1, 3, 3), self._border.reshape(len(problem.starts) * problem.steps, 3, self._first_line),
+            self._diagonal.reshape(-1, 3, 3), self._border.reshape(border),
             self._right.reshape(-1, 3), self._shared, self._shared_right,
         )  # fmt: skip
 

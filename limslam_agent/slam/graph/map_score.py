@@ -49,10 +49,9 @@ def tally(problem: Problem, found: Association) -> Tally:
     hits = np.zeros((count, int((high - low).max(initial=0)) + 1), dtype=np.int64)
     np.add.at(hits, (labels[used], bins - low[labels[used]]), 1)
     misses, against = np.zeros_like(hits), np.zeros(count, dtype=np.int64)
-    margin = _THROUGH_SIGMAS * problem.range_std + _THROUGH_SLACK
     contradictions = kernels.count_crossings(
         state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
-        low, hits, margin, misses, against,
+        low, hits, _margin(problem), misses, against,
     )  # fmt: skip
     return Tally(low, hits, misses, against, contradictions)
 
@@ -63,38 +62,60 @@ class Score:
 
     Attributes
     ----------
-    wheels, readings
-        Half the sum of squared residuals, in variances; of a reading no more than the clip.
-    contradictions, lines
-        How many beams went through walls, and how many lines there are.
+    wheels, looks
+        Half the sums of squared residuals, in variances; of a look no more than half the clip.
+    lines
+        How many lines there are.
     total
         The score: the greater, the better.
     """
 
     wheels: float
-    readings: float
-    contradictions: int
+    looks: float
     lines: int
     total: float
 
 
 def score(problem: Problem, found: Association, config: ScoreConfig) -> Score:
-    """The score of a solution.
+    """The score of a solution: the log-likelihood of all wheels and looks, less a price for each line.
 
-    Readings are compared with the line that predicts them best, whether they were used for it or not, and readings
-    that no line predicts cost as much as ``clip`` says. So a line is worth its price only if it predicts readings that
-    no other line does.
+    A look ends at the first wall that its beam meets. A look that no wall predicts, or that goes through a wall, costs
+    as much as ``clip`` says. So a second line close to a wall explains nothing more, whatever the noise.
     """
-    misfits = explained_by_lines(problem, found)
+    misfits, _ = explained_looks(problem, found)
     wheels = 0.5 * wheel_chi_square(problem, found.state)
-    readings = 0.5 * float(np.minimum(misfits**2, config.clip).sum())
-    against = tally(problem, found).contradictions
+    looks = 0.5 * float(np.minimum(misfits**2, config.clip).sum())
     count = len(found.state.lines)
-    total = -wheels - readings - config.contradiction * against - config.line * count
-    return Score(wheels, readings, against, count, total)
+    return Score(wheels, looks, count, -wheels - looks - config.line * count)
 
 
-def explained_by_lines(problem: Problem, found: Association, beyond: float = 0.05) -> FloatArray:
+def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
+    """How far each look is from the wall that its beam should meet (k,), in standard deviations, and the line (k,)."""
+    looks, state, counted = problem.looks, found.state, tally(problem, found)
+    misfits, best = np.empty(len(looks)), np.empty(len(looks), dtype=np.int64)
+    biases = state.calibration[looks.places // problem.steps, 3]
+    kernels.explain_looks(
+        state.flat_poses, looks.places, problem.look_beams, looks.distances - biases, problem.is_hit, state.lines,
+        state.anchors, counted.low, counted.hits, _margin(problem), misfits, best,
+    )  # fmt: skip
+    return misfits / problem.range_std, best
+
+
+def line_values(problem: Problem, found: Association, config: ScoreConfig) -> FloatArray:
+    """By how much each line (m,) raises the score, before its price, if no other line explains its looks."""
+    misfits, best = explained_looks(problem, found)
+    gains = 0.5 * (config.clip - np.minimum(misfits**2, config.clip))
+    # A look that went through a wall would have cost nothing without that wall.
+    gains[(misfits**2 >= config.clip) & ~problem.is_hit] = -0.5 * config.clip
+    known = best >= 0
+    return np.bincount(best[known], weights=gains[known], minlength=len(found.state.lines))
+
+
+def explained_readings(problem: Problem, found: Association, beyond: float = 0.10) -> FloatArray:
     """How far each reading is from the nearest line that its beam meets (k,), in standard deviations."""
     ends = ends_of(problem, found.state, found.labels)
     return np.asarray(best_lines(problem, found.state, ends, beyond)[1][:, 0])
+
+
+def _margin(problem: Problem) -> float:
+    return _THROUGH_SIGMAS * problem.range_std + _THROUGH_SLACK

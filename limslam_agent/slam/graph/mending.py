@@ -9,10 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.config.smoother import MendingConfig, SmootherConfig
+from limslam_agent.slam.graph import line_kernels as kernels
 from limslam_agent.slam.graph.line_smoother import DegenerateError, Problem, State, state_from_motions
-from limslam_agent.slam.graph.map_score import Score, explained_by_lines, score, tally
-from limslam_agent.slam.graph.reassociation import Association, OneWall, hit_points, merge, reassociate, solve_labels
+from limslam_agent.slam.graph.map_score import Score, explained_readings, line_values, score, tally
+from limslam_agent.slam.graph.reassociation import (
+    Association,
+    OneWall,
+    ends_of,
+    hit_points,
+    merge,
+    reassociate,
+    rooted,
+    solve_labels,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _RUN_GAP = 0.15  # m of driving without a reading that ends a run
@@ -31,22 +41,19 @@ class Candidate:
     move: str
 
 
-def mend(problem: Problem, found: Association, first_labels: IntArray, config: SmootherConfig) -> list[Candidate]:
+def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
     """The solutions that were kept one after another, the best one last.
 
     Parameters
     ----------
     found
         The solution to begin from.
-    first_labels
-        The line of each reading (k,) before any re-association, or -1.
     """
     best = Candidate(found, score(problem, found, config.score), "start")
     kept = [best]
     for number in range(config.mending.rounds):
         mender = _Mender(problem, best, config)
-        starts = first_labels if number == 0 else None
-        for move, state, labels in mender.moves(starts):
+        for move, state, labels in mender.moves(is_first=number == 0):
             for candidate in mender.tried(move, state, labels):
                 if candidate.score.total > best.score.total + config.mending.gain:
                     best = candidate
@@ -66,10 +73,10 @@ class _Mender:
             config.reassociation.one_wall_gate, mending.max_offset, mending.max_angle, mending.min_overlap
         )
 
-    def moves(self, first_labels: IntArray | None) -> Iterator[tuple[str, State, Labels]]:
+    def moves(self, *, is_first: bool) -> Iterator[tuple[str, State, Labels]]:
         """Names of moves, with the poses and the associations that they begin from."""
         mending, labels, state = self._config.mending, self._begin.labels, self._begin.state
-        if first_labels is not None:
+        if is_first:
             yield "anew", state_from_motions(self._problem), self._anew
         yield "cut", state, lambda: split(self._problem, labels, mending.cut)
         found = tally(self._problem, self._begin)
@@ -84,8 +91,11 @@ class _Mender:
         try:
             settled = self._settled(state, labels(), self._config.reassociation.rounds)
             yield self._candidate(settled, move)
+            yield self._candidate(self._pruned(settled), f"{move}, pruned")
             if move != "reborn":
-                yield self._candidate(self._settled(settled.state, self._reborn(settled), 4), f"{move}, reborn")
+                again = self._settled(settled.state, self._reborn(settled), 4)
+                yield self._candidate(again, f"{move}, reborn")
+                yield self._candidate(self._pruned(again), f"{move}, reborn, pruned")
         except DegenerateError:
             return
 
@@ -98,6 +108,14 @@ class _Mender:
         merged, _ = merge(self._problem, begin, self._limits, reassociation.fewest)
         return reassociate(self._problem, merged.state, merged.labels, reassociation, rounds)
 
+    def _pruned(self, found: Association) -> Association:
+        """The solution without doubled lines, and without lines that are not worth their price."""
+        doubled = doubled_lines(self._problem, found, self._config.mending)
+        labels = np.where(found.labels >= 0, doubled[found.labels], -1)
+        worthless = line_values(self._problem, found, self._config.score) < self._config.score.line
+        labels = np.where(np.isin(labels, np.flatnonzero(worthless)), -1, labels)
+        return reassociate(self._problem, found.state, labels, self._config.reassociation, 2)
+
     def _anew(self) -> IntArray:
         """Associations of nothing but straight pieces, by the shape of the path that the wheels tell."""
         reported = state_from_motions(self._problem)
@@ -107,9 +125,28 @@ class _Mender:
     def _reborn(self, found: Association) -> IntArray:
         """The associations with new lines through readings that no line explains."""
         mending = self._config.mending
-        unexplained = explained_by_lines(self._problem, found, 0.10) > mending.unexplained
+        unexplained = explained_readings(self._problem, found) > mending.unexplained
         pieces = straight_runs(self._problem, found.state, unexplained, mending.reborn_readings)
         return np.where(pieces >= 0, pieces + int(found.labels.max(initial=-1)) + 1, found.labels)
+
+
+def doubled_lines(problem: Problem, found: Association, config: MendingConfig) -> IntArray:
+    """For each line (m,) the line with more readings that it runs along, or itself.
+
+    Readings go to the nearer one of two lines that run along each other. This pulls the two apart, so that their
+    covariances never let them merge.
+    """
+    state, labels = found.state, found.labels
+    apart = max(config.doubled_sigmas * problem.range_std, config.doubled_offset)
+    limits = np.array([np.inf, apart, config.doubled_angle, config.min_overlap])
+    pairs = kernels.near_pairs(state.lines, state.anchors, ends_of(problem, state, labels), limits)
+    counts = np.bincount(labels[labels >= 0], minlength=len(state.lines))
+    result = np.arange(len(state.lines))
+    for first, second in pairs.tolist():
+        few, many = sorted((first, second), key=counts.__getitem__)
+        if result[few] == few and result[many] == many:
+            result[few] = many
+    return rooted(result)
 
 
 def split(problem: Problem, labels: IntArray, gap: float) -> IntArray:

@@ -22,7 +22,8 @@ def smoothed_landmarks(problem: Problem, found: Association) -> list[Landmark]:
     for index, (line, covariance) in enumerate(zip(lines, covariances, strict=True)):
         own = along[found.labels == index]
         ends = _points(state, index, np.array([own.min(), own.max()]))
-        landmarks.append(Landmark(*line.tolist(), covariance, ends, int(counts[index]), index))
+        r, theta = line.tolist()
+        landmarks.append(Landmark(r, theta, covariance, ends, int(counts[index]), index))
     return landmarks
 
 

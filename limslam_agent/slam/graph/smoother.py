@@ -1,0 +1,130 @@
+"""Smoothing a finished run: from what was observed and what the filter made of it to all poses at once, and the map."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.graph.line_smoother import DegenerateError, Problem, make_problem, pose_covariances
+from limslam_agent.slam.graph.line_smoother import state_from_poses as state_from
+from limslam_agent.slam.graph.map_score import tally
+from limslam_agent.slam.graph.mending import mend
+from limslam_agent.slam.graph.reassociation import Association, reassociate
+from limslam_agent.slam.graph.smoothed_map import smoothed_landmarks, smoothed_segments
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import NominalNoise, RobotSpec
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredRun:
+    """A run of n robots in t steps: what was observed, and what the filter made of it.
+
+    Attributes
+    ----------
+    robot, noise
+        Body and beams of each robot, and what its builder knows of its noise.
+    wheels, ranges
+        (t, n, 2) and (t, n, n_beams), m: the observations; row 0 is the moment of the reset.
+    usable
+        (t, n, n_beams), which readings are of walls, not perhaps of other robots.
+    poses, covariances
+        What the filter believed at each step (t, n, 3) and (t, n, 3, 3); the first poses are the known starts.
+    associations, closures
+        What became of observed lines, and which landmarks were merged, in order.
+    """
+
+    robot: RobotSpec
+    noise: NominalNoise
+    wheels: FloatArray
+    ranges: FloatArray
+    usable: BoolArray
+    poses: FloatArray
+    covariances: FloatArray
+    associations: list[AssociationRecord]
+    closures: list[Closure]
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedRun:
+    """What is known of a run at its end.
+
+    Attributes
+    ----------
+    poses, covariances
+        (t, n, 3), m and rad, and (t, n, 3, 3).
+    landmarks, segments
+        The lines with covariances, and the walls (k, 4) as they are drawn, m.
+    moves
+        By which moves the associations were mended; empty where that was not needed, or did not help.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    landmarks: list[Landmark]
+    segments: FloatArray
+    moves: tuple[str, ...]
+
+
+def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
+    """All poses and lines of a run by all that was known at its end.
+
+    The filter's associations are where the smoother begins; none of them is final. Where beams contradict the result,
+    or where the filter's heading was unsure, wrong associations are looked for, too.
+
+    Returns
+    -------
+    smoothed
+        None where there is nothing to smooth: no motion, or no wall that was seen often enough.
+    """
+    config = config or SmootherConfig()
+    prior = config.calibration
+    problem = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior)
+    labels = filter_labels(problem, run.associations, run.closures)
+    if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
+        return None
+    try:
+        found = reassociate(problem, state_from(problem, run.poses), labels, config.reassociation)
+    except DegenerateError:
+        return None
+    moves: tuple[str, ...] = ()
+    if needs_mending(problem, found, run.covariances, config):
+        kept = mend(problem, found, config)
+        found, moves = kept[-1].association, tuple(candidate.move for candidate in kept[1:])
+    return _smoothed(problem, found, moves, config)
+
+
+def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure]) -> IntArray:
+    """For each reading of a problem the landmark that the filter took it for at last (k,), or -1."""
+    count, steps = len(problem.starts), problem.steps
+    table = np.full((count * steps, len(problem.robot.beams)), -1)
+    united = {closure.younger: closure.older for closure in closures}
+    for record in associations:
+        number = record.landmark
+        while number in united:
+            number = united[number]
+        table[record.robot * steps + record.readings[:, 0], record.readings[:, 1]] = number
+    return np.asarray(table[problem.readings.places, problem.readings.beams])
+
+
+def needs_mending(problem: Problem, found: Association, covariances: FloatArray, config: SmootherConfig) -> bool:
+    """Whether beams contradict a solution, or the filter was once unsure of its heading."""
+    contradicted = tally(problem, found).contradictions / max(len(problem.looks), 1)
+    heading_std = math.sqrt(max(float(covariances[..., 2, 2].max()), 0.0))
+    return contradicted > config.mending.contradicted or heading_std > config.mending.unsure_heading
+
+
+def _smoothed(problem: Problem, found: Association, moves: tuple[str, ...], config: SmootherConfig) -> SmoothedRun:
+    poses = np.moveaxis(found.state.poses, 0, 1).copy()
+    poses[..., 2] = wrap_angle(poses[..., 2])
+    return SmoothedRun(
+        poses=poses,
+        covariances=np.moveaxis(pose_covariances(found.solution), 0, 1).copy(),
+        landmarks=smoothed_landmarks(problem, found),
+        segments=smoothed_segments(problem, found, config),
+        moves=moves,
+    )
