@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from support.drives import ROBOT, along, drive, room
+from support.drives import ROBOT
+from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 
 from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.graph import chain_kernels
 from limslam_agent.slam.graph.line_smoother import (
     make_problem,
     pose_covariances,
-    rows_of,
     solve,
     state_from_motions,
     state_from_poses,
@@ -19,42 +19,6 @@ from limslam_agent.slam.graph.line_smoother import (
 from limslam_agent.slam.graph.reassociation import solve_labels
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.interface import NominalNoise
-
-WALLS = room(0.0, 0.0, 3.0, 2.4)
-START = np.array([0.6, 0.6, 0.0])
-ROUND = [(0.6, 0.6), (2.4, 0.6), (2.4, 1.8), (0.6, 1.8), (0.6, 0.7)]
-WHEEL_VARIANCE = 2e-5
-
-
-def true_labels(problem, poses):
-    """The wall that each reading of a problem ends on, from the true poses."""
-    at = poses.reshape(-1, 3)[problem.readings.places]
-    angle = at[:, 2] + problem.beams[:, 2]
-    cos, sin = np.cos(at[:, 2]), np.sin(at[:, 2])
-    x = at[:, 0] + cos * problem.beams[:, 0] - sin * problem.beams[:, 1]
-    y = at[:, 1] + sin * problem.beams[:, 0] + cos * problem.beams[:, 1]
-    with np.errstate(divide="ignore"):
-        reach = np.stack((-y / np.sin(angle), (3.0 - x) / np.cos(angle), (2.4 - y) / np.sin(angle), -x / np.cos(angle)))
-    return np.where(reach > 0.0, reach, np.inf).argmin(axis=0)
-
-
-def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1):
-    """A drive round a room, reported with noise: the problem, and the true poses (n, t, 3)."""
-    generator = np.random.default_rng(seed)
-    wheels, ranges, poses = [], [], []
-    for _ in range(robots):
-        observations, true = drive(WALLS, START, along(ROUND), noise=noise, seed=int(generator.integers(1 << 30)))
-        travel = np.array([each["wheels"] for each in observations], dtype=float)
-        reported = travel + np.sqrt(WHEEL_VARIANCE * np.abs(travel)) * generator.standard_normal(travel.shape)
-        wheels.append(reported * np.array([1.0 + mismatch, 1.0 - mismatch]))
-        ranges.append([each["ranges"] for each in observations])
-        poses.append(true)
-    starts = np.tile(START, (robots, 1))
-    problem = make_problem(
-        ROBOT, NominalNoise(noise, WHEEL_VARIANCE), starts, np.moveaxis(wheels, 0, 1), np.moveaxis(ranges, 0, 1),
-        prior=prior,
-    )  # fmt: skip
-    return problem, np.array(poses)
 
 
 def smoothed(problem, poses):
@@ -141,7 +105,6 @@ def test_covariances_are_those_of_a_dense_solution():
     covariances = pose_covariances(solution)
     # The same equations, with nothing eliminated: numerical derivatives of all residuals by all poses and lines.
     state, labels = solution.state, true_labels(problem, poses)
-    rows = rows_of(problem, state, labels)
     steps, count = problem.steps, len(state.lines)
     before, after = np.empty((steps - 1, 3, 3)), np.empty((steps - 1, 3, 3))
     chain_kernels.motion_jacobians(state.poses[0], ROBOT.axle, before, after)
@@ -155,7 +118,6 @@ def test_covariances_are_those_of_a_dense_solution():
     for k in np.flatnonzero(solution.weights):
         place, line = 3 * problem.readings.places[k], 3 * steps + 2 * numbers[labels[k]]
         columns = np.r_[place : place + 3, line : line + 2]
-        row = numbered_row(problem, state, numbers[labels[k]], k) if rows is None else None
         row = numbered_row(problem, state, numbers[labels[k]], k)
         whole[np.ix_(columns, columns)] += np.outer(row, row) / problem.range_std**2
     dense = np.linalg.inv(whole[3:, 3:])
