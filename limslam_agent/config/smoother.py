@@ -104,6 +104,8 @@ class MendingConfig:
         At most so many rounds of moves.
     gain
         A move is kept if the score rises by so much.
+    last_rounds
+        At most so many rounds of re-association after new lines were founded.
     cut
         A line is cut where it was not read for so far a drive, m.
     max_offset, max_angle, min_overlap
@@ -124,6 +126,7 @@ class MendingConfig:
 
     rounds: int = 3
     gain: float = 5.0
+    last_rounds: int = 4
     cut: float = 3.0
     max_offset: float = 0.8
     max_angle: float = 0.4

@@ -4,7 +4,7 @@ Each move changes the associations of the best solution so far and settles the r
 score, which needs no truth, is better.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,9 @@ from limslam_agent.slam.graph.reassociation import (
     ends_of,
     hit_points,
     merge,
-    reassociate,
+    reassociate_from,
     rooted,
+    solve_again,
     solve_labels,
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -28,8 +29,10 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 _RUN_GAP = 0.15  # m of driving without a reading that ends a run
 _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 
-Labels = Callable[[], IntArray]
-"""Makes the associations that a move begins with."""
+MOVES = ("anew", "cut", "drop", "reborn")
+"""``anew``: nothing but straight pieces, on the path that the wheels tell. ``cut``: lines cut where they were not read
+for a while. ``drop``: the same without the lines that beams contradict. ``reborn``: with new lines through readings
+that no line explains, which every other move tries, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,63 +44,90 @@ class Candidate:
     move: str
 
 
-def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
-    """The solutions that were kept one after another, the best one last.
+def complete(problem: Problem, found: Association, config: SmootherConfig) -> Candidate:
+    """The solution with lines for readings that no line explains, if that raises the score."""
+    start = Candidate(found, score(problem, found, config.score), "start")
+    return _best_of_round(problem, start, ("reborn",), config)
 
-    Parameters
-    ----------
-    found
-        The solution to begin from.
+
+def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
+    """The solutions that were kept one after another, the best one last; the first is the one to begin from.
+
+    A round ends with the first move after which beams do not contradict the map any more. From then on only lines that
+    are missing are looked for.
     """
-    best = Candidate(found, score(problem, found, config.score), "start")
-    kept = [best]
+    kept = [Candidate(found, score(problem, found, config.score), "start")]
     for number in range(config.mending.rounds):
-        mender = _Mender(problem, best, config)
-        for move, state, labels in mender.moves(is_first=number == 0):
-            for candidate in mender.tried(move, state, labels):
-                if candidate.score.total > best.score.total + config.mending.gain:
-                    best = candidate
+        moves: tuple[str, ...] = ("cut", "drop", "reborn") if number else MOVES
+        if number and not is_contradicted(problem, kept[-1].association, config):
+            moves = ("reborn",)
+        best = _best_of_round(problem, kept[-1], moves, config)
         if best is kept[-1]:
             break
         kept.append(best)
     return kept
 
 
+def is_contradicted(problem: Problem, found: Association, config: SmootherConfig) -> bool:
+    """Whether more beams go through walls than in a healthy map."""
+    return tally(problem, found).contradictions > config.mending.contradicted * len(problem.looks)
+
+
+def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], config: SmootherConfig) -> Candidate:
+    """The best solution that moves lead to, or the one to begin from."""
+    best, mender = begin, _Mender(problem, begin.association, config)
+    for move in moves:
+        for candidate in mender.tried(move):
+            if candidate.score.total > best.score.total + config.mending.gain:
+                best = candidate
+        if best is not begin and not is_contradicted(problem, best.association, config):
+            break
+    return best
+
+
 class _Mender:
     """The moves from one solution."""
 
-    def __init__(self, problem: Problem, begin: Candidate, config: SmootherConfig) -> None:
-        self._problem, self._begin, self._config = problem, begin.association, config
+    def __init__(self, problem: Problem, begin: Association, config: SmootherConfig) -> None:
+        self._problem, self._begin, self._config = problem, begin, config
         mending = config.mending
         self._limits = OneWall(
             config.reassociation.one_wall_gate, mending.max_offset, mending.max_angle, mending.min_overlap
         )
 
-    def moves(self, *, is_first: bool) -> Iterator[tuple[str, State, Labels]]:
-        """Names of moves, with the poses and the associations that they begin from."""
-        mending, labels, state = self._config.mending, self._begin.labels, self._begin.state
-        if is_first:
-            yield "anew", state_from_motions(self._problem), self._anew
-        yield "cut", state, lambda: split(self._problem, labels, mending.cut)
-        found = tally(self._problem, self._begin)
-        least = np.maximum(mending.dropped_least, mending.dropped_share * found.hits.sum(axis=1))
-        bad = np.flatnonzero(found.against > least)
-        if len(bad):
-            yield "drop", state, lambda: split(self._problem, np.where(np.isin(labels, bad), -1, labels), mending.cut)
-        yield "reborn", state, lambda: self._reborn(self._begin)
-
-    def tried(self, move: str, state: State, labels: Labels) -> Iterator[Candidate]:
+    def tried(self, move: str) -> Iterator[Candidate]:
         """What a move leads to, and what it leads to with new lines for readings that nothing explains."""
         try:
-            settled = self._settled(state, labels(), self._config.reassociation.rounds)
-            yield self._candidate(settled, move)
-            yield self._candidate(self._pruned(settled), f"{move}, pruned")
+            state, labels = self._begun(move)
+            settled = self._settled(state, labels, self._config.reassociation.rounds)
+            yield from self._both(settled, move)
             if move != "reborn":
-                again = self._settled(settled.state, self._reborn(settled), 4)
-                yield self._candidate(again, f"{move}, reborn")
-                yield self._candidate(self._pruned(again), f"{move}, reborn, pruned")
+                again = self._settled(settled.state, self._reborn(settled), self._config.mending.last_rounds)
+                yield from self._both(again, f"{move}, reborn")
         except DegenerateError:
             return
+
+    def _begun(self, move: str) -> tuple[State, IntArray]:
+        """The poses and the associations that a move begins from."""
+        begin, gap = self._begin, self._config.mending.cut
+        if move == "anew":
+            return state_from_motions(self._problem), self._anew()
+        if move == "cut":
+            return begin.state, split(self._problem, begin.labels, gap)
+        if move == "drop":
+            return begin.state, split(self._problem, np.where(self._is_dropped(), -1, begin.labels), gap)
+        return begin.state, self._reborn(begin)
+
+    def _is_dropped(self) -> BoolArray:
+        """Which readings (k,) are of lines that beams contradict too often."""
+        mending, counted = self._config.mending, tally(self._problem, self._begin)
+        least = np.maximum(mending.dropped_least, mending.dropped_share * counted.hits.sum(axis=1))
+        return np.isin(self._begin.labels, np.flatnonzero(counted.against > least))
+
+    def _both(self, found: Association, move: str) -> Iterator[Candidate]:
+        """A solution, and the same without lines that are not needed."""
+        yield self._candidate(found, move)
+        yield self._candidate(self._pruned(found), f"{move}, pruned")
 
     def _candidate(self, found: Association, move: str) -> Candidate:
         return Candidate(found, score(self._problem, found, self._config.score), move)
@@ -106,7 +136,7 @@ class _Mender:
         reassociation = self._config.reassociation
         begin = solve_labels(self._problem, state, labels, reassociation.fewest)
         merged, _ = merge(self._problem, begin, self._limits, reassociation.fewest)
-        return reassociate(self._problem, merged.state, merged.labels, reassociation, rounds)
+        return reassociate_from(self._problem, merged, reassociation, rounds)
 
     def _pruned(self, found: Association) -> Association:
         """The solution without doubled lines, and without lines that are not worth their price."""
@@ -114,7 +144,8 @@ class _Mender:
         labels = np.where(found.labels >= 0, doubled[found.labels], -1)
         worthless = line_values(self._problem, found, self._config.score) < self._config.score.line
         labels = np.where(np.isin(labels, np.flatnonzero(worthless)), -1, labels)
-        return reassociate(self._problem, found.state, labels, self._config.reassociation, 2)
+        begin = solve_again(self._problem, found.state, labels, self._config.reassociation.fewest)
+        return reassociate_from(self._problem, begin, self._config.reassociation, 2)
 
     def _anew(self) -> IntArray:
         """Associations of nothing but straight pieces, by the shape of the path that the wheels tell."""

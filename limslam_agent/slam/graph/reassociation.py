@@ -40,9 +40,7 @@ class Association:
         return self.solution.state
 
 
-def reassociate(
-    problem: Problem, state: State, labels: IntArray, config: ReassociationConfig, rounds: int | None = None
-) -> Association:
+def reassociate(problem: Problem, state: State, labels: IntArray, config: ReassociationConfig) -> Association:
     """Poses, lines and associations, from poses that are about right and the first associations of some readings.
 
     Parameters
@@ -51,17 +49,19 @@ def reassociate(
         Poses to begin from; its lines are not used.
     labels
         For each reading the line that it was given to, in any numbering, or -1.
-    rounds
-        At most so many rounds; None for those of the configuration.
 
     Raises
     ------
     DegenerateError
         If the readings do not determine the poses.
     """
-    found = solve_labels(problem, state, labels, config.fewest)
+    return reassociate_from(problem, solve_labels(problem, state, labels, config.fewest), config, config.rounds)
+
+
+def reassociate_from(problem: Problem, found: Association, config: ReassociationConfig, rounds: int) -> Association:
+    """At most so many rounds of merging lines, giving readings to them anew and solving, from a solution."""
     limits = OneWall(config.one_wall_gate, config.max_offset, config.max_angle, config.min_overlap)
-    for _ in range(config.rounds if rounds is None else rounds):
+    for _ in range(rounds):
         before = found.state.poses
         merged, has_merged = merge(problem, found, limits, config.fewest)
         labels = assigned(problem, merged.state, ends_of(problem, merged.state, merged.labels), config)

@@ -11,8 +11,7 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.graph.line_smoother import DegenerateError, Problem, make_problem, pose_covariances
 from limslam_agent.slam.graph.line_smoother import state_from_poses as state_from
-from limslam_agent.slam.graph.map_score import tally
-from limslam_agent.slam.graph.mending import mend
+from limslam_agent.slam.graph.mending import complete, is_contradicted, mend
 from limslam_agent.slam.graph.reassociation import Association, reassociate
 from limslam_agent.slam.graph.smoothed_map import smoothed_landmarks, smoothed_segments
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -95,6 +94,8 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     if needs_mending(problem, found, run.covariances, config):
         kept = mend(problem, found, config)
         found, moves = kept[-1].association, tuple(candidate.move for candidate in kept[1:])
+    else:
+        found = complete(problem, found, config).association
     return _smoothed(problem, found, moves, config)
 
 
@@ -113,9 +114,8 @@ def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], c
 
 def needs_mending(problem: Problem, found: Association, covariances: FloatArray, config: SmootherConfig) -> bool:
     """Whether beams contradict a solution, or the filter was once unsure of its heading."""
-    contradicted = tally(problem, found).contradictions / max(len(problem.looks), 1)
     heading_std = math.sqrt(max(float(covariances[..., 2, 2].max()), 0.0))
-    return contradicted > config.mending.contradicted or heading_std > config.mending.unsure_heading
+    return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
 
 
 def _smoothed(problem: Problem, found: Association, moves: tuple[str, ...], config: SmootherConfig) -> SmoothedRun:

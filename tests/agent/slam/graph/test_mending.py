@@ -16,6 +16,7 @@ from limslam_agent.slam.graph.smoothed_map import smoothed_landmarks, smoothed_s
 
 CONFIG = SmootherConfig()
 PRICES = ScoreConfig()
+NO_ROUNDS = replace(CONFIG.reassociation, rounds=0)
 
 
 def truth(seed, noise=0.02, **changes):
@@ -30,7 +31,7 @@ def test_the_score_prefers_the_truth_to_doubled_walls(noise):
     # Each reading goes to one of two lines by the sign of its misfit: the two fit better than the one wall.
     generator = np.random.default_rng(0)
     doubled = 2 * found.labels + generator.integers(0, 2, len(found.labels))
-    overfitted = reassociate(problem, found.state, np.where(found.labels >= 0, doubled, -1), CONFIG.reassociation, 0)
+    overfitted = reassociate(problem, found.state, np.where(found.labels >= 0, doubled, -1), NO_ROUNDS)
     assert len(overfitted.state.lines) == 8
     assert score(problem, overfitted, PRICES).total < score(problem, found, PRICES).total
 
