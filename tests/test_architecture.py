@@ -52,6 +52,9 @@ AGENT = {
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.batch": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.consistent")},
+    "limslam_agent.slam.line_graph": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.consistent", "slam.batch"),
+    },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
@@ -69,7 +72,7 @@ AGENT = {
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
 RULES = ENV | AGENT
-COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch"}
+COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch", "limslam_agent.slam.line_graph"}
 NUMBA_IS_IMPORTED_BY = {"limslam_env.kernels.rays", "limslam_agent.slam.batch.compilation"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 MOST_MODULES, LONGEST_FILE = 15, 520
@@ -195,7 +198,7 @@ def test_importing_the_env_loads_no_heavy_library():
 
 
 def test_importing_the_agent_loads_no_simulator():
-    compiled = PLACES["limslam_agent.slam.batch"] + ["limslam_agent.wrappers.vector"]
+    compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]] + ["limslam_agent.wrappers.vector"]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
     unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")

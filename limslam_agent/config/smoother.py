@@ -154,8 +154,9 @@ class SmootherConfig:
         What is known of constant errors that are to be estimated; None where robots are taken to be as specified.
     max_gap, through_tolerance
         What is drawn as one piece: holes that no beam looked at, m, and beams that passed for each one that hit.
-    shown_readings, shown_length
-        A line is drawn if it was read this often, in pieces of this length, m, or more.
+    shown_readings, shown_length, shown_sigmas
+        A line is drawn if it was read this often, in pieces of this length, m, or more; and of so many standard
+        deviations of a range.
     """
 
     reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)
@@ -166,3 +167,4 @@ class SmootherConfig:
     through_tolerance: float = 1.0
     shown_readings: int = 10
     shown_length: float = 0.20
+    shown_sigmas: float = 7.5

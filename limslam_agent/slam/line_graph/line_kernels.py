@@ -1,7 +1,7 @@
 """Compiled parts of the association of readings with lines: fits, ends, best lines, pairs that are one wall, crossings.
 
-Lines are (d, alpha) about an anchor each, as in :mod:`limslam_agent.slam.graph.chain_kernels`. A place along a line
-counts from its anchor, m.
+Lines are (d, alpha) about an anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
+line counts from its anchor, m.
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 
 from limslam_agent.slam.batch.compilation import compiled, entry
 from limslam_agent.slam.consistent.wall_extent import BIN
-from limslam_agent.slam.graph.chain_kernels import COLUMNS, RANGE, expected_reading
+from limslam_agent.slam.line_graph.chain_kernels import COLUMNS, RANGE, expected_reading
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 GRAZING = 0.2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.drives import ROBOT, ranges_at, room
 
-from limslam_agent.slam.graph.through_share import Looks, compare_with_walls, through_share
+from limslam_agent.slam.line_graph.through_share import Looks, compare_with_walls, through_share
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 POSE = np.array([1.0, 0.8, 0.3])

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from limslam_agent.config.smoother import CalibrationPrior
-from limslam_agent.slam.graph import chain_kernels as kernels
-from limslam_agent.slam.graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
+from limslam_agent.slam.line_graph import chain_kernels as kernels
+from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -288,9 +288,10 @@ def solve(
         step = equations.step()
         state, change = _descend(problem, state, step, labels, weights, equations.chi_square)
         if change < tolerance and iteration >= _CHOOSING - 1:
+            # The equations of this step are as good as those after it.
             break
-    rows = rows_of(problem, state, labels)
-    equations = _Equations(problem, state, labels, rows, weights)
+    else:
+        equations = _Equations(problem, state, labels, rows_of(problem, state, labels), weights)
     return Solution(state, weights, equations.chi_square, equations.factored())
 
 

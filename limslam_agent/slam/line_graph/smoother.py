@@ -9,11 +9,11 @@ import numpy as np
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.line_smoother import DegenerateError, Problem, make_problem, pose_covariances
-from limslam_agent.slam.graph.line_smoother import state_from_poses as state_from
-from limslam_agent.slam.graph.mending import complete, is_contradicted, mend
-from limslam_agent.slam.graph.reassociation import Association, reassociate
-from limslam_agent.slam.graph.smoothed_map import smoothed_landmarks, smoothed_segments
+from limslam_agent.slam.line_graph.line_smoother import DegenerateError, Problem, make_problem, pose_covariances
+from limslam_agent.slam.line_graph.line_smoother import state_from_poses as state_from
+from limslam_agent.slam.line_graph.mending import is_contradicted, mend
+from limslam_agent.slam.line_graph.reassociation import Association, reassociate
+from limslam_agent.slam.line_graph.smoothed_map import smoothed_landmarks, smoothed_segments
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -94,8 +94,6 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     if needs_mending(problem, found, run.covariances, config):
         kept = mend(problem, found, config)
         found, moves = kept[-1].association, tuple(candidate.move for candidate in kept[1:])
-    else:
-        found = complete(problem, found, config).association
     return _smoothed(problem, found, moves, config)
 
 

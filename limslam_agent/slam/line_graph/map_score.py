@@ -6,9 +6,9 @@ import numpy as np
 
 from limslam_agent.config.smoother import ScoreConfig
 from limslam_agent.slam.consistent.wall_extent import BIN
-from limslam_agent.slam.graph import line_kernels as kernels
-from limslam_agent.slam.graph.line_smoother import Problem, wheel_chi_square
-from limslam_agent.slam.graph.reassociation import Association, best_lines, ends_of, places_along
+from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.line_smoother import Problem, wheel_chi_square
+from limslam_agent.slam.line_graph.reassociation import Association, best_lines, ends_of, places_along
 from limslam_env.geometry import FloatArray, IntArray
 
 _THROUGH_SIGMAS, _THROUGH_SLACK = 3.0, 0.05
@@ -108,7 +108,7 @@ def line_values(problem: Problem, found: Association, config: ScoreConfig) -> Fl
     # A look that went through a wall would have cost nothing without that wall.
     gains[(misfits**2 >= config.clip) & ~problem.is_hit] = -0.5 * config.clip
     known = best >= 0
-    return np.bincount(best[known], weights=gains[known], minlength=len(found.state.lines))
+    return np.bincount(best[known], weights=gains[known], minlength=len(found.state.lines)).astype(float)
 
 
 def explained_readings(problem: Problem, found: Association, beyond: float = 0.10) -> FloatArray:

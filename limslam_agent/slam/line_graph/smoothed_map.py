@@ -5,9 +5,9 @@ import numpy as np
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.line_smoother import Problem, State
-from limslam_agent.slam.graph.map_score import tally
-from limslam_agent.slam.graph.reassociation import Association, places_along
+from limslam_agent.slam.line_graph.line_smoother import Problem, State
+from limslam_agent.slam.line_graph.map_score import tally
+from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, normal, normalise
 from limslam_env.geometry.segment import lengths
@@ -58,7 +58,8 @@ def smoothed_segments(problem: Problem, found: Association, config: SmootherConf
         pieces = extent.pieces(config.max_gap, config.through_tolerance)
         drawn.append(_points(state, index, pieces).reshape(-1, 4))
     every = np.concatenate(drawn)
-    return np.asarray(every[lengths(every) >= config.shown_length])
+    shortest = max(config.shown_length, config.shown_sigmas * problem.range_std)
+    return np.asarray(every[lengths(every) >= shortest])
 
 
 def _points(state: State, index: int, along: FloatArray) -> FloatArray:

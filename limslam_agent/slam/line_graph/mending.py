@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.smoother import MendingConfig, SmootherConfig
-from limslam_agent.slam.graph import line_kernels as kernels
-from limslam_agent.slam.graph.line_smoother import DegenerateError, Problem, State, state_from_motions
-from limslam_agent.slam.graph.map_score import Score, explained_readings, line_values, score, tally
-from limslam_agent.slam.graph.reassociation import (
+from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.line_smoother import DegenerateError, Problem, State, state_from_motions
+from limslam_agent.slam.line_graph.map_score import Score, explained_readings, line_values, score, tally
+from limslam_agent.slam.line_graph.reassociation import (
     Association,
     OneWall,
     ends_of,
@@ -44,12 +44,6 @@ class Candidate:
     move: str
 
 
-def complete(problem: Problem, found: Association, config: SmootherConfig) -> Candidate:
-    """The solution with lines for readings that no line explains, if that raises the score."""
-    start = Candidate(found, score(problem, found, config.score), "start")
-    return _best_of_round(problem, start, ("reborn",), config)
-
-
 def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
     """The solutions that were kept one after another, the best one last; the first is the one to begin from.
 
@@ -75,7 +69,7 @@ def is_contradicted(problem: Problem, found: Association, config: SmootherConfig
 
 def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], config: SmootherConfig) -> Candidate:
     """The best solution that moves lead to, or the one to begin from."""
-    best, mender = begin, _Mender(problem, begin.association, config)
+    best, mender = begin, _Mender(problem, begin, config)
     for move in moves:
         for candidate in mender.tried(move):
             if candidate.score.total > best.score.total + config.mending.gain:
@@ -88,7 +82,7 @@ def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], c
 class _Mender:
     """The moves from one solution."""
 
-    def __init__(self, problem: Problem, begin: Association, config: SmootherConfig) -> None:
+    def __init__(self, problem: Problem, begin: Candidate, config: SmootherConfig) -> None:
         self._problem, self._begin, self._config = problem, begin, config
         mending = config.mending
         self._limits = OneWall(
@@ -100,8 +94,10 @@ class _Mender:
         try:
             state, labels = self._begun(move)
             settled = self._settled(state, labels, self._config.reassociation.rounds)
-            yield from self._both(settled, move)
-            if move != "reborn":
+            first = list(self._both(settled, move))
+            yield from first
+            # What is worse by far, missing lines do not make better.
+            if move != "reborn" and max(each.score.total for each in first) > self._begin.score.total:
                 again = self._settled(settled.state, self._reborn(settled), self._config.mending.last_rounds)
                 yield from self._both(again, f"{move}, reborn")
         except DegenerateError:
@@ -109,7 +105,7 @@ class _Mender:
 
     def _begun(self, move: str) -> tuple[State, IntArray]:
         """The poses and the associations that a move begins from."""
-        begin, gap = self._begin, self._config.mending.cut
+        begin, gap = self._begin.association, self._config.mending.cut
         if move == "anew":
             return state_from_motions(self._problem), self._anew()
         if move == "cut":
@@ -120,9 +116,9 @@ class _Mender:
 
     def _is_dropped(self) -> BoolArray:
         """Which readings (k,) are of lines that beams contradict too often."""
-        mending, counted = self._config.mending, tally(self._problem, self._begin)
+        mending, counted = self._config.mending, tally(self._problem, self._begin.association)
         least = np.maximum(mending.dropped_least, mending.dropped_share * counted.hits.sum(axis=1))
-        return np.isin(self._begin.labels, np.flatnonzero(counted.against > least))
+        return np.isin(self._begin.association.labels, np.flatnonzero(counted.against > least))
 
     def _both(self, found: Association, move: str) -> Iterator[Candidate]:
         """A solution, and the same without lines that are not needed."""

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.smoother import ReassociationConfig
-from limslam_agent.slam.graph import line_kernels as kernels
-from limslam_agent.slam.graph.line_smoother import Problem, Solution, State, solve
+from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.line_smoother import Problem, Solution, State, solve
 from limslam_env.geometry import FloatArray, IntArray
 
 _MOST_MERGES = 30

@@ -5,9 +5,9 @@ import pytest
 from support.smoother_runs import noisy_run, position_error, true_labels
 
 from limslam_agent.config.smoother import ReassociationConfig
-from limslam_agent.slam.graph.line_smoother import make_problem, state_from_motions
-from limslam_agent.slam.graph.mending import split
-from limslam_agent.slam.graph.reassociation import OneWall, merge, reassociate, renumbered, rooted, solve_labels
+from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_motions
+from limslam_agent.slam.line_graph.mending import split
+from limslam_agent.slam.line_graph.reassociation import OneWall, merge, reassociate, renumbered, rooted, solve_labels
 
 CONFIG = ReassociationConfig()
 LIMITS = OneWall(CONFIG.one_wall_gate, CONFIG.max_offset, CONFIG.max_angle, CONFIG.min_overlap)
