@@ -1,15 +1,23 @@
-"""Settings of the line smoother, which solves for all poses of a run. All are ours; m and rad."""
+"""Settings of the line smoother, which solves for all poses of a run, one frozen dataclass for each stage.
+
+All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
+"""
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
+from limslam_agent.config.bounds import Angle, Bounded, Bounds, Count, CountOrNone, NonNegative, Share
 from limslam_env.geometry import FloatArray
 
 
+_StdShare = Annotated[float, Bounds(1e-6, 0.999)]
+
+
 @dataclass(frozen=True)
-class CalibrationPrior:
+class CalibrationPrior(Bounded):
     """What is known of constant errors of wheels and beams before they are estimated.
 
     Attributes
@@ -24,15 +32,10 @@ class CalibrationPrior:
         Of what all ranges read too much, m.
     """
 
-    size_std: float = 0.03
-    uneven_std: float = 0.03
-    axle_std: float = 0.03
-    bias_std: float = 0.02
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 < value < 1.0:
-                raise ValueError(f"{name} must lie between 0 and 1, not {value}")
+    size_std: _StdShare = 0.03
+    uneven_std: _StdShare = 0.03
+    axle_std: _StdShare = 0.03
+    bias_std: _StdShare = 0.02
 
     @property
     def information(self) -> FloatArray:
@@ -44,7 +47,7 @@ class CalibrationPrior:
 
 
 @dataclass(frozen=True)
-class ReassociationConfig:
+class ReassociationConfig(Bounded):
     """How readings are given to lines anew, and lines are merged.
 
     Attributes
@@ -66,20 +69,20 @@ class ReassociationConfig:
         They must lie this close together, m and rad, and share so much of the wall, m.
     """
 
-    rounds: int = 8
-    settled: float = 2e-3
-    gate: float = 3.5
-    beyond: float = 0.10
-    margin: float = 1.0
-    fewest: int = 6
-    one_wall_gate: float = 16.0
-    max_offset: float = 0.15
-    max_angle: float = 0.12
-    min_overlap: float = 0.15
+    rounds: Count = 8
+    settled: NonNegative = 2e-3
+    gate: NonNegative = 3.5
+    beyond: NonNegative = 0.10
+    margin: NonNegative = 1.0
+    fewest: Count = 6
+    one_wall_gate: NonNegative = 16.0
+    max_offset: NonNegative = 0.15
+    max_angle: Angle = 0.12
+    min_overlap: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
-class ScoreConfig:
+class ScoreConfig(Bounded):
     """What a map without truth is worth: log-likelihood of wheels and ranges, less the prices of what it claims.
 
     Attributes
@@ -90,12 +93,12 @@ class ScoreConfig:
         Price of a line.
     """
 
-    clip: float = 16.0
-    line: float = 24.0
+    clip: NonNegative = 16.0
+    line: NonNegative = 24.0
 
 
 @dataclass(frozen=True)
-class MendingConfig:
+class MendingConfig(Bounded):
     """How wrong associations of a whole map are taken back.
 
     Attributes
@@ -124,26 +127,26 @@ class MendingConfig:
         had this standard deviation, rad.
     """
 
-    rounds: int = 3
-    gain: float = 5.0
-    last_rounds: int = 4
-    cut: float = 3.0
-    max_offset: float = 0.8
-    max_angle: float = 0.4
-    min_overlap: float = 0.10
-    dropped_share: float = 0.2
-    dropped_least: int = 5
-    unexplained: float = 4.0
-    reborn_readings: int = 8
-    doubled_sigmas: float = 3.0
-    doubled_offset: float = 0.03
-    doubled_angle: float = math.radians(10.0)
-    contradicted: float = 0.01
-    unsure_heading: float = math.radians(4.0)
+    rounds: Count = 3
+    gain: NonNegative = 5.0
+    last_rounds: CountOrNone = 4
+    cut: NonNegative = 3.0
+    max_offset: NonNegative = 0.8
+    max_angle: Angle = 0.4
+    min_overlap: NonNegative = 0.10
+    dropped_share: Share = 0.2
+    dropped_least: CountOrNone = 5
+    unexplained: NonNegative = 4.0
+    reborn_readings: Count = 8
+    doubled_sigmas: NonNegative = 3.0
+    doubled_offset: NonNegative = 0.03
+    doubled_angle: Angle = math.radians(10.0)
+    contradicted: Share = 0.01
+    unsure_heading: Angle = math.radians(4.0)
 
 
 @dataclass(frozen=True)
-class SmootherConfig:
+class SmootherConfig(Bounded):
     """The line smoother.
 
     Attributes
@@ -163,8 +166,8 @@ class SmootherConfig:
     score: ScoreConfig = field(default_factory=ScoreConfig)
     mending: MendingConfig = field(default_factory=MendingConfig)
     calibration: CalibrationPrior | None = None
-    max_gap: float = 0.30
-    through_tolerance: float = 1.0
-    shown_readings: int = 10
-    shown_length: float = 0.20
-    shown_sigmas: float = 7.5
+    max_gap: NonNegative = 0.30
+    through_tolerance: NonNegative = 1.0
+    shown_readings: Count = 10
+    shown_length: NonNegative = 0.20
+    shown_sigmas: NonNegative = 7.5

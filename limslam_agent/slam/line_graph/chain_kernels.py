@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.slam.batch.compilation import compiled, entry
+from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_env.geometry import FloatArray, IntArray
 
 CALIBRATED = 4

@@ -55,7 +55,7 @@ def smoothed_segments(problem: Problem, found: Association, config: SmootherConf
     for index in np.flatnonzero(counted.hits.sum(axis=1) >= config.shown_readings).tolist():
         counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
         extent = WallExtent.counted(int(counted.low[index]), counts, reached)
-        pieces = extent.pieces(config.max_gap, config.through_tolerance)
+        pieces = extent.intervals(config.max_gap, config.through_tolerance)
         drawn.append(_points(state, index, pieces).reshape(-1, 4))
     every = np.concatenate(drawn)
     shortest = max(config.shown_length, config.shown_sigmas * problem.range_std)
