@@ -12,7 +12,6 @@ import numpy as np
 from limslam_agent.config.bounds import Angle, Bounded, Bounds, Count, CountOrNone, NonNegative, Share
 from limslam_env.geometry import FloatArray
 
-
 _StdShare = Annotated[float, Bounds(1e-6, 0.999)]
 
 
@@ -69,7 +68,7 @@ class ReassociationConfig(Bounded):
         They must lie this close together, m and rad, and share so much of the wall, m.
     """
 
-    rounds: Count = 8
+    rounds: CountOrNone = 8
     settled: NonNegative = 2e-3
     gate: NonNegative = 3.5
     beyond: NonNegative = 0.10
@@ -127,7 +126,7 @@ class MendingConfig(Bounded):
         had this standard deviation, rad.
     """
 
-    rounds: Count = 3
+    rounds: CountOrNone = 3
     gain: NonNegative = 5.0
     last_rounds: CountOrNone = 4
     cut: NonNegative = 3.0

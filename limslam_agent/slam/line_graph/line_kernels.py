@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_agent.slam.consistent.wall_extent import BIN
 from limslam_agent.slam.line_graph.chain_kernels import COLUMNS, RANGE, expected_reading
+from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 GRAZING = 0.2

@@ -81,7 +81,7 @@ def test_derivatives_of_readings_are_differences():
 
 def test_the_optimum_is_that_of_gtsam():
     pytest.importorskip("gtsam")
-    from limslam_env.bounds.offline_optimum import solve_limit
+    from limslam_env.bounds.offline_optimum import solve_optimum
 
     problem, poses = noisy_run(3)
     labels = true_labels(problem, poses)
@@ -91,7 +91,7 @@ def test_the_optimum_is_that_of_gtsam():
     at = problem.readings.places, 0, problem.readings.beams
     walls[at], ranges[at] = labels, problem.readings.distances
     wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 0, 1)))
-    limit = solve_limit(
+    limit = solve_optimum(
         ROBOT, np.moveaxis(poses, 0, 1), wheels, ranges, walls, range_std=0.02, wheel_variance=WHEEL_VARIANCE
     )  # fmt: skip
     assert limit.is_converged
