@@ -5,7 +5,7 @@ All values are choices of this project, tuned on seeds that are not reported. Le
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -152,8 +152,12 @@ class SmootherConfig(Bounded):
     ----------
     reassociation, score, mending
         Of its stages.
-    calibration
-        What is known of constant errors that are to be estimated; None where robots are taken to be as specified.
+    calibrate, calibration
+        Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or ``if_needed``; and
+        what is known of them.
+    calibration_gate, calibration_price
+        They are needed where beams contradict the map, or where their estimates are so large, as a chi-square (four
+        degrees of freedom a robot). They are believed if the score gains this much.
     max_gap, through_tolerance
         What is drawn as one piece: holes that no beam looked at, m, and beams that passed for each one that hit.
     shown_readings, shown_length, shown_sigmas
@@ -164,7 +168,10 @@ class SmootherConfig(Bounded):
     reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)
     score: ScoreConfig = field(default_factory=ScoreConfig)
     mending: MendingConfig = field(default_factory=MendingConfig)
-    calibration: CalibrationPrior | None = None
+    calibrate: Literal["always", "if_needed", "never"] = "if_needed"
+    calibration: CalibrationPrior = field(default_factory=CalibrationPrior)
+    calibration_gate: NonNegative = 40.0
+    calibration_price: NonNegative = 20.0
     max_gap: NonNegative = 0.30
     through_tolerance: NonNegative = 1.0
     shown_readings: Count = 10

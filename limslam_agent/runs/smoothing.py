@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.config.smoother import CalibrationPrior, SmootherConfig
+from limslam_agent.config.smoother import SmootherConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.metrics import metrics
 
@@ -34,7 +34,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         closures=episode.closures,
     )
     is_calibrated = agent.estimator.self_calibration.enabled
-    return smooth_run(run, SmootherConfig(calibration=CalibrationPrior() if is_calibrated else None))
+    return smooth_run(run, SmootherConfig(calibrate="always" if is_calibrated else "if_needed"))
 
 
 def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float | None]:

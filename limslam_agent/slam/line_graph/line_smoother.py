@@ -315,14 +315,19 @@ def chi_square(problem: Problem, state: State, labels: IntArray, weights: FloatA
     driven = _motion_residuals(problem, state)
     read = _range_residuals(problem, state, rows)
     total = float(np.sum(driven**2) + np.sum(weights * read**2) / problem.range_std**2)
-    if problem.prior is not None:
-        total += float(np.einsum("ni,ij,nj->", state.calibration, problem.prior, state.calibration))
-    return total
+    return total + calibration_chi_square(problem, state)
 
 
 def wheel_chi_square(problem: Problem, state: State) -> float:
     """That of the wheels alone."""
     return float(np.sum(_motion_residuals(problem, state) ** 2))
+
+
+def calibration_chi_square(problem: Problem, state: State) -> float:
+    """That of the calibration, 0 where robots are as specified."""
+    if problem.prior is None:
+        return 0.0
+    return float(np.einsum("ni,ij,nj->", state.calibration, problem.prior, state.calibration))
 
 
 def _axle(problem: Problem, calibration: FloatArray) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from limslam_agent.config.smoother import ScoreConfig
 from limslam_agent.slam.consistent.wall_extent import BIN
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.line_smoother import Problem, wheel_chi_square
+from limslam_agent.slam.line_graph.line_smoother import Problem, calibration_chi_square, wheel_chi_square
 from limslam_agent.slam.line_graph.reassociation import Association, best_lines, ends_of, places_along
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -63,7 +63,8 @@ class Score:
     Attributes
     ----------
     wheels, looks
-        Half the sums of squared residuals, in variances; of a look no more than half the clip.
+        Half the sums of squared residuals, in variances: of wheels and calibration, and of looks. A look counts for no
+        more than half the clip.
     lines
         How many lines there are.
     total
@@ -83,7 +84,7 @@ def score(problem: Problem, found: Association, config: ScoreConfig) -> Score:
     as much as ``clip`` says. So a second line close to a wall explains nothing more, whatever the noise.
     """
     misfits, _ = explained_looks(problem, found)
-    wheels = 0.5 * wheel_chi_square(problem, found.state)
+    wheels = 0.5 * (wheel_chi_square(problem, found.state) + calibration_chi_square(problem, found.state))
     looks = 0.5 * float(np.minimum(misfits**2, config.clip).sum())
     count = len(found.state.lines)
     return Score(wheels, looks, count, -wheels - looks - config.line * count)

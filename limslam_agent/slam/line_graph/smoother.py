@@ -2,15 +2,22 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.line_smoother import DegenerateError, Problem, make_problem, pose_covariances
-from limslam_agent.slam.line_graph.line_smoother import state_from_poses as state_from
+from limslam_agent.slam.line_graph.line_smoother import (
+    DegenerateError,
+    Problem,
+    make_problem,
+    pose_covariances,
+    solve,
+    state_from_poses,
+)
+from limslam_agent.slam.line_graph.map_score import score
 from limslam_agent.slam.line_graph.mending import is_contradicted, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_landmarks, smoothed_segments
@@ -58,6 +65,9 @@ class SmoothedRun:
         (t, n, 3), m and rad, and (t, n, 3, 3).
     landmarks, segments
         The lines with covariances, and the walls (k, 4) as they are drawn, m.
+    calibration
+        (n, 4), the shares by which left wheel, right wheel and axle are larger than specified, and what all ranges read
+        too much, m; None where the robots are taken to be as specified.
     moves
         By which moves the associations were mended; empty where that was not needed, or did not help.
     """
@@ -66,6 +76,7 @@ class SmoothedRun:
     covariances: FloatArray
     landmarks: list[Landmark]
     segments: FloatArray
+    calibration: FloatArray | None
     moves: tuple[str, ...]
 
 
@@ -81,20 +92,56 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
         None where there is nothing to smooth: no motion, or no wall that was seen often enough.
     """
     config = config or SmootherConfig()
-    prior = config.calibration
+    prior = config.calibration if config.calibrate == "always" else None
     problem = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior)
     labels = filter_labels(problem, run.associations, run.closures)
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
     try:
-        found = reassociate(problem, state_from(problem, run.poses), labels, config.reassociation)
+        best = _settled(problem, run, labels, config)
+        if config.calibrate == "if_needed" and _may_need_calibration(best, config):
+            sized = replace(problem, prior=config.calibration.information)
+            best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
     except DegenerateError:
         return None
-    moves: tuple[str, ...] = ()
-    if needs_mending(problem, found, run.covariances, config):
-        kept = mend(problem, found, config)
-        found, moves = kept[-1].association, tuple(candidate.move for candidate in kept[1:])
-    return _smoothed(problem, found, moves, config)
+    return _smoothed(best, config)
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A solution with its problem, and the moves by which it was mended."""
+
+    problem: Problem
+    association: Association
+    moves: tuple[str, ...]
+
+    def worth(self, config: SmootherConfig) -> float:
+        """The score, less what a calibration has to gain to be believed."""
+        price = 0.0 if self.problem.prior is None else config.calibration_price
+        return score(self.problem, self.association, config.score).total - price
+
+
+def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> _Settled:
+    """The solution for a problem, mended where that is needed."""
+    found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+    if not needs_mending(problem, found, run.covariances, config):
+        return _Settled(problem, found, ())
+    kept = mend(problem, found, config)
+    return _Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
+
+
+def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
+    """Whether beams contradict a solution, or its wheels and ranges fit better by far with other sizes.
+
+    The second is Wald's test: the calibration that is estimated with the same associations, in standard deviations.
+    """
+    if is_contradicted(found.problem, found.association, config):
+        return True
+    sized = replace(found.problem, prior=config.calibration.information)
+    solution = solve(sized, found.association.state, found.association.labels)
+    values, first = solution.state.calibration.ravel(), 3 * len(sized.starts)
+    covariance = solution.factored.covariance[first : first + len(values), first : first + len(values)]
+    return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
 
 
 def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure]) -> IntArray:
@@ -116,7 +163,8 @@ def needs_mending(problem: Problem, found: Association, covariances: FloatArray,
     return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
 
 
-def _smoothed(problem: Problem, found: Association, moves: tuple[str, ...], config: SmootherConfig) -> SmoothedRun:
+def _smoothed(best: _Settled, config: SmootherConfig) -> SmoothedRun:
+    problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
     return SmoothedRun(
@@ -124,5 +172,6 @@ def _smoothed(problem: Problem, found: Association, moves: tuple[str, ...], conf
         covariances=np.moveaxis(pose_covariances(found.solution), 0, 1).copy(),
         landmarks=smoothed_landmarks(problem, found),
         segments=smoothed_segments(problem, found, config),
-        moves=moves,
+        calibration=None if problem.prior is None else found.state.calibration,
+        moves=best.moves,
     )
