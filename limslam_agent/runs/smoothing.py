@@ -39,18 +39,15 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
 
 def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float | None]:
     """Metrics of the smoothed path, as means over the robots, and its ratio to the offline optimum's error (m)."""
-    if not isinstance(episode.config.agent.estimator, ConsistentConfig):
-        return {}
     smoothed = episode.smoothed
-    names = ("ate_smoothed_m", "heading_smoothed_rmse_deg", "anees_smoothed")
     if smoothed is None:
-        scores: dict[str, float | None] = dict.fromkeys(names)
-    else:
-        each = [
-            _path_scores(*(rows[:, number] for rows in (episode.true, smoothed.poses, smoothed.covariances)))
-            for number in range(episode.config.robots)
-        ]
-        scores = {name: _mean([row[index] for row in each]) for index, name in enumerate(names)}
+        return {}
+    each = [
+        _path_scores(*(rows[:, number] for rows in (episode.true, smoothed.poses, smoothed.covariances)))
+        for number in range(episode.config.robots)
+    ]
+    names = ("ate_smoothed_m", "heading_smoothed_rmse_deg", "anees_smoothed")
+    scores = {name: _mean([row[index] for row in each]) for index, name in enumerate(names)}
     if episode.config.limit:
         ate = scores["ate_smoothed_m"]
         scores["smoothed_over_limit"] = ate / limit if ate is not None and limit else None

@@ -21,7 +21,7 @@ from limslam_agent.slam.line_graph.map_score import score
 from limslam_agent.slam.line_graph.mending import is_contradicted, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_landmarks, smoothed_segments
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -80,30 +80,26 @@ class SmoothedRun:
     moves: tuple[str, ...]
 
 
-def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
+def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun:
     """All poses and lines of a run by all that was known at its end.
 
     The filter's associations are where the smoother begins; none of them is final. Where beams contradict the result,
-    or where the filter's heading was unsure, wrong associations are looked for, too.
-
-    Returns
-    -------
-    smoothed
-        None where there is nothing to smooth: no motion, or no wall that was seen often enough.
+    or where the filter's heading was unsure, wrong associations are looked for, too. Where there is nothing to smooth,
+    because the robots did not move or no wall was seen often enough, the filter's poses are given back.
     """
     config = config or SmootherConfig()
     prior = config.calibration if config.calibrate == "always" else None
     problem = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior)
     labels = filter_labels(problem, run.associations, run.closures)
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
-        return None
+        return _unsmoothed(run)
     try:
         best = _settled(problem, run, labels, config)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):
             sized = replace(problem, prior=config.calibration.information)
             best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
     except DegenerateError:
-        return None
+        return _unsmoothed(run)
     return _smoothed(best, config)
 
 
@@ -161,6 +157,10 @@ def needs_mending(problem: Problem, found: Association, covariances: FloatArray,
     """Whether beams contradict a solution, or the filter was once unsure of its heading."""
     heading_std = math.sqrt(max(float(covariances[..., 2, 2].max()), 0.0))
     return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
+
+
+def _unsmoothed(run: FilteredRun) -> SmoothedRun:
+    return SmoothedRun(run.poses, run.covariances, [], no_rows(4), None, ())
 
 
 def _smoothed(best: _Settled, config: SmootherConfig) -> SmoothedRun:
