@@ -72,7 +72,7 @@ class ReassociationConfig(Bounded):
     settled: NonNegative = 2e-3
     gate: NonNegative = 3.5
     beyond: NonNegative = 0.10
-    margin: NonNegative = 1.0
+    margin: NonNegative = 3.0
     fewest: Count = 6
     one_wall_gate: NonNegative = 16.0
     max_offset: NonNegative = 0.15
