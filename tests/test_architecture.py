@@ -55,6 +55,9 @@ AGENT = {
     "limslam_agent.slam.batch": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent", "grid"),
     },
+    "limslam_agent.slam.line_graph": {
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
+    },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid")},
@@ -85,7 +88,7 @@ BENCHMARKS = {
     "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
 }
 RULES = ENV | AGENT | BENCHMARKS
-COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch"}
+COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch", "limslam_agent.slam.line_graph"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 MOST_MODULES, LONGEST_FILE = 15, 520
 
@@ -221,7 +224,7 @@ def test_importing_the_env_loads_no_heavy_library():
 
 
 def test_importing_the_agent_loads_no_simulator():
-    compiled = PLACES["limslam_agent.slam.batch"] + ["limslam_agent.wrappers.vector"]
+    compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]] + ["limslam_agent.wrappers.vector"]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
     unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")

@@ -75,6 +75,8 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
             f"covered     {share:.1%} of what can be seen, {collisions:g} collision{'' if collisions == 1 else 's'}"
         )
     lines += _errors(metrics)
+    if _has(metrics, "ate_smoothed_m"):
+        lines.append(f"smoothed    {metrics['ate_smoothed_m']:.3f} m rms, by all that was known at the end")
     if _has(metrics, "limit_ate_m", "ate_over_limit"):
         best, ratio = metrics["limit_ate_m"], metrics["ate_over_limit"]
         lines.append(f"limit       {best:.3f} m rms, the optimum of the same log; the error is {ratio:.1f} times that")

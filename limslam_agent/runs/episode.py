@@ -7,7 +7,8 @@ record of the run.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
+from limslam_agent.runs.smoothing import smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
@@ -27,6 +29,9 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 from limslam_env.worlds.world import World, WorldError
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.line_graph.smoother import SmoothedRun
 
 LONGEST_TIME = 1e6
 OUT_OF_TIME = "time: the run's longest time is over"
@@ -175,6 +180,11 @@ class Episode:
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
+
+    @cached_property
+    def smoothed(self) -> "SmoothedRun | None":
+        """All poses and walls by what was known at the end; None if the estimator's run cannot be smoothed."""
+        return smooth_episode(self)
 
 
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]

@@ -17,6 +17,7 @@ from limslam_agent.output.export import write_json, write_map, write_tum
 from limslam_agent.output.summary import record_of
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
+from limslam_agent.runs.smoothing import smoothed_scores
 from limslam_agent.team import Snapshot
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
@@ -52,10 +53,12 @@ def score(episode: Episode) -> dict[str, Any]:
     config = episode.config
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     trajectory = team_scores(episode.true, episode.estimated, episode.odometry, episode.covariances)
+    limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
     has_explored = episode.is_finished and explores(config.policy, config.laps)
     return {
         **trajectory,
-        **(offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}),
+        **limit,
+        **smoothed_scores(episode, limit.get("limit_ate_m")),
         **map_scores(
             episode.world, config.robot, episode.coverage_grid, episode.snapshot, episode.true, episode.estimated
         ),
@@ -166,6 +169,8 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         suffix = f"_{number}" if config.robots > 1 else ""
         write_tum(folder / f"trajectory_true{suffix}.tum", episode.time, episode.true[:, number])
         write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
+        if episode.smoothed is not None:
+            write_tum(folder / f"trajectory_smoothed{suffix}.tum", episode.time, episode.smoothed.poses[:, number])
     write_map(folder, episode.snapshot)
     _draw(folder / "map.png", episode)
     written_config = {

@@ -1,0 +1,470 @@
+"""Compiled parts of the association of readings with lines: fits, ends, best lines, pairs that are one wall, crossings.
+
+Lines are (d, alpha) about an anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
+line counts from its anchor, m.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_agent.slam.consistent.wall_extent import BIN
+from limslam_agent.slam.line_graph.chain_kernels import COLUMNS, RANGE, expected_reading
+from limslam_agent.slam.line_graph.compilation import compiled, entry
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+GRAZING = 0.2
+_TRIED_ANGLES = 90
+_FITTED = 40  # readings of a line at most, from which it is fitted
+_FAR = 1e9
+_OUTLIER = 25.0  # what explains a reading worse, in variances, is no worse than this
+_REGULAR = (1e-6, 1e-8)  # added to the covariance of the difference of two lines, m^2 and rad^2
+
+
+@compiled
+def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]:
+    """Where a beam begins, m, and its direction, in the world."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y = pose[0] + cos * beam[0] - sin * beam[1], pose[1] + sin * beam[0] + cos * beam[1]
+    return x, y, math.cos(pose[2] + beam[2]), math.sin(pose[2] + beam[2])
+
+
+@entry
+def hit_points(
+    poses: FloatArray, places: IntArray, beams: FloatArray, distances: FloatArray, points: FloatArray
+) -> None:
+    """Where readings end, m, and the unit vectors of their beams, as rows of ``points`` (k, 4)."""
+    for k in range(len(places)):
+        x, y, ux, uy = ray(poses[places[k]], beams[k])
+        points[k, 0], points[k, 1] = x + distances[k] * ux, y + distances[k] * uy
+        points[k, 2], points[k, 3] = ux, uy
+
+
+@entry
+def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArray, anchors: FloatArray) -> None:
+    """Lines (m, 2) and anchors (m, 2) through points (k, 4), which are grouped: group i begins at ``firsts[i]``.
+
+    Of many angles, the one that explains most readings. Total least squares of the points would take the noise along
+    the beams for the line where points are crowded together.
+    """
+    for group in range(len(lines)):
+        first, end = firsts[group], firsts[group + 1]
+        stride = 1 + (end - first - 1) // _FITTED
+        anchors[group, 0], anchors[group, 1] = points[first:end, 0].mean(), points[first:end, 1].mean()
+        best = np.inf
+        for number in range(_TRIED_ANGLES):
+            angle = number * math.pi / _TRIED_ANGLES
+            cost, offset = _fit_at(points[first:end:stride], anchors[group], angle, std)
+            if cost < best:
+                best, lines[group, 0], lines[group, 1] = cost, offset, angle
+
+
+@compiled
+def _fit_at(points: FloatArray, anchor: FloatArray, angle: float, std: float) -> tuple[float, float]:
+    """Cost and offset of the best line with a given angle."""
+    nx, ny = math.cos(angle), math.sin(angle)
+    total, weights = 0.0, 0.0
+    for k in range(len(points)):
+        # A point is farther from the line by the cosine than along the beam.
+        weight = 1.0 / max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING) ** 2
+        total += weight * ((points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny)
+        weights += weight
+    offset, cost = total / weights, 0.0
+    for k in range(len(points)):
+        cosine = max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING)
+        away = (points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny - offset
+        cost += min((away / (cosine * std)) ** 2, _OUTLIER)
+    return cost, offset
+
+
+@entry
+def places_along(
+    poses: FloatArray,
+    places: IntArray,
+    beams: FloatArray,
+    label: IntArray,
+    lines: FloatArray,
+    anchors: FloatArray,
+    along: FloatArray,
+) -> None:
+    """Where beams should meet the lines that they are given to, (k,), m; readings of no line are left out."""
+    row = np.zeros(COLUMNS)
+    for k in range(len(places)):
+        if label[k] < 0:
+            continue
+        line, anchor = lines[label[k]], anchors[label[k]]
+        expected_reading(poses[places[k]], beams[k], line, anchor, row)
+        x, y, ux, uy = ray(poses[places[k]], beams[k])
+        nx, ny = math.cos(line[1]), math.sin(line[1])
+        hit_x, hit_y = x + row[RANGE] * ux - anchor[0], y + row[RANGE] * uy - anchor[1]
+        along[k] = nx * hit_y - ny * hit_x
+
+
+@entry
+def best_lines(
+    poses: FloatArray,
+    places: IntArray,
+    beams: FloatArray,
+    distances: FloatArray,
+    lines: FloatArray,
+    anchors: FloatArray,
+    ends: FloatArray,
+    beyond: float,
+    best: IntArray,
+    misfits: FloatArray,
+) -> None:
+    """For each reading, the line (k,) that predicts it best among those that the beam meets near enough.
+
+    Parameters
+    ----------
+    ends, beyond
+        (m, 2), m, from where to where each line was read, and how far beyond it may be met.
+    best, misfits
+        To be filled: the line or -1, and how far the reading is from the best and from the second one (k, 2), m.
+    """
+    normals = _normals(lines, anchors)
+    for k in range(len(places)):
+        best[k], misfits[k, 0], misfits[k, 1] = -1, _FAR, _FAR
+        x, y, ux, uy = ray(poses[places[k]], beams[k])
+        for line in range(len(lines)):
+            nx, ny = normals[line, 0], normals[line, 1]
+            cosine, height = nx * ux + ny * uy, normals[line, 2] - nx * x - ny * y
+            distance = height / cosine
+            if abs(cosine) < GRAZING or distance <= 0.0:
+                continue
+            along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+            misfit = abs(distance - distances[k])
+            if misfit >= misfits[k, 1] or along < ends[line, 0] - beyond or along > ends[line, 1] + beyond:
+                continue
+            if misfit < misfits[k, 0]:
+                misfits[k, 1], misfits[k, 0], best[k] = misfits[k, 0], misfit, line
+            else:
+                misfits[k, 1] = misfit
+
+
+@compiled
+def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
+    """Of each line its normal, and how far it and its anchor lie along normal and direction from the origin (m, 4)."""
+    result = np.empty((len(lines), 4))
+    for line in range(len(lines)):
+        nx, ny = math.cos(lines[line, 1]), math.sin(lines[line, 1])
+        x, y = anchors[line, 0], anchors[line, 1]
+        result[line, 0], result[line, 1] = nx, ny
+        result[line, 2], result[line, 3] = lines[line, 0] + nx * x + ny * y, nx * y - ny * x
+    return result
+
+
+@compiled
+def _difference(
+    first: int, second: int, lines: FloatArray, anchors: FloatArray, jacobian: FloatArray
+) -> tuple[float, float]:
+    """The first line about the second one's anchor, less the second: offset and angle; and the derivatives (2, 4)."""
+    turn = lines[first, 1] - lines[second, 1]
+    angle = (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    sign = -1.0 if math.cos(turn) < 0.0 else 1.0
+    nx, ny = math.cos(lines[first, 1]), math.sin(lines[first, 1])
+    x, y = anchors[second, 0] - anchors[first, 0], anchors[second, 1] - anchors[first, 1]
+    jacobian[:] = 0.0
+    jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = sign, sign * (x * ny - y * nx), -1.0
+    jacobian[1, 1], jacobian[1, 3] = 1.0, -1.0
+    return sign * (lines[first, 0] - x * nx - y * ny) - lines[second, 0], angle
+
+
+@compiled
+def _agreement(
+    first: int, second: int, lines: FloatArray, anchors: FloatArray, covariance: FloatArray, work: FloatArray
+) -> tuple[float, float]:
+    """Squared Mahalanobis distance of two lines, and the logarithm of their difference's determinant.
+
+    ``work`` (2, 8) is left with the Jacobian, the difference's offset and angle, and its information matrix.
+    """
+    work[0, 4], work[1, 4] = _difference(first, second, lines, anchors, work[:, :4])
+    a, b, c = _REGULAR[0], 0.0, _REGULAR[1]
+    for i in range(4):
+        row = 2 * (first if i < 2 else second) + i % 2
+        for j in range(4):
+            value = covariance[row, 2 * (first if j < 2 else second) + j % 2]
+            a += work[0, i] * value * work[0, j]
+            b += work[0, i] * value * work[1, j]
+            c += work[1, i] * value * work[1, j]
+    determinant = max(a * c - b * b, 1e-30)
+    work[0, 5], work[0, 6] = c / determinant, -b / determinant
+    work[1, 5], work[1, 6] = -b / determinant, a / determinant
+    offset, angle = work[0, 4], work[1, 4]
+    squared = (c * offset * offset - 2.0 * b * offset * angle + a * angle * angle) / determinant
+    return squared, math.log(determinant)
+
+
+@compiled
+def _apart(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> tuple[float, float]:
+    """How far the middle of the second line lies from the first one, m, and the length that both cover, m."""
+    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
+    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
+    low, high, off = np.inf, -np.inf, 0.0
+    for end in range(2):
+        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
+        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
+        along = mx * y - my * x
+        low, high = min(low, along), max(high, along)
+        off += 0.5 * (mx * x + my * y - lines[first, 0])
+    return abs(off), min(high, ends[first, 1]) - max(low, ends[first, 0])
+
+
+@entry
+def merge_lines(
+    lines: FloatArray,
+    anchors: FloatArray,
+    ends: FloatArray,
+    covariance: FloatArray,
+    limits: FloatArray,
+    most_moved: FloatArray,
+    merged_into: IntArray,
+) -> int:
+    """Merge lines that may be one wall, the surest pair first; returns how many merged.
+
+    Every merged pair is a constraint that moves all other lines, as their joint covariance tells. The surest pair is
+    that with the greatest likelihood: a pair of which little is known agrees easily, and proves nothing.
+
+    Parameters
+    ----------
+    lines, anchors, ends, covariance
+        (m, 2), (m, 2), (m, 2) and (2 m, 2 m); lines, ends and covariance are changed.
+    limits
+        The largest chi-square, offset (m) and angle (rad), and the least overlap (m).
+    most_moved
+        Stop when a line has moved farther than this, m and rad, and a standard deviation: it is time to linearise
+        again.
+    merged_into
+        To be filled: for each line the one that it was merged into, itself where it was not, (m,).
+    """
+    begin, work, count = lines.copy(), np.zeros((2, 8)), 0
+    spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
+    for line in range(len(lines)):
+        merged_into[line] = line
+    loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
+    pairs = near_pairs(lines, anchors, ends, loose)
+    while True:
+        best, chosen = np.inf, -1
+        for k in range(len(pairs)):
+            first, second = pairs[k]
+            if merged_into[first] != first or merged_into[second] != second:
+                continue
+            if not _is_near(first, second, lines, anchors, ends, limits):
+                continue
+            squared, volume = _agreement(first, second, lines, anchors, covariance, work)
+            if squared < limits[0] and squared + volume < best:
+                best, chosen = squared + volume, k
+        if chosen < 0:
+            return count
+        first, second = pairs[chosen]
+        _agreement(first, second, lines, anchors, covariance, work)
+        _constrain(first, second, lines, covariance, work)
+        _unite_ends(first, second, lines, anchors, ends)
+        merged_into[second] = first
+        count += 1
+        if _has_moved(lines - begin, spread, merged_into, most_moved):
+            return count
+
+
+@entry
+def near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
+    """Pairs of lines (k, 2) within limits of offset (m), angle (rad) and overlap (m): ``limits[1:]``."""
+    count, pairs = 0, np.empty((len(lines) * (len(lines) - 1) // 2, 2), dtype=np.int64)
+    for first in range(len(lines)):
+        for second in range(first + 1, len(lines)):
+            if _is_near(first, second, lines, anchors, ends, limits):
+                pairs[count, 0], pairs[count, 1] = first, second
+                count += 1
+    return pairs[:count].copy()
+
+
+@compiled
+def _is_near(
+    first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray
+) -> bool:
+    turn = (lines[first, 1] - lines[second, 1] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    if abs(turn) > limits[2]:
+        return False
+    off, overlap = _apart(first, second, lines, anchors, ends)
+    return bool(off <= limits[1] and overlap >= limits[3])
+
+
+@compiled
+def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArray, work: FloatArray) -> None:
+    """Let two lines be one: a Kalman update of all lines with their difference, which is zero."""
+    size = len(covariance)
+    gain, crossed = np.zeros((size, 2)), np.zeros((size, 2))
+    for row in range(size):
+        for j in range(2):
+            for i in range(4):
+                column = 2 * (first if i < 2 else second) + i % 2
+                crossed[row, j] += covariance[row, column] * work[j, i]
+        gain[row, 0] = crossed[row, 0] * work[0, 5] + crossed[row, 1] * work[1, 5]
+        gain[row, 1] = crossed[row, 0] * work[0, 6] + crossed[row, 1] * work[1, 6]
+    for row in range(size):
+        lines[row // 2, row % 2] -= gain[row, 0] * work[0, 4] + gain[row, 1] * work[1, 4]
+        for column in range(size):
+            covariance[row, column] -= gain[row, 0] * crossed[column, 0] + gain[row, 1] * crossed[column, 1]
+
+
+@compiled
+def _unite_ends(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> None:
+    """Let the first line reach to the ends of the second one."""
+    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
+    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
+    for end in range(2):
+        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
+        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
+        along = mx * y - my * x
+        ends[first, 0], ends[first, 1] = min(ends[first, 0], along), max(ends[first, 1], along)
+
+
+@compiled
+def _has_moved(moves: FloatArray, spread: FloatArray, merged_into: IntArray, most_moved: FloatArray) -> bool:
+    for line in range(len(moves)):
+        if merged_into[line] == line:
+            for part in range(2):
+                if abs(moves[line, part]) > most_moved[part] + spread[line, part]:
+                    return True
+    return False
+
+
+@entry
+def count_crossings(
+    poses: FloatArray,
+    places: IntArray,
+    beams: FloatArray,
+    reached: FloatArray,
+    lines: FloatArray,
+    anchors: FloatArray,
+    low: IntArray,
+    hits: IntArray,
+    margin: float,
+    misses: IntArray,
+    against: IntArray,
+) -> int:
+    """Count where beams went through lines; returns how many of them went through a wall.
+
+    A beam went through a line when it reached farther beyond it than ``margin``, m along the line's normal. It went
+    through a wall, once at most, when others have ended in that bin of the line and close to it on both sides.
+
+    Parameters
+    ----------
+    reached
+        How far each beam went without meeting anything (k,), m.
+    low, hits
+        First bin (m,) of each line, and how many beams ended in each bin (m, b), 0 beyond a line's last one.
+    misses, against
+        To be added to: how many went through each bin (m, b), and how many walls of each line (m,) were gone through.
+    """
+    count, normals = 0, _normals(lines, anchors)
+    for k in range(len(places)):
+        is_against = False
+        x, y, ux, uy = ray(poses[places[k]], beams[k])
+        for line in range(len(lines)):
+            nx, ny = normals[line, 0], normals[line, 1]
+            cosine = nx * ux + ny * uy
+            distance = (normals[line, 2] - nx * x - ny * y) / cosine
+            if abs(cosine) < GRAZING or distance <= 0.0 or distance + margin / abs(cosine) >= reached[k]:
+                continue
+            along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+            place = math.floor(along / BIN) - low[line]
+            if place < 0 or place >= hits.shape[1]:
+                continue
+            misses[line, place] += 1
+            if _is_wall(hits[line], place):
+                against[line] += 1
+                is_against = True
+        count += is_against
+    return count
+
+
+@compiled
+def _is_wall(hits: IntArray, place: int) -> bool:
+    """Whether beams ended in a bin, and in one of the two bins on each side of it."""
+    if place < 2 or place >= len(hits) - 2 or hits[place] == 0:
+        return False
+    return bool(hits[place - 1] + hits[place - 2] > 0 and hits[place + 1] + hits[place + 2] > 0)
+
+
+@entry
+def explain_looks(
+    poses: FloatArray,
+    places: IntArray,
+    beams: FloatArray,
+    reached: FloatArray,
+    has_hit: BoolArray,
+    lines: FloatArray,
+    anchors: FloatArray,
+    low: IntArray,
+    hits: IntArray,
+    margin: float,
+    misfits: FloatArray,
+    best: IntArray,
+) -> None:
+    """How well each look fits the walls that its beam meets (k,), m, and the line (k,) that explains it, or -1.
+
+    A beam ends at the first wall that it surely meets, or before that at the end of a wall that it may just meet. So
+    two walls close behind each other explain no more than the first of them does. A look that saw nothing fits exactly
+    unless it went through a wall by more than ``margin``, m along the normal.
+    """
+    normals = _normals(lines, anchors)
+    for k in range(len(places)):
+        ray_of_beam = ray(poses[places[k]], beams[k])
+        first, line, cosine = _first_sure(ray_of_beam, normals, low, hits)
+        if has_hit[k]:
+            misfits[k], best[k] = _nearest_before(ray_of_beam, reached[k], first, normals, low, hits)
+        else:
+            went = first + margin / max(cosine, GRAZING) < reached[k]
+            misfits[k], best[k] = (_FAR, line) if went else (0.0, -1)
+
+
+@compiled
+def _first_sure(
+    beam: tuple[float, float, float, float], normals: FloatArray, low: IntArray, hits: IntArray
+) -> tuple[float, int, float]:
+    """How far a beam goes to the first wall that it surely meets, m, the wall's line, and the cosine."""
+    x, y, ux, uy = beam
+    first, found, its_cosine = _FAR, -1, 1.0
+    for line in range(len(normals)):
+        nx, ny = normals[line, 0], normals[line, 1]
+        cosine = nx * ux + ny * uy
+        distance = (normals[line, 2] - nx * x - ny * y) / cosine
+        if abs(cosine) < GRAZING or distance <= 0.0 or distance >= first:
+            continue
+        along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+        place = math.floor(along / BIN) - low[line]
+        if 0 <= place < hits.shape[1] and _is_wall(hits[line], place):
+            first, found, its_cosine = distance, line, abs(cosine)
+    return first, found, its_cosine
+
+
+@compiled
+def _nearest_before(
+    beam: tuple[float, float, float, float],
+    reading: float,
+    first: float,
+    normals: FloatArray,
+    low: IntArray,
+    hits: IntArray,
+) -> tuple[float, int]:
+    """By how much a reading misses the nearest wall that its beam may meet before, or surely at, ``first``, m."""
+    x, y, ux, uy = beam
+    misfit, best = _FAR, -1
+    for line in range(len(normals)):
+        nx, ny = normals[line, 0], normals[line, 1]
+        cosine = nx * ux + ny * uy
+        distance = (normals[line, 2] - nx * x - ny * y) / cosine
+        if abs(cosine) < GRAZING or distance <= 0.0 or distance > first or abs(distance - reading) >= misfit:
+            continue
+        along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
+        place = math.floor(along / BIN) - low[line]
+        if -2 < place <= hits.shape[1] and _has_hits(hits[line], place):
+            misfit, best = abs(distance - reading), line
+    return misfit, best
+
+
+@compiled
+def _has_hits(hits: IntArray, place: int) -> bool:
+    """Whether beams ended in a bin or beside it."""
+    return bool(hits[max(place - 1, 0) : place + 2].sum() > 0)

@@ -1,0 +1,511 @@
+"""The line smoother: all poses of a run and all lines solved for together, in least squares.
+
+Every step has a pose of its own, wheels drive exact arcs, and every reading that is given to a line is one factor
+(F. Dellaert and M. Kaess, "Factor Graphs for Robot Perception", 2017). The poses of a robot form a chain and lines are
+few. So poses are eliminated one after another, a block of three at a time, and what remains is a dense system of the
+lines, the last poses and the calibration. Several robots are several chains that share the lines.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from limslam_agent.config.smoother import CalibrationPrior
+from limslam_agent.slam.line_graph import chain_kernels as kernels
+from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import NominalNoise, RobotSpec
+
+LEAST_RANGE_STD = 0.005  # m
+GRAZING = 0.2  # cosine between beam and normal; below it a reading tells little but how the angle errs
+
+# Steps to the side of this size add up to less than a millimetre in a run, and keep the equations regular.
+_ASIDE_STD = 1e-5
+_LEAST_VARIANCE = 1e-12
+# What keeps the equations of a line regular that was read only once, m and rad; other lines do not feel it.
+_LINE_STD = np.array([100.0, 10.0])
+_MOST_HALVINGS = 6
+_CHOOSING = 2  # iterations after which the set of grazing readings is fixed
+
+
+class DegenerateError(ValueError):
+    """The equations of a step cannot be solved: the lines and readings do not determine the poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of k beams, sorted by ``places``.
+
+    Attributes
+    ----------
+    places
+        Number (k,) of the pose that each was taken at: that of robot i at step s of t is i t + s.
+    beams
+        Number (k,) of the beam of each.
+    distances
+        What was read (k,), m.
+    """
+
+    places: IntArray
+    beams: IntArray
+    distances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What was measured by n robots in t steps, and how surely.
+
+    Attributes
+    ----------
+    robot
+        Body and beams of each.
+    starts
+        Known poses (n, 3) of the first step, m and rad.
+    wheels, stds
+        Reported motions (n, t - 1, 3), m, the last column zero, and their standard deviations.
+    readings, range_std
+        What the beams read of walls, and its standard deviation, m.
+    looks
+        Those readings, and beams that saw nothing: how far each of them went without meeting anything.
+    prior
+        Inverse covariance (4, 4) of a robot's calibration; None where robots are as specified.
+    """
+
+    robot: RobotSpec
+    starts: FloatArray
+    wheels: FloatArray
+    stds: FloatArray
+    readings: Readings
+    looks: Readings
+    range_std: float
+    prior: FloatArray | None = None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps t."""
+        return int(self.wheels.shape[1]) + 1
+
+    @cached_property
+    def beams(self) -> FloatArray:
+        """Origin and direction (k, 3) of the beam of each reading, m, m, rad, in the robot's frame."""
+        return self._beams_of(self.readings)
+
+    @cached_property
+    def look_beams(self) -> FloatArray:
+        """The same for ``looks``."""
+        return self._beams_of(self.looks)
+
+    @cached_property
+    def is_hit(self) -> BoolArray:
+        """Which of the looks (k,) met a wall."""
+        return np.asarray(self.looks.distances < self.robot.too_far[self.looks.beams])
+
+    def _beams_of(self, readings: Readings) -> FloatArray:
+        table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
+        return np.asarray(table[readings.beams])
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is solved for.
+
+    Attributes
+    ----------
+    motions, poses
+        (n, t - 1, 3), m, and the poses (n, t, 3) that they lead to, m and rad; headings are not wrapped.
+    lines, anchors
+        (m, 2), as (d, alpha) about an anchor point each, m and rad, and the anchors (m, 2), m.
+    calibration
+        (n, 4): left wheel, right wheel and axle are larger by these shares, and what all ranges read too much, m.
+    """
+
+    motions: FloatArray
+    poses: FloatArray
+    lines: FloatArray
+    anchors: FloatArray
+    calibration: FloatArray
+
+    @property
+    def flat_poses(self) -> FloatArray:
+        """All poses (n t, 3), those of a robot after those of the one before it."""
+        return self.poses.reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Factored:
+    """The equations of the last step: each chain's factors, and the covariance of what was not eliminated.
+
+    Attributes
+    ----------
+    chains
+        Of each robot: lower factors (t, 3, 3), gains (t, 3, 3), and couplings (t, 3, c + 2 m).
+    covariance
+        Joint covariance of the last poses of all robots, their calibration and all lines (3 n + c + 2 m, the same).
+    """
+
+    chains: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
+    covariance: FloatArray
+
+    @property
+    def lines(self) -> FloatArray:
+        """Joint covariance (2 m, 2 m) of all lines; ``first_line`` is where they begin."""
+        return self.covariance[self.first_line :, self.first_line :]
+
+    first_line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An optimum.
+
+    Attributes
+    ----------
+    state
+        Where it is.
+    weights
+        (k,), 1 for each reading that was used, 0 for those of no line and those that graze their line.
+    chi_square
+        Sum of the squared residuals of wheels, readings and calibration, in standard deviations.
+    factored
+        For covariances.
+    """
+
+    state: State
+    weights: FloatArray
+    chi_square: float
+    factored: Factored
+
+
+def make_problem(
+    robot: RobotSpec,
+    noise: NominalNoise,
+    starts: FloatArray,
+    wheels: FloatArray,
+    ranges: FloatArray,
+    usable: BoolArray | None = None,
+    prior: CalibrationPrior | None = None,
+) -> Problem:
+    """The problem of a run.
+
+    Parameters
+    ----------
+    robot, noise
+        Body and beams of each of the n robots, and what its builder knows of its noise. The standard deviation of
+        ranges is taken to be 5 mm or more.
+    starts
+        Known poses (n, 3), m and rad.
+    wheels, ranges
+        (t, n, 2) and (t, n, n_beams), m: the observations; row 0 is the moment of the reset.
+    usable
+        (t, n, n_beams), which readings may be used; None for all. Readings that show no wall or are old ones
+        that a slow sensor repeats are left out in any case.
+    prior
+        Given where wheels, axle and bias are to be estimated.
+    """
+    reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
+    stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
+    stds[..., :2] = np.sqrt(noise.wheel_variance * np.abs(reported) + _LEAST_VARIANCE)
+    motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
+    ranges = np.asarray(ranges, dtype=float)
+    fresh = np.array([robot.measures(step) for step in range(len(ranges))])[:, None]
+    looked = fresh & np.isfinite(ranges) & (ranges > robot.too_near) & (True if usable is None else usable)
+    readings = _listed(looked & (ranges < robot.too_far), ranges)
+    looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
+    std = max(noise.range_std, LEAST_RANGE_STD)
+    information = None if prior is None else prior.information
+    return Problem(robot, np.asarray(starts, dtype=float), motions, stds, readings, looks, std, information)
+
+
+def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
+    """Those of the ranges (t, n, n_beams) that are kept, in the order of poses."""
+    number, step, beam = np.nonzero(np.moveaxis(kept, 0, 1))
+    return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
+
+
+def state_from_poses(problem: Problem, poses: FloatArray) -> State:
+    """A state without lines at poses (t, n, 3), the first of which is the known start; headings may be wrapped."""
+    chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
+    chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
+    motions = np.empty_like(problem.wheels)
+    for chain, motion in zip(chains, motions, strict=True):
+        kernels.motions_between(chain, problem.robot.axle, motion)
+    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((len(motions), CALIBRATED)))
+
+
+def state_from_motions(problem: Problem) -> State:
+    """The state without lines to which the reported wheel travel leads."""
+    nothing = np.zeros((0, 2))
+    return moved(problem, problem.wheels, nothing, nothing, np.zeros((len(problem.wheels), CALIBRATED)))
+
+
+def moved(
+    problem: Problem, motions: FloatArray, lines: FloatArray, anchors: FloatArray, calibration: FloatArray
+) -> State:
+    """The state with motions (n, t - 1, 3), whose poses follow from them."""
+    poses = np.empty((len(motions), problem.steps, 3))
+    for number, chain in enumerate(poses):
+        kernels.drive(problem.starts[number], motions[number], _axle(problem, calibration[number]), chain)
+    return State(motions, poses, lines, anchors, calibration)
+
+
+def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
+    """About each reading, given the line of each (k,), or -1: rows (k, 7) as :mod:`.chain_kernels` lays them out."""
+    rows = np.zeros((len(problem.readings), COLUMNS))
+    kernels.expected_readings(
+        state.flat_poses, problem.readings.places, problem.beams, labels, state.lines, state.anchors, rows
+    )
+    return rows
+
+
+def solve(
+    problem: Problem, state: State, labels: IntArray, *, iterations: int = 8, tolerance: float = 1e-4
+) -> Solution:
+    """The optimum near a state, for readings whose lines are known.
+
+    Parameters
+    ----------
+    labels
+        Line (k,) of each reading, or -1 for readings that are not used.
+    iterations, tolerance
+        At most so many Gauss-Newton steps; a step that moves no pose farther than the tolerance, m or rad, is the last.
+
+    Raises
+    ------
+    DegenerateError
+        If the equations cannot be solved.
+    """
+    weights = np.zeros(len(labels))
+    for iteration in range(iterations):
+        rows = rows_of(problem, state, labels)
+        if iteration < _CHOOSING:
+            weights = _not_grazing(rows, labels)
+        equations = _Equations(problem, state, labels, rows, weights)
+        step = equations.step()
+        state, change = _descend(problem, state, step, labels, weights, equations.chi_square)
+        if change < tolerance and iteration >= _CHOOSING - 1:
+            # The equations of this step are as good as those after it.
+            break
+    else:
+        equations = _Equations(problem, state, labels, rows_of(problem, state, labels), weights)
+    return Solution(state, weights, equations.chi_square, equations.factored())
+
+
+def pose_covariances(solution: Solution) -> FloatArray:
+    """Marginal covariances (n, t, 3, 3) of all poses; zero for the known starts."""
+    state, factored = solution.state, solution.factored
+    count = len(state.poses)
+    covariances = np.zeros((*state.poses.shape, 3))
+    shared = np.ascontiguousarray(factored.covariance[3 * count :, 3 * count :])
+    for number, (lower, gains, coupled) in enumerate(factored.chains):
+        own = slice(3 * number, 3 * number + 3)
+        covariances[number, -1] = factored.covariance[own, own]
+        with_shared = np.ascontiguousarray(factored.covariance[own, 3 * count :])
+        kernels.pose_marginals(lower, gains, coupled, shared, with_shared, covariances[number])
+    return covariances
+
+
+def chi_square(problem: Problem, state: State, labels: IntArray, weights: FloatArray) -> float:
+    """Sum of the squared residuals of wheels, readings and calibration, in standard deviations."""
+    rows = rows_of(problem, state, labels)
+    driven = _motion_residuals(problem, state)
+    read = _range_residuals(problem, state, rows)
+    total = float(np.sum(driven**2) + np.sum(weights * read**2) / problem.range_std**2)
+    return total + calibration_chi_square(problem, state)
+
+
+def wheel_chi_square(problem: Problem, state: State) -> float:
+    """That of the wheels alone."""
+    return float(np.sum(_motion_residuals(problem, state) ** 2))
+
+
+def calibration_chi_square(problem: Problem, state: State) -> float:
+    """That of the calibration, 0 where robots are as specified."""
+    if problem.prior is None:
+        return 0.0
+    return float(np.einsum("ni,ij,nj->", state.calibration, problem.prior, state.calibration))
+
+
+def _axle(problem: Problem, calibration: FloatArray) -> float:
+    return problem.robot.axle * (1.0 + float(calibration[2]))
+
+
+def _motion_residuals(problem: Problem, state: State) -> FloatArray:
+    """What wheels reported, by their true sizes, less what they did (n, t - 1, 3), in standard deviations."""
+    sizes = np.ones((len(state.motions), 1, 3))
+    sizes[:, 0, :2] += state.calibration[:, :2]
+    return np.asarray((problem.wheels * sizes - state.motions) / problem.stds)
+
+
+def _range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
+    """What was read, less what should have been (k,), m."""
+    biases = state.calibration[problem.readings.places // problem.steps, 3]
+    return np.asarray(problem.readings.distances - rows[:, RANGE] - biases)
+
+
+def _not_grazing(rows: FloatArray, labels: IntArray) -> FloatArray:
+    """1 for readings (k,) of a line in front of the beam that they do not graze."""
+    return ((labels >= 0) & (np.abs(rows[:, COSINE]) >= GRAZING) & (rows[:, RANGE] > 0.0)).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step of Gauss and Newton: changes of motions, lines and calibration, and the largest change of a pose."""
+
+    motions: FloatArray
+    lines: FloatArray
+    calibration: FloatArray
+    largest: float
+
+
+def _descend(
+    problem: Problem, state: State, step: _Step, labels: IntArray, weights: FloatArray, before: float
+) -> tuple[State, float]:
+    """The state after a step, halved until the residuals do not grow; and how far poses moved."""
+    share = 1.0
+    for _ in range(_MOST_HALVINGS):
+        new = moved(
+            problem,
+            state.motions + share * step.motions,
+            state.lines + share * step.lines,
+            state.anchors,
+            state.calibration + share * step.calibration,
+        )
+        if share * step.largest < 1e-3 or chi_square(problem, new, labels, weights) <= before * (1.0 + 1e-6) + 1e-3:
+            break
+        share *= 0.5
+    return new, share * step.largest
+
+
+class _Equations:
+    """The linearised problem about a state; chains of poses are eliminated when it is made."""
+
+    def __init__(self, problem: Problem, state: State, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
+        self._problem, self._state = problem, state
+        count, steps = state.poses.shape[:2]
+        self._first_line = 0 if problem.prior is None else CALIBRATED * count
+        size = self._first_line + 2 * len(state.lines)
+        self._shared, self._shared_right = np.zeros((size, size)), np.zeros(size)
+        self._diagonal, self._right = np.zeros((count, steps, 3, 3)), np.zeros((count, steps, 3))
+        self._below = np.zeros((count, steps - 1, 3, 3))
+        self._border = np.zeros((count, steps, 3, self._first_line))
+        self.chi_square = chi_square(problem, state, labels, weights)
+        self._add_motions()
+        self._add_readings(labels, rows, weights)
+        self._add_priors()
+        self._eliminate(labels, rows, weights)
+
+    def step(self) -> _Step:
+        """What solves the equations."""
+        solved = self._scale * cho_solve(self._cholesky, self._scale * self._dense_right)
+        count = len(self._state.poses)
+        shared, moves = solved[3 * count :], np.zeros(self._state.poses.shape)
+        for number, (lower, gains, coupled) in enumerate(self._chains):
+            moves[number, -1] = solved[3 * number : 3 * number + 3]
+            kernels.substitute(lower, gains, coupled, self._solved[number], shared, moves[number])
+        motions = np.einsum("nsij,nsj->nsi", self._by_before, moves[:, :-1])
+        motions += np.einsum("nsij,nsj->nsi", self._by_after, moves[:, 1:])
+        calibration = np.zeros_like(self._state.calibration)
+        if self._first_line:
+            calibration = shared[: self._first_line].reshape(-1, CALIBRATED)
+            motions += self._by_axle * calibration[:, 2, None, None]
+        return _Step(motions, shared[self._first_line :].reshape(-1, 2), calibration, float(np.abs(moves).max()))
+
+    def factored(self) -> Factored:
+        """The factors, and the covariance of what was not eliminated."""
+        whole = cho_solve(self._cholesky, np.eye(len(self._scale)))
+        covariance = self._scale[:, None] * whole * self._scale
+        return Factored(tuple(self._chains), covariance, 3 * len(self._state.poses) + self._first_line)
+
+    def _add_motions(self) -> None:
+        problem, state = self._problem, self._state
+        shape = (*problem.wheels.shape, 3)
+        self._by_before, self._by_after = np.empty(shape), np.empty(shape)
+        residuals = _motion_residuals(problem, state)
+        self._by_axle = np.zeros_like(problem.wheels)
+        turned = 0.5 * np.diff(state.poses[..., 2], axis=1) * problem.robot.axle
+        self._by_axle[..., 0], self._by_axle[..., 1] = -turned, turned
+        for number in range(len(state.poses)):
+            axle = _axle(problem, state.calibration[number])
+            before, after = self._by_before[number], self._by_after[number]
+            kernels.motion_jacobians(state.poses[number], axle, before, after)
+            stds = problem.stds[number][:, :, None]
+            kernels.add_motions(
+                before / stds, after / stds, self._by_calibration(number) / stds, residuals[number],
+                self._diagonal[number], self._below[number], self._border[number], self._right[number],
+                self._shared[: self._first_line, : self._first_line], self._shared_right[: self._first_line],
+            )  # fmt: skip
+
+    def _by_calibration(self, number: int) -> FloatArray:
+        """Derivatives (t - 1, 3, c) of a robot's motions, less what its wheels reported, by all calibrations."""
+        by_all = np.zeros((self._problem.steps - 1, 3, self._first_line))
+        if self._first_line:
+            first = CALIBRATED * number
+            by_all[:, 0, first] = -self._problem.wheels[number, :, 0]
+            by_all[:, 1, first + 1] = -self._problem.wheels[number, :, 1]
+            by_all[:, :, first + 2] = self._by_axle[number]
+        return by_all
+
+    def _add_readings(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
+        problem, readings = self._problem, self._problem.readings
+        biases, border = np.full(len(readings), -1), (problem.steps * len(problem.starts), 3, self._first_line)
+        if self._first_line:
+            biases = CALIBRATED * (readings.places // problem.steps) + 3
+        kernels.add_readings(
+            readings.places, labels, rows, _range_residuals(problem, self._state, rows),
+            weights / problem.range_std**2, biases, self._first_line,
+            self._diagonal.reshape(-1, 3, 3), self._border.reshape(border),
+            self._right.reshape(-1, 3), self._shared, self._shared_right,
+        )  # fmt: skip
+
+    def _add_priors(self) -> None:
+        lines = np.arange(self._first_line, len(self._shared))
+        self._shared[lines, lines] += np.tile(_LINE_STD**-2.0, len(self._state.lines))
+        if self._problem.prior is None:
+            return
+        for number, calibration in enumerate(self._state.calibration):
+            own = slice(CALIBRATED * number, CALIBRATED * (number + 1))
+            self._shared[own, own] += self._problem.prior
+            self._shared_right[own] -= self._problem.prior @ calibration
+
+    def _eliminate(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
+        """Eliminate all chains and factor what remains: the last poses, calibration and lines."""
+        problem, count = self._problem, len(self._state.poses)
+        steps, size = problem.steps, len(self._shared)
+        dense = np.zeros((3 * count + size, 3 * count + size))
+        right = np.concatenate((np.zeros(3 * count), self._shared_right))
+        dense[3 * count :, 3 * count :] = self._shared
+        bounds = np.searchsorted(problem.readings.places, steps * np.arange(count + 1))
+        self._chains, self._solved = [], np.zeros((count, steps, 3))
+        for number in range(count):
+            own = slice(bounds[number], bounds[number + 1])
+            lower, gains, coupled = np.zeros((steps, 3, 3)), np.zeros((steps, 3, 3)), np.zeros((steps, 3, size))
+            kernels.eliminate(
+                self._diagonal[number], self._below[number], self._border[number], self._right[number],
+                problem.readings.places[own] - number * steps, labels[own], rows[own],
+                weights[own] / problem.range_std**2, lower, gains, coupled, self._solved[number],
+            )  # fmt: skip
+            self._chains.append((lower, gains, coupled))
+            last = slice(3 * number, 3 * number + 3)
+            dense[last, last], dense[last, 3 * count :] = lower[-1], coupled[-1]
+            dense[3 * count :, last] = coupled[-1].T
+            window = coupled[:-1].reshape(-1, size)
+            dense[3 * count :, 3 * count :] -= window.T @ window
+            right[last] = self._solved[number, -1]
+            right[3 * count :] -= window.T @ self._solved[number, :-1].ravel()
+        self._dense_right = right
+        self._factor(dense)
+
+    def _factor(self, dense: FloatArray) -> None:
+        diagonal = np.diag(dense)
+        if not (np.isfinite(dense).all() and (diagonal > 0.0).all()):
+            raise DegenerateError("the readings do not determine the poses")
+        self._scale = diagonal**-0.5
+        try:
+            self._cholesky = cho_factor(self._scale[:, None] * dense * self._scale + 1e-15 * np.eye(len(dense)))
+        except np.linalg.LinAlgError as error:
+            raise DegenerateError("the readings do not determine the poses") from error

@@ -1,0 +1,229 @@
+"""Wrong matches that re-association alone cannot undo: lines are cut, dropped and founded anew.
+
+Each move changes the associations of the best solution so far and settles the rest anew. The result is kept when its
+score, which needs no truth, is better.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.smoother import MendingConfig, SmootherConfig
+from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.line_smoother import DegenerateError, Problem, State, state_from_motions
+from limslam_agent.slam.line_graph.map_score import Score, explained_readings, line_values, score, tally
+from limslam_agent.slam.line_graph.reassociation import (
+    Association,
+    OneWall,
+    ends_of,
+    hit_points,
+    merge,
+    reassociate_from,
+    rooted,
+    solve_again,
+    solve_labels,
+)
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+_RUN_GAP = 0.15  # m of driving without a reading that ends a run
+_POINT_GAP = 0.30  # m between the ends of two readings of one wall
+
+MOVES = ("anew", "cut", "drop", "reborn")
+"""``anew``: nothing but straight pieces, on the path that the wheels tell. ``cut``: lines cut where they were not read
+for a while. ``drop``: the same without the lines that beams contradict. ``reborn``: with new lines through readings
+that no line explains, which every other move tries, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A solution, what it is worth, and the move that led to it."""
+
+    association: Association
+    score: Score
+    move: str
+
+
+def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
+    """The solutions that were kept one after another, the best one last; the first is the one to begin from.
+
+    A round ends with the first move after which beams do not contradict the map any more. From then on only lines that
+    are missing are looked for.
+    """
+    kept = [Candidate(found, score(problem, found, config.score), "start")]
+    for number in range(config.mending.rounds):
+        moves: tuple[str, ...] = ("cut", "drop", "reborn") if number else MOVES
+        if number and not is_contradicted(problem, kept[-1].association, config):
+            moves = ("reborn",)
+        best = _best_of_round(problem, kept[-1], moves, config)
+        if best is kept[-1]:
+            break
+        kept.append(best)
+    return kept
+
+
+def is_contradicted(problem: Problem, found: Association, config: SmootherConfig) -> bool:
+    """Whether more beams go through walls than in a healthy map."""
+    return tally(problem, found).contradictions > config.mending.contradicted * len(problem.looks)
+
+
+def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], config: SmootherConfig) -> Candidate:
+    """The best solution that moves lead to, or the one to begin from."""
+    best, mender = begin, _Mender(problem, begin, config)
+    for move in moves:
+        for candidate in mender.tried(move):
+            if candidate.score.total > best.score.total + config.mending.gain:
+                best = candidate
+        if best is not begin and not is_contradicted(problem, best.association, config):
+            break
+    return best
+
+
+class _Mender:
+    """The moves from one solution."""
+
+    def __init__(self, problem: Problem, begin: Candidate, config: SmootherConfig) -> None:
+        self._problem, self._begin, self._config = problem, begin, config
+        mending = config.mending
+        self._limits = OneWall(
+            config.reassociation.one_wall_gate, mending.max_offset, mending.max_angle, mending.min_overlap
+        )
+
+    def tried(self, move: str) -> Iterator[Candidate]:
+        """What a move leads to, and what it leads to with new lines for readings that nothing explains."""
+        try:
+            state, labels = self._begun(move)
+            settled = self._settled(state, labels, self._config.reassociation.rounds)
+            first = list(self._both(settled, move))
+            yield from first
+            # What is worse by far, missing lines do not make better.
+            if move != "reborn" and max(each.score.total for each in first) > self._begin.score.total:
+                again = self._settled(settled.state, self._reborn(settled), self._config.mending.last_rounds)
+                yield from self._both(again, f"{move}, reborn")
+        except DegenerateError:
+            return
+
+    def _begun(self, move: str) -> tuple[State, IntArray]:
+        """The poses and the associations that a move begins from."""
+        begin, gap = self._begin.association, self._config.mending.cut
+        if move == "anew":
+            return state_from_motions(self._problem), self._anew()
+        if move == "cut":
+            return begin.state, split(self._problem, begin.labels, gap)
+        if move == "drop":
+            return begin.state, split(self._problem, np.where(self._is_dropped(), -1, begin.labels), gap)
+        return begin.state, self._reborn(begin)
+
+    def _is_dropped(self) -> BoolArray:
+        """Which readings (k,) are of lines that beams contradict too often."""
+        mending, counted = self._config.mending, tally(self._problem, self._begin.association)
+        least = np.maximum(mending.dropped_least, mending.dropped_share * counted.hits.sum(axis=1))
+        return np.isin(self._begin.association.labels, np.flatnonzero(counted.against > least))
+
+    def _both(self, found: Association, move: str) -> Iterator[Candidate]:
+        """A solution, and the same without lines that are not needed."""
+        yield self._candidate(found, move)
+        yield self._candidate(self._pruned(found), f"{move}, pruned")
+
+    def _candidate(self, found: Association, move: str) -> Candidate:
+        return Candidate(found, score(self._problem, found, self._config.score), move)
+
+    def _settled(self, state: State, labels: IntArray, rounds: int) -> Association:
+        reassociation = self._config.reassociation
+        begin = solve_labels(self._problem, state, labels, reassociation.fewest)
+        merged, _ = merge(self._problem, begin, self._limits, reassociation.fewest)
+        return reassociate_from(self._problem, merged, reassociation, rounds)
+
+    def _pruned(self, found: Association) -> Association:
+        """The solution without doubled lines, and without lines that are not worth their price."""
+        doubled = doubled_lines(self._problem, found, self._config.mending)
+        labels = np.where(found.labels >= 0, doubled[found.labels], -1)
+        worthless = line_values(self._problem, found, self._config.score) < self._config.score.line
+        labels = np.where(np.isin(labels, np.flatnonzero(worthless)), -1, labels)
+        begin = solve_again(self._problem, found.state, labels, self._config.reassociation.fewest)
+        return reassociate_from(self._problem, begin, self._config.reassociation, 2)
+
+    def _anew(self) -> IntArray:
+        """Associations of nothing but straight pieces, by the shape of the path that the wheels tell."""
+        reported = state_from_motions(self._problem)
+        everything = np.ones(len(self._problem.readings), dtype=bool)
+        return straight_runs(self._problem, reported, everything, self._config.reassociation.fewest)
+
+    def _reborn(self, found: Association) -> IntArray:
+        """The associations with new lines through readings that no line explains."""
+        mending = self._config.mending
+        unexplained = explained_readings(self._problem, found) > mending.unexplained
+        pieces = straight_runs(self._problem, found.state, unexplained, mending.reborn_readings)
+        return np.where(pieces >= 0, pieces + int(found.labels.max(initial=-1)) + 1, found.labels)
+
+
+def doubled_lines(problem: Problem, found: Association, config: MendingConfig) -> IntArray:
+    """For each line (m,) the line with more readings that it runs along, or itself.
+
+    Readings go to the nearer one of two lines that run along each other. This pulls the two apart, so that their
+    covariances never let them merge.
+    """
+    state, labels = found.state, found.labels
+    apart = max(config.doubled_sigmas * problem.range_std, config.doubled_offset)
+    limits = np.array([np.inf, apart, config.doubled_angle, config.min_overlap])
+    pairs = kernels.near_pairs(state.lines, state.anchors, ends_of(problem, state, labels), limits)
+    counts = np.bincount(labels[labels >= 0], minlength=len(state.lines))
+    result = np.arange(len(state.lines))
+    for first, second in pairs.tolist():
+        few, many = sorted((first, second), key=counts.__getitem__)
+        if result[few] == few and result[many] == many:
+            result[few] = many
+    return rooted(result)
+
+
+def split(problem: Problem, labels: IntArray, gap: float) -> IntArray:
+    """Labels cut where a line was not read for ``gap`` (m) of a robot's drive."""
+    driven = driven_at(problem)
+    order = np.lexsort((np.arange(len(labels)), labels))
+    order = order[labels[order] >= 0]
+    place = problem.readings.places[order]
+    is_new = np.diff(labels[order], prepend=-1) != 0
+    is_new |= np.diff(place // problem.steps, prepend=-1) != 0
+    is_new |= np.diff(driven[place], prepend=0.0) > gap
+    result = np.full(len(labels), -1)
+    result[order] = np.cumsum(is_new) - 1
+    return result
+
+
+def driven_at(problem: Problem) -> FloatArray:
+    """How far each robot's wheels have driven until each pose (n t,), m."""
+    travel = np.abs(problem.wheels[..., :2]).mean(axis=2)
+    start = np.zeros((len(travel), 1))
+    return np.concatenate((start, np.cumsum(travel, axis=1)), axis=1).ravel()
+
+
+def straight_runs(problem: Problem, state: State, chosen: BoolArray, fewest: int) -> IntArray:
+    """Straight pieces of wall among chosen readings: for each reading the number of its piece (k,), or -1.
+
+    The readings of one beam that follow each other are cut at gaps, and where they bend.
+    """
+    readings, driven = problem.readings, driven_at(problem)
+    order = np.lexsort((readings.places, readings.beams, readings.places // problem.steps))
+    order = order[chosen[order]]
+    points = hit_points(problem, state, order)[:, :2]
+    place, beam = readings.places[order], readings.beams[order]
+    breaks = (np.diff(beam) != 0) | (np.diff(driven[place]) > _RUN_GAP) | (np.diff(driven[place]) < 0.0)
+    breaks |= np.linalg.norm(np.diff(points, axis=0), axis=1) > _POINT_GAP
+    result, number = np.full(len(readings), -1), 0
+    for run in np.split(np.arange(len(order)), np.flatnonzero(breaks) + 1):
+        for piece in _unbent(points, run, 4.0 * problem.range_std, fewest):
+            result[order[piece]] = number
+            number += 1
+    return result
+
+
+def _unbent(points: FloatArray, run: IntArray, tolerance: float, fewest: int) -> list[IntArray]:
+    """The pieces of a run whose points lie within a tolerance (m) of a line; split-and-merge without the merge."""
+    if len(run) < fewest:
+        return []
+    off = points[run] - points[run].mean(axis=0)
+    away = np.abs(off @ np.linalg.svd(off, full_matrices=False)[2][1])
+    if away.max() <= tolerance:
+        return [run]
+    cut = min(max(int(away.argmax()), 1), len(run) - 1)
+    return _unbent(points, run[:cut], tolerance, fewest) + _unbent(points, run[cut:], tolerance, fewest)

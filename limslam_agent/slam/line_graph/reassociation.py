@@ -1,0 +1,196 @@
+"""Which line each reading belongs to, decided anew when all poses are known better: no match is final.
+
+Rounds of merging lines that are one wall, giving each reading to the line that predicts it best, and solving.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.config.smoother import ReassociationConfig
+from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.line_smoother import Problem, Solution, State, solve
+from limslam_env.geometry import FloatArray, IntArray
+
+_MOST_MERGES = 30
+_MOST_MOVED = (0.10, 0.05)  # m and rad, of a line by merging others, before linearising again
+_LOOSE, _EXACT = 1e-3, 1e-4  # m or rad, at which a solution counts as found: between moves, and at the end
+
+
+class OneWall(NamedTuple):
+    """When two lines are one wall: chi-square below, offset (m) and angle (rad) below, and overlap above (m)."""
+
+    gate: float
+    max_offset: float
+    max_angle: float
+    min_overlap: float
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """A solution, and the line (k,) of each reading that it was found with, -1 for those that were not used."""
+
+    solution: Solution
+    labels: IntArray
+
+    @property
+    def state(self) -> State:
+        """Poses and lines."""
+        return self.solution.state
+
+
+def reassociate(problem: Problem, state: State, labels: IntArray, config: ReassociationConfig) -> Association:
+    """Poses, lines and associations, from poses that are about right and the first associations of some readings.
+
+    Parameters
+    ----------
+    state
+        Poses to begin from; its lines are not used.
+    labels
+        For each reading the line that it was given to, in any numbering, or -1.
+
+    Raises
+    ------
+    DegenerateError
+        If the readings do not determine the poses.
+    """
+    return reassociate_from(problem, solve_labels(problem, state, labels, config.fewest), config, config.rounds)
+
+
+def reassociate_from(problem: Problem, found: Association, config: ReassociationConfig, rounds: int) -> Association:
+    """At most so many rounds of merging lines, giving readings to them anew and solving, from a solution."""
+    limits = OneWall(config.one_wall_gate, config.max_offset, config.max_angle, config.min_overlap)
+    for _ in range(rounds):
+        before = found.state.poses
+        merged, has_merged = merge(problem, found, limits, config.fewest)
+        labels = assigned(problem, merged.state, ends_of(problem, merged.state, merged.labels), config)
+        found = solve_again(problem, merged.state, labels, config.fewest)
+        if np.abs(found.state.poses - before)[..., :2].max() < config.settled and not has_merged:
+            break
+    return found
+
+
+def solve_labels(problem: Problem, state: State, labels: IntArray, fewest: int, iterations: int = 8) -> Association:
+    """The optimum for given associations, with lines that are fitted to their readings at the poses of a state.
+
+    Lines with less than ``fewest`` readings are left out.
+    """
+    labels, _ = renumbered(labels, fewest)
+    lines, anchors = fitted_lines(problem, state, labels)
+    state = replace(state, lines=lines, anchors=anchors)
+    return Association(solve(problem, state, labels, iterations=iterations, tolerance=_EXACT), labels)
+
+
+def solve_again(
+    problem: Problem, state: State, labels: IntArray, fewest: int, *, iterations: int = 5, tolerance: float = _EXACT
+) -> Association:
+    """The optimum for associations with the lines of a state; lines with too few readings are removed."""
+    labels, kept = renumbered(labels, fewest)
+    state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
+    return Association(solve(problem, state, labels, iterations=iterations, tolerance=tolerance), labels)
+
+
+def renumbered(labels: IntArray, fewest: int) -> tuple[IntArray, IntArray]:
+    """Lines by the order of their first reading, without those of less than ``fewest``; and the old numbers (m,)."""
+    known, firsts, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    is_line = (known >= 0) & (counts >= fewest)
+    order = np.argsort(np.where(is_line, firsts, len(labels)), kind="stable")[: int(is_line.sum())]
+    numbers = np.full(len(known), -1)
+    numbers[order] = np.arange(len(order))
+    return numbers[inverse], known[order]
+
+
+def fitted_lines(problem: Problem, state: State, labels: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Lines and anchors (m, 2) through the readings of each label 0 to m - 1."""
+    order = np.argsort(labels, kind="stable")
+    order = order[labels[order] >= 0]
+    count = int(labels.max(initial=-1)) + 1
+    points = hit_points(problem, state, order)
+    lines, anchors = np.empty((count, 2)), np.empty((count, 2))
+    firsts = np.searchsorted(labels[order], np.arange(count + 1))
+    kernels.fit_lines(points, firsts, problem.range_std, lines, anchors)
+    return lines, anchors
+
+
+def hit_points(problem: Problem, state: State, chosen: IntArray) -> FloatArray:
+    """Where chosen readings end, and the directions of their beams: rows x, y, angle (k, 3), m and rad."""
+    readings, points = problem.readings, np.empty((len(chosen), 4))
+    places, distances = readings.places[chosen], readings.distances[chosen]
+    kernels.hit_points(state.flat_poses, places, problem.beams[chosen], distances, points)
+    return points
+
+
+def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
+    """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings of no line."""
+    along = np.zeros(len(labels))
+    kernels.places_along(
+        state.flat_poses, problem.readings.places, problem.beams, labels, state.lines, state.anchors, along
+    )
+    return along
+
+
+def ends_of(problem: Problem, state: State, labels: IntArray, spared: int = 1) -> FloatArray:
+    """From where to where each line is read (m, 2), m, without the outermost reading or readings on each side."""
+    along = places_along(problem, state, labels)
+    order = np.lexsort((along, labels))
+    order = order[labels[order] >= 0]
+    count = len(state.lines)
+    firsts = np.searchsorted(labels[order], np.arange(count + 1))
+    lengths = np.diff(firsts)
+    left_out = np.where(lengths > 4 * spared, spared, 0)
+    sorted_along = along[order]
+    return np.column_stack((sorted_along[firsts[:-1] + left_out], sorted_along[firsts[1:] - 1 - left_out]))
+
+
+def assigned(problem: Problem, state: State, ends: FloatArray, config: ReassociationConfig) -> IntArray:
+    """For each reading the line that predicts it, or -1 where none does or two do."""
+    best, misfits = best_lines(problem, state, ends, config.beyond)
+    is_clear = (misfits[:, 0] < config.gate) & (misfits[:, 1] - misfits[:, 0] > config.margin)
+    return np.where(is_clear, best, -1)
+
+
+def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) -> tuple[IntArray, FloatArray]:
+    """For each reading the best line (k,), or -1, and its misfit and that of the second line (k, 2), in deviations."""
+    readings = problem.readings
+    best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
+    biases = state.calibration[readings.places // problem.steps, 3]
+    kernels.best_lines(
+        state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
+        ends, beyond, best, misfits,
+    )  # fmt: skip
+    return best, misfits / problem.range_std
+
+
+def merge(
+    problem: Problem, found: Association, limits: OneWall, fewest: int, tolerance: float = _LOOSE
+) -> tuple[Association, bool]:
+    """The lines that may be one wall merged, and whether there were such lines.
+
+    Lines merge with all others held by their joint covariance. Poses and lines are solved for again when a line has
+    moved far, until nothing is left to merge.
+    """
+    has_merged = False
+    for _ in range(_MOST_MERGES):
+        state = found.state
+        merged_into = np.empty(len(state.lines), dtype=np.int64)
+        lines, ends = state.lines.copy(), ends_of(problem, state, found.labels)
+        covariance = found.solution.factored.lines.copy()
+        count = kernels.merge_lines(
+            lines, state.anchors, ends, covariance, np.array(limits), np.array(_MOST_MOVED), merged_into
+        )
+        if not count:
+            break
+        has_merged = True
+        labels = np.where(found.labels >= 0, rooted(merged_into)[found.labels], -1)
+        found = solve_again(problem, state, labels, fewest, tolerance=tolerance)
+    return found, has_merged
+
+
+def rooted(merged_into: IntArray) -> IntArray:
+    """For each line the one that it became in the end (m,), from the one that each was merged into."""
+    while True:
+        further = merged_into[merged_into]
+        if np.array_equal(further, merged_into):
+            return merged_into
+        merged_into = further

@@ -1,0 +1,199 @@
+"""The line smoother: its Jacobians, its optimum, its covariances, and what it can calibrate."""
+
+import math
+
+import numpy as np
+import pytest
+from support.drives import ROBOT
+from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
+
+from limslam_agent.config.smoother import CalibrationPrior
+from limslam_agent.slam.line_graph import chain_kernels
+from limslam_agent.slam.line_graph.line_smoother import (
+    make_problem,
+    pose_covariances,
+    solve,
+    state_from_motions,
+    state_from_poses,
+)
+from limslam_agent.slam.line_graph.reassociation import solve_labels
+from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
+from limslam_env.interface import NominalNoise
+
+
+def smoothed(problem, poses):
+    return solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6, 12).solution
+
+
+def nees(true, estimated, covariances):
+    error = true - estimated
+    error[..., 2] = wrap_angle(error[..., 2])
+    return np.einsum("ni,ni->n", error, np.linalg.solve(covariances, error[..., None])[..., 0])
+
+
+def test_motions_are_the_arcs_of_wheels():
+    travel = np.array([[0.02, 0.03], [0.03, -0.01], [0.0, 0.0], [-0.02, -0.02]])
+    motions = np.column_stack((travel, np.zeros(4)))
+    poses = np.empty((5, 3))
+    chain_kernels.drive(START, motions, ROBOT.axle, poses)
+    pose = START
+    for number, wheels in enumerate(travel):
+        pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
+        assert poses[number + 1] == pytest.approx(pose, abs=1e-12)
+    back = np.empty((4, 3))
+    chain_kernels.motions_between(poses, ROBOT.axle, back)
+    assert back == pytest.approx(motions, abs=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-5, 0.3, -1.2])
+def test_derivatives_of_motions_are_differences(turn):
+    poses = np.array([[0.3, -0.2, 0.7], [0.35, -0.17, 0.7 + turn]])
+    before, after = np.empty((1, 3, 3)), np.empty((1, 3, 3))
+    chain_kernels.motion_jacobians(poses, ROBOT.axle, before, after)
+    for row, found in enumerate((before, after)):
+        for column in range(3):
+            change, ends = np.zeros((2, 3)), np.empty((2, 1, 3))
+            change[row, column] = 1e-6
+            chain_kernels.motions_between(poses + change, ROBOT.axle, ends[0])
+            chain_kernels.motions_between(poses - change, ROBOT.axle, ends[1])
+            assert found[0, :, column] == pytest.approx((ends[0, 0] - ends[1, 0]) / 2e-6, abs=1e-6)
+
+
+def test_derivatives_of_readings_are_differences():
+    pose, line, anchor = np.array([0.3, 0.2, 0.4]), np.array([0.1, 0.9]), np.array([1.0, 1.1])
+    beam = np.array([0.05, 0.08, 0.6])
+
+    def row_at(pose, line):
+        row = np.zeros(chain_kernels.COLUMNS)
+        rows = row[None]
+        chain_kernels.expected_readings(
+            pose[None], np.array([0]), beam[None], np.array([0]), line[None], anchor[None], rows
+        )
+        return rows[0]
+
+    found = row_at(pose, line)
+    for column in range(5):
+        change = np.zeros(5)
+        change[column] = 1e-6
+        ends = [row_at(pose + sign * change[:3], line + sign * change[3:])[0] for sign in (1.0, -1.0)]
+        assert found[1 + column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+
+
+def test_the_optimum_is_that_of_gtsam():
+    pytest.importorskip("gtsam")
+    from limslam_env.bounds.offline_optimum import solve_optimum
+
+    problem, poses = noisy_run(3)
+    labels = true_labels(problem, poses)
+    ours = solve(problem, smoothed(problem, poses).state, labels, iterations=20, tolerance=1e-9)
+    walls = np.full((problem.steps, 1, len(ROBOT.beams)), -1)
+    ranges = np.full(walls.shape, 1.5)
+    at = problem.readings.places, 0, problem.readings.beams
+    walls[at], ranges[at] = labels, problem.readings.distances
+    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 0, 1)))
+    limit = solve_optimum(
+        ROBOT, np.moveaxis(poses, 0, 1), wheels, ranges, walls, range_std=0.02, wheel_variance=WHEEL_VARIANCE
+    )  # fmt: skip
+    assert limit.is_converged
+    assert np.abs(ours.state.poses[0, :, :2] - limit.poses[:, 0, :2]).max() < 3e-5
+    assert ours.chi_square == pytest.approx(limit.chi_square, rel=1e-4)
+
+
+def test_covariances_are_those_of_a_dense_solution():
+    problem, poses = noisy_run(4)
+    solution = smoothed(problem, poses)
+    covariances = pose_covariances(solution)
+    # The same equations, with nothing eliminated: numerical derivatives of all residuals by all poses and lines.
+    state, labels = solution.state, true_labels(problem, poses)
+    steps, count = problem.steps, len(state.lines)
+    before, after = np.empty((steps - 1, 3, 3)), np.empty((steps - 1, 3, 3))
+    chain_kernels.motion_jacobians(state.poses[0], ROBOT.axle, before, after)
+    whole = np.zeros((3 * steps + 2 * count, 3 * steps + 2 * count))
+    for step in range(steps - 1):
+        own = slice(3 * step, 3 * step + 6)
+        jacobian = np.hstack((before[step], after[step])) / problem.stds[0, step][:, None]
+        whole[own, own] += jacobian.T @ jacobian
+    order = np.unique(labels, return_index=True)[1]
+    numbers = np.argsort(np.argsort(order))
+    for k in np.flatnonzero(solution.weights):
+        place, line = 3 * problem.readings.places[k], 3 * steps + 2 * numbers[labels[k]]
+        columns = np.r_[place : place + 3, line : line + 2]
+        row = numbered_row(problem, state, numbers[labels[k]], k)
+        whole[np.ix_(columns, columns)] += np.outer(row, row) / problem.range_std**2
+    dense = np.linalg.inv(whole[3:, 3:])
+    for step in (1, steps // 2, steps - 1):
+        block = slice(3 * step - 3, 3 * step)
+        assert covariances[0, step] == pytest.approx(dense[block, block], rel=1e-3, abs=1e-12)
+
+
+def numbered_row(problem, state, line, k):
+    """Derivatives (5,) of one reading by its pose and its line."""
+    rows = np.zeros((1, chain_kernels.COLUMNS))
+    chain_kernels.expected_readings(
+        state.poses[0], problem.readings.places[[k]], problem.beams[[k]], np.array([line]), state.lines,
+        state.anchors, rows,
+    )  # fmt: skip
+    return rows[0, 1:6]
+
+
+def test_errors_are_as_large_as_the_covariances_say():
+    mean = []
+    for seed in range(12):
+        problem, poses = noisy_run(seed)
+        solution = smoothed(problem, poses)
+        covariances = pose_covariances(solution)
+        mean.append(nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0)
+    # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom, over 36.
+    assert 0.5 < np.mean(mean) < 1.6
+
+
+def test_two_robots_share_their_lines():
+    problem, poses = noisy_run(5, robots=2)
+    both = smoothed(problem, poses)
+    assert len(both.state.lines) == 4
+    assert np.abs(both.state.poses - poses)[..., :2].max() < 0.05
+    alone = [
+        make_problem(
+            ROBOT, NominalNoise(0.02, WHEEL_VARIANCE), poses[[number], 0],
+            np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[[number], :, :2], 0, 1))),
+            ranges_of(problem, number),
+        )
+        for number in range(2)
+    ]  # fmt: skip
+    for number, single in enumerate(alone):
+        solution = smoothed(single, poses[[number]])
+        deviation = math.sqrt(pose_covariances(both)[number, -1, 0, 0] / pose_covariances(solution)[0, -1, 0, 0])
+        assert deviation < 1.0
+
+
+def ranges_of(problem, number):
+    """The readings (t, 1, n_beams) of one robot of a problem, its maximum where there are none."""
+    ranges = np.full((problem.steps, 1, len(ROBOT.beams)), 1.5)
+    own = problem.readings.places // problem.steps == number
+    ranges[problem.readings.places[own] % problem.steps, 0, problem.readings.beams[own]] = problem.readings.distances[
+        own
+    ]
+    return ranges
+
+
+def test_wheel_sizes_are_found():
+    problem, poses = noisy_run(6, mismatch=0.02, prior=CalibrationPrior())
+    solution = smoothed(problem, poses)
+    # The left wheel reports 2 % too much: it is smaller than specified.
+    assert solution.state.calibration[0, :2] == pytest.approx([-0.02, 0.02], abs=0.006)
+    error = np.linalg.norm(solution.state.poses[0, :, :2] - poses[0, :, :2], axis=1).max()
+    plain, _ = noisy_run(6, mismatch=0.02)
+    assert error < 0.5 * np.linalg.norm(state_from_motions(plain).poses[0, :, :2] - poses[0, :, :2], axis=1).max()
+
+
+def test_a_range_bias_is_found():
+    problem, poses = noisy_run(7, noise=0.0, prior=CalibrationPrior())
+    biased = problem.readings.distances + 0.015
+    object.__setattr__(problem.readings, "distances", biased)
+    assert smoothed(problem, poses).state.calibration[0, 3] == pytest.approx(0.015, abs=0.004)
+
+
+def test_poses_are_walked_again_from_their_motions():
+    problem, poses = noisy_run(8)
+    state = state_from_poses(problem, np.moveaxis(poses, 0, 1))
+    assert state.poses[0, :, :2] == pytest.approx(poses[0, :, :2], abs=1e-6)

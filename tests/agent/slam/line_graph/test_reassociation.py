@@ -1,0 +1,120 @@
+"""Associations that can be taken back: merging, splitting, giving readings to lines anew."""
+
+import numpy as np
+import pytest
+from support.smoother_runs import noisy_run, position_error, true_labels
+
+from limslam_agent.config.smoother import ReassociationConfig
+from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_motions
+from limslam_agent.slam.line_graph.mending import split
+from limslam_agent.slam.line_graph.reassociation import OneWall, merge, reassociate, renumbered, rooted, solve_labels
+
+CONFIG = ReassociationConfig()
+LIMITS = OneWall(CONFIG.one_wall_gate, CONFIG.max_offset, CONFIG.max_angle, CONFIG.min_overlap)
+
+
+def agreeing(found, wanted):
+    """Share of the used readings whose line holds mostly readings of the same wall."""
+    used = found.labels >= 0
+    pairs = np.zeros((found.labels.max() + 1, wanted.max() + 1), dtype=int)
+    np.add.at(pairs, (found.labels[used], wanted[used]), 1)
+    return pairs.max(axis=1).sum() / used.sum()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
+def test_a_wrong_match_is_taken_back(noise):
+    problem, poses = noisy_run(1, noise)
+    wanted = true_labels(problem, poses)
+    wrong = wanted.copy()
+    of_right_wall = np.flatnonzero(wanted == 1)
+    wrong[of_right_wall[: len(of_right_wall) // 4]] = 0
+    begin = state_from_motions(problem)
+    bent = solve_labels(problem, begin, wrong, 6)
+    mended = reassociate(problem, begin, wrong, CONFIG)
+    best = solve_labels(problem, begin, wanted, 6)
+    assert position_error(bent.state, poses) > 3.0 * position_error(best.state, poses)
+    assert position_error(mended.state, poses) < 1.5 * position_error(best.state, poses)
+    assert agreeing(mended, wanted) > 0.99
+    assert (mended.labels >= 0).mean() > 0.9
+
+
+def test_lines_of_one_wall_are_merged():
+    problem, poses = noisy_run(2)
+    wanted = true_labels(problem, poses)
+    halves = 2 * wanted + (problem.readings.places > problem.steps // 2)
+    begin = solve_labels(problem, state_from_motions(problem), halves, 6)
+    assert len(begin.state.lines) > 4
+    found, has_merged = merge(problem, begin, LIMITS, 6)
+    assert has_merged
+    assert len(found.state.lines) == 4
+    assert agreeing(found, wanted) == 1.0
+
+
+def test_lines_of_different_walls_are_not_merged():
+    problem, poses = noisy_run(3, noise=0.04)
+    begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6)
+    found, has_merged = merge(problem, begin, LIMITS, 6)
+    assert not has_merged
+    assert np.array_equal(found.labels, begin.labels)
+
+
+def test_readings_that_the_filter_did_not_use_are_used():
+    problem, poses = noisy_run(4)
+    wanted = true_labels(problem, poses)
+    few = np.where(np.arange(len(wanted)) % 5 == 0, wanted, -1)
+    found = reassociate(problem, state_from_motions(problem), few, CONFIG)
+    assert (found.labels >= 0).mean() > 0.9
+    assert agreeing(found, wanted) > 0.99
+
+
+def test_readings_near_a_corner_that_two_lines_predict_are_not_used():
+    problem, poses = noisy_run(5, noise=0.04)
+    found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses), CONFIG)
+    assert 0.0 < (found.labels < 0).mean() < 0.1
+
+
+def test_a_line_is_cut_where_it_was_not_read_for_a_while():
+    problem, _ = noisy_run(6)
+    labels = np.full(len(problem.readings), -1)
+    places = problem.readings.places
+    labels[places < 20] = 7
+    labels[places > problem.steps - 20] = 7
+    cut = split(problem, labels, 1.0)
+    assert set(cut[places < 20]) == {0}
+    assert set(cut[places > problem.steps - 20]) == {1}
+    assert set(cut[labels < 0]) == {-1}
+    assert set(split(problem, labels, 100.0)[labels >= 0]) == {0}
+
+
+def test_the_readings_of_two_robots_are_cut_apart():
+    problem, _ = noisy_run(6, robots=2)
+    cut = split(problem, np.zeros(len(problem.readings), dtype=int), 100.0)
+    assert np.array_equal(cut, problem.readings.places // problem.steps)
+
+
+def test_lines_are_numbered_by_their_first_reading():
+    labels, kept = renumbered(np.array([5, -1, 5, 3, 3, 9, 5, 3]), 2)
+    assert labels.tolist() == [0, -1, 0, 1, 1, -1, 0, 1]
+    assert kept.tolist() == [5, 3]
+
+
+def test_merged_lines_are_followed_to_the_last():
+    assert rooted(np.array([0, 0, 1, 3, 2])).tolist() == [0, 0, 0, 3, 0]
+
+
+def test_beams_that_may_have_hit_another_robot_are_left_out():
+    problem, _ = noisy_run(7)
+    wheels = np.moveaxis(problem.wheels[..., :2], 0, 1)
+    wheels = np.concatenate((np.zeros((1, 1, 2)), wheels))
+    ranges = np.full((problem.steps, 1, 6), 0.5)
+    usable = np.ones(ranges.shape, dtype=bool)
+    usable[3, 0, 2] = False
+    left = make_problem(problem.robot, _noise(), problem.starts, wheels, ranges, usable).readings
+    assert len(left) == ranges.size - 1
+    assert not np.any((left.places == 3) & (left.beams == 2))
+
+
+def _noise():
+    from limslam_env.interface import NominalNoise
+
+    return NominalNoise(0.02)

@@ -1,0 +1,46 @@
+"""Drives round a room for tests of the smoother: problems with the true poses and the true wall of each reading."""
+
+import numpy as np
+from support.drives import ROBOT, along, drive, ranges_at, room
+
+from limslam_agent.slam.line_graph.line_smoother import make_problem
+from limslam_env.interface import NominalNoise
+
+WALLS = room(0.0, 0.0, 3.0, 2.4)
+START = np.array([0.6, 0.6, 0.0])
+ROUND = [(0.6, 0.6), (2.4, 0.6), (2.4, 1.8), (0.6, 1.8), (0.6, 0.7)]
+WHEEL_VARIANCE = 2e-5
+
+
+def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS, places=ROUND):
+    """A drive round a room, reported with noise: the problem, and the true poses (n, t, 3)."""
+    generator = np.random.default_rng(seed)
+    wheels, ranges, poses = [], [], []
+    for _ in range(robots):
+        observations, true = drive(walls, START, along(places), noise=noise, seed=int(generator.integers(1 << 30)))
+        travel = np.array([each["wheels"] for each in observations], dtype=float)
+        reported = travel + np.sqrt(WHEEL_VARIANCE * np.abs(travel)) * generator.standard_normal(travel.shape)
+        wheels.append(reported * np.array([1.0 + mismatch, 1.0 - mismatch]))
+        ranges.append([each["ranges"] for each in observations])
+        poses.append(true)
+    problem = make_problem(
+        ROBOT, NominalNoise(noise, WHEEL_VARIANCE), np.tile(START, (robots, 1)), np.moveaxis(wheels, 0, 1),
+        np.moveaxis(ranges, 0, 1), prior=prior,
+    )  # fmt: skip
+    return problem, np.array(poses)
+
+
+def true_labels(problem, poses, walls=WALLS):
+    """The wall that each reading of a problem truly ended on."""
+    flat = poses.reshape(-1, 3)
+    best, nearest = np.full((len(flat), len(ROBOT.beams)), -1), np.full((len(flat), len(ROBOT.beams)), np.inf)
+    for number, wall in enumerate(walls):
+        reach = np.array([ranges_at(pose, wall[None]) for pose in flat])
+        is_nearer = (reach < ROBOT.too_far) & (reach < nearest)
+        best, nearest = np.where(is_nearer, number, best), np.where(is_nearer, reach, nearest)
+    return best[problem.readings.places, problem.readings.beams]
+
+
+def position_error(state, poses):
+    """Root mean square of the position errors of all poses, m."""
+    return float(np.sqrt(np.mean(np.sum((state.poses - poses)[..., :2] ** 2, axis=-1))))
