@@ -1,0 +1,81 @@
+"""The search for places that were not recognised along the way, with hardly any knowledge of where the robot is.
+
+A match in so wide a window may well be wrong. It counts only if several neighbouring chunks match where it predicts
+them, and these matches make a group with it.
+"""
+
+import numpy as np
+
+from limslam_agent.slam.graph.chunk_graph import Loop
+from limslam_agent.slam.graph.loop_search import Chunks
+from limslam_agent.slam.graph.matching import Match, Window, match, search_grid
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+
+_NEAR, _FAR = 2.5, 5.0  # m of driving to the neighbours that have to match, too
+_LEEWAY = 0.01
+# Chunks overlap: of the grids that are searched every second one suffices.
+_FIRST_STEP = 2
+
+
+def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
+    """Which of the chunks (count,) lie within ``reach`` chunks of the end of a loop."""
+    marked = np.zeros(count, dtype=np.bool_)
+    for loop in loops:
+        for end in (loop.first, loop.second):
+            marked[max(0, end - reach) : end + reach + 1] = True
+    return marked
+
+
+def search_widely(chunks: Chunks, poses: FloatArray, loops: list[Loop]) -> list[list[Loop]]:
+    """Groups of loops for chunks that no loop of ``loops`` lies near to, with the chunks at poses (c, 3)."""
+    config = chunks.config.wide
+    known = recognised(loops, len(chunks), config.recognised)
+    window = Window(config.window, config.turn_window, config.turn_step)
+    groups = []
+    for first in range(0, len(chunks), _FIRST_STEP):
+        seconds = _candidates(chunks, poses, known, first)
+        if not len(seconds):
+            continue
+        grid = search_grid(chunks.maps[first], config.window, chunks.config.matching)
+        for second in map(int, seconds):
+            guess, points = se2.between(poses[first], poses[second]), chunks.maps[second].points
+            found = match(grid, points, guess, window, chunks.config.matching, config.score - _LEEWAY)
+            if found.score >= config.score:
+                groups.append(_group(chunks, poses, first, second, found))
+    return [group for group in groups if group]
+
+
+def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int) -> IntArray:
+    """Chunks not recognised that may show what ``first`` shows; of two of these each pair counts once."""
+    config = chunks.config.wide
+    near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= config.max_distance
+    apart = np.abs(chunks.travel - chunks.travel[first]) >= config.min_travel
+    # A chunk that is not searched itself as a grid must meet the others from both sides.
+    numbers = np.arange(len(chunks))
+    once = known[first] | (numbers > first) | (numbers % _FIRST_STEP != 0)
+    return np.nonzero(near & apart & ~known & once)[0]
+
+
+def _group(chunks: Chunks, poses: FloatArray, first: int, second: int, found: Match) -> list[Loop]:
+    """The match and its neighbours' matches as loops; empty if too few neighbours match."""
+    config = chunks.config
+    if chunks.match_backward(first, second, found.pose).score < config.loops.backward_score:
+        return []
+    matches = [(first, second, found)]
+    for i, j in _neighbours(chunks, first, second):
+        guess = se2.compose(se2.between(poses[i], poses[first]), found.pose)
+        guess = se2.compose(guess, se2.between(poses[second], poses[j]))
+        other = chunks.match(i, j, guess, config.wide.neighbour_window, config.wide.neighbour_turn)
+        if other.score > config.loops.score:
+            matches.append((i, j, other))
+        if len(matches) > config.wide.neighbours:
+            return [chunks.loop(*each, "wide search") for each in matches]
+    return []
+
+
+def _neighbours(chunks: Chunks, first: int, second: int) -> list[tuple[int, int]]:
+    """Pairs of chunks some metres of driving away, the second one always another than ``second``."""
+    hop = max(float(np.median(np.diff(chunks.travel))), 1e-6) if len(chunks) > 1 else 1.0
+    near, far = int(np.ceil(_NEAR / hop - 0.05)), int(np.ceil(_FAR / hop - 0.05))
+    pairs = [(first + a, second + b) for a in (-far, -near, 0, near, far) for b in (-far, far, -near, near)]
+    return [(i, j) for i, j in pairs if 0 <= i < len(chunks) and 0 <= j < len(chunks) and i != j]
