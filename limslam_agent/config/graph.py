@@ -383,12 +383,19 @@ class RoundConfig:
         The hop between chunks in each round, as a share of ``LocalMapConfig.hop``.
     iterations
         Of the bundle, in each round.
+    wide_search
+        In how many rounds places are searched widely; afterwards the map is near enough for the union matching.
+    trial, hopeless
+        After so many rounds of both starts, the start whose score is worse by this is given up.
     settled
         Rounds end when the score rises by less and no new place was recognised.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
+    wide_search: int = 2
+    trial: int = 2
+    hopeless: float = 0.15
     settled: float = 0.002
 
 

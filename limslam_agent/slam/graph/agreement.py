@@ -194,9 +194,7 @@ def prune_groups(
     return Decision(loops, solution, dropped)
 
 
-def _contradictions(
-    groups: list[list[int]], loops: Sequence[Loop], score: MapScore, poses: FloatArray
-) -> FloatArray:
+def _contradictions(groups: list[list[int]], loops: Sequence[Loop], score: MapScore, poses: FloatArray) -> FloatArray:
     """For each group, the share of contradicted points among all judged ones around its loops."""
     confirmed, contradicted = score.verdicts(poses)
     shares = np.zeros(len(groups))

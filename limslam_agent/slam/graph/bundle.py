@@ -50,9 +50,7 @@ def _iterate(
     """One Gauss-Newton step with new associations; the largest turn of a pose in it, rad."""
     settings, std = config.bundle, link_std(config, range_std)
     lines = find_lines(cloud, config.lines, config.lines.window, config.lines.tolerance)
-    equations = local_equations(
-        keys, trajectory, cloud, config, settings.link_inflation * std, len(lines.angles)
-    )
+    equations = local_equations(keys, trajectory, cloud, config, settings.link_inflation * std, len(lines.angles))
     across = links_across(cloud, radius, config.links)
     cross_std = std * settings.cross_inflation * max(1.0, radius / settings.last_radius)
     add_links(equations, trajectory.poses, cloud.geometry, across, cross_std, config.links.kernel)

@@ -1,7 +1,7 @@
 """How the kernels of this package are compiled; in here numba is imported, and nowhere else in the package.
 
-A kernel may call only kernels of its own file. What numba keeps on disk is used until that file changes, so it can never
-be stale.
+A kernel may call only kernels of its own file. What numba keeps on disk is used until that file changes, so it is never
+stale.
 """
 
 from collections.abc import Callable

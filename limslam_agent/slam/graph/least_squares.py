@@ -109,7 +109,7 @@ def relation_factor(
 
 
 def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Errors (m - 1, 3) of odometry between key poses; Jacobians (m - 1, 3, 9) by both poses and the constant errors."""
+    """Errors (m - 1, 3) of odometry between key poses; Jacobians (m - 1, 3, 9) by both poses and these errors."""
     first = np.arange(len(keys) - 1)
     steps = calibrated_steps(keys, trajectory.bias)
     error, by_poses = relation_factor(trajectory.poses, first, first + 1, steps)
@@ -217,7 +217,7 @@ def link_error(
     by[3], by[4] = -nx, -ny
     # A turn of the second pose moves the line's point and turns its normal.
     by[5] = (nx * dy - ny * dx) - (bx * ny - by_ * nx)
-    return nx * dx + ny * dy
+    return float(nx * dx + ny * dy)
 
 
 @kernel

@@ -79,7 +79,5 @@ def _with_lines(
     widening = 1.8 - 0.8 * progress
     lines = find_lines(cloud, config.lines, window, widening * config.lines.tolerance)
     equations = local_equations(keys, trajectory, cloud, config, link_std(config, range_std), len(lines.angles))
-    add_lines(
-        equations, trajectory.poses, cloud, lines, widening * line_std(config, range_std), config.lines.inflation
-    )
+    add_lines(equations, trajectory.poses, cloud, lines, widening * line_std(config, range_std), config.lines.inflation)
     return chained(trajectory, equations.solve())

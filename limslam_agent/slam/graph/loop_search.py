@@ -24,7 +24,6 @@ from limslam_agent.slam.graph.matching import (
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 _BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
-_LEEWAY = 0.02
 _EARLY_ANNEALING, _EARLY_ITERATIONS = (5.0, 1.0), 3
 # Where a loop's weight has changed by more than this, the covariance is computed anew.
 _WEIGHT_CHANGE = 0.3
@@ -64,16 +63,15 @@ class Chunks:
             self._grids[number] = search_grid(self.maps[number], self.config.loops.window, self.config.matching)
         return self._grids[number]
 
-    def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float) -> Match:
+    def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float, least: float) -> Match:
         """Match the points of a chunk into the grid of the first one, within a window about a guess (3,)."""
-        loops = self.config.loops
-        window = Window(shift, turn, loops.turn_step)
-        points = self.maps[second].points
-        return match(self.grid(first), points, guess, window, self.config.matching, loops.backward_score - _LEEWAY)
+        window = Window(shift, turn, self.config.loops.turn_step)
+        return match(self.grid(first), self.maps[second].points, guess, window, self.config.matching, least)
 
-    def match_backward(self, first: int, second: int, pose: FloatArray) -> Match:
-        """Match the other way round, near to where the second chunk was found in the first one."""
-        return self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN)
+    def matches_backward(self, first: int, second: int, pose: FloatArray) -> bool:
+        """Whether they match the other way round, too, near to where the second chunk was found in the first one."""
+        least = self.config.loops.backward_score
+        return self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN, least).score >= least
 
     def loop(self, first: int, second: int, found: Match, source: str, grid: SearchGrid | None = None) -> Loop:
         """A loop with the covariance of its match, from the first chunk's grid or from another one in its frame."""
@@ -81,7 +79,7 @@ class Chunks:
         mean, covariance = match_covariance(
             grid or self.grid(first), self.maps[second].points, found.pose, step, self.config.matching
         )
-        return Loop(first, second, mean, np.linalg.inv(covariance), found.score, source)
+        return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score, source)
 
 
 def loops_along_the_way(chunks: Chunks) -> list[Loop]:
@@ -107,14 +105,14 @@ def _loops_of_newest(chunks: Chunks, belief: "_Belief") -> list[Loop]:
     for row in np.nonzero(distance <= reach)[0]:
         shift = min(config.window, config.least_window + config.gate_sigmas * position_std[row])
         turn = min(config.turn_window, config.least_turn + config.gate_sigmas * turn_std[row])
-        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn)
+        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, config.score)
         if found.score > config.score:
             candidates.append((int(old[row]), found))
     candidates.sort(key=lambda each: -each[1].score)
     return [
         chunks.loop(first, newest, found, "along the way")
         for first, found in candidates[: config.best]
-        if chunks.match_backward(first, newest, found.pose).score >= config.backward_score
+        if chunks.matches_backward(first, newest, found.pose)
     ]
 
 

@@ -1,4 +1,4 @@
-"""Correlative matching: where do the points of one chunk fit best into the grid of another?
+"""Correlative matching: the pose at which the points of one chunk fit best into the grid of another.
 
 The score of a pose is the mean of the cells that the points fall on, 1 where all fall on hits, less a small penalty
 towards the border of the window. The search is exact branch and bound on two levels: the maximum over each block of
@@ -10,6 +10,7 @@ the bounds of a whole row of blocks lie side by side and are summed up together.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limslam_agent.config.graph import MatchConfig
 from limslam_agent.slam.graph.compilation import kernel
@@ -20,6 +21,8 @@ _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
 # Rows of bounds are summed up in whole vectors of so many.
 _LANES = 16
 NO_MATCH = -9.0
+
+Sums = NDArray[np.int16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +160,49 @@ def _pixels(
 
 
 @kernel
+def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
+    """Add a patch of cells to sums of the same shape, from a row and a column on."""
+    for a in range(sums.shape[0]):
+        line = cells[row + a, column : column + sums.shape[1]]
+        total = sums[a]
+        for b in range(sums.shape[1]):
+            total[b] += line[b]
+
+
+@kernel
+def _bounds(blocks: Cells, pixels: IntArray, margin: int, sums: Sums) -> None:
+    """Sums of the maxima over all blocks of shifts; the first block begins at minus ``margin``."""
+    width = blocks.shape[0]
+    sums[:] = 0
+    for k in range(len(pixels)):
+        i, j = pixels[k, 0] - margin, pixels[k, 1] - margin
+        _add_rows(sums, blocks[i % width, j % width], i // width, j // width)
+
+
+@kernel
+def _open(padded: Cells, pixels: IntArray, first_x: int, first_y: int, sums: Sums) -> None:
+    """Sums of the cells for all shifts in a block."""
+    sums[:] = 0
+    for k in range(len(pixels)):
+        _add_rows(sums, padded, pixels[k, 0] + first_x, pixels[k, 1] + first_y)
+
+
+@kernel
+def _best_in_block(
+    sums: Sums, full: float, first: tuple[int, int], margin: int, by_shift: float
+) -> tuple[float, int, int]:
+    """The best score in an opened block, and its shift."""
+    best, best_x, best_y = -9.0, 0, 0
+    for u in range(sums.shape[0]):
+        for v in range(sums.shape[1]):
+            x, y = first[0] + u, first[1] + v
+            score = sums[u, v] / full - by_shift * (x * x + y * y)
+            if score > best and x <= margin and y <= margin:
+                best, best_x, best_y = score, x, y
+    return best, best_x, best_y
+
+
+@kernel
 def _search(
     padded: Cells, blocks: Cells, points: FloatArray, guess: FloatArray, margin: int, turns: int, numbers: FloatArray
 ) -> tuple[float, float, float, float]:
@@ -168,49 +214,25 @@ def _search(
     by_shift, by_turn = prior / (margin * margin + 1.0), prior / (turns * turns + 1.0)
     pixels = np.empty((angles, count, 2), np.int64)
     bounds = np.empty((angles, across, across), np.float32)
-    lanes = -(-across // 16) * 16
-    sums = np.empty((across, lanes), np.int16)
+    sums = np.empty((across, -(-across // 16) * 16), np.int16)
     for t in range(angles):
         _pixels(points, guess[0], guess[1], guess[2] + (t - turns) * turn_step, low, cell, edge, inside, pixels[t])
-        sums[:] = 0
-        for k in range(count):
-            i, j = pixels[t, k, 0] - margin, pixels[t, k, 1] - margin
-            phase = blocks[i % width, j % width]
-            row, column = i // width, j // width
-            for a in range(across):
-                line = phase[row + a, column : column + lanes]
-                total = sums[a]
-                for b in range(lanes):
-                    total[b] += line[b]
-        penalty = by_turn * (t - turns) ** 2
-        for a in range(across):
-            for b in range(across):
-                bounds[t, a, b] = sums[a, b] / full - penalty
+        _bounds(blocks, pixels[t], margin, sums)
+        bounds[t] = sums[:, :across] / full - by_turn * (t - turns) ** 2
     flat = bounds.ravel()
     worth = np.nonzero(flat > least)[0]
-    best, best_x, best_y, best_turn = least, 0, 0, 0
-    found = False
+    best, best_x, best_y, best_turn, found = least, 0, 0, 0, False
     inner = np.empty((width, width), np.int16)
     for place in worth[np.argsort(-flat[worth])]:
         if flat[place] <= best:
             break
         t, a, b = place // (across * across), (place // across) % across, place % across
-        first_x, first_y = a * width - margin, b * width - margin
-        inner[:] = 0
-        for k in range(count):
-            i, j = pixels[t, k, 0] + first_x, pixels[t, k, 1] + first_y
-            for u in range(width):
-                line = padded[i + u, j : j + width]
-                total = inner[u]
-                for v in range(width):
-                    total[v] += line[v]
-        penalty = by_turn * (t - turns) ** 2
-        for u in range(width):
-            for v in range(width):
-                x, y = first_x + u, first_y + v
-                score = inner[u, v] / full - penalty - by_shift * (x * x + y * y)
-                if score > best and x <= margin and y <= margin:
-                    best, best_x, best_y, best_turn, found = score, x, y, t - turns, True
+        first = (a * width - margin, b * width - margin)
+        _open(padded, pixels[t], first[0], first[1], inner)
+        score, x, y = _best_in_block(inner, full, first, margin, by_shift)
+        score -= by_turn * (t - turns) ** 2
+        if score > best:
+            best, best_x, best_y, best_turn, found = score, x, y, t - turns, True
     if not found:
         best = -9.0
     return best, guess[0] + best_x * cell, guess[1] + best_y * cell, guess[2] + best_turn * turn_step
@@ -218,7 +240,14 @@ def _search(
 
 @kernel
 def _volume(
-    padded: Cells, points: FloatArray, pose: FloatArray, low: float, cell: float, turn_step: float, cells: int, turns: int
+    padded: Cells,
+    points: FloatArray,
+    pose: FloatArray,
+    low: float,
+    cell: float,
+    turn_step: float,
+    cells: int,
+    turns: int,
 ) -> FloatArray:
     """Scores (2 turns + 1, 2 cells + 1, 2 cells + 1) of all poses around one."""
     wide, count, size = 2 * cells + 1, len(points), padded.shape[0]
@@ -228,13 +257,6 @@ def _volume(
         _pixels(points, pose[0], pose[1], pose[2] + (t - turns) * turn_step, low, cell, cells, size, pixels)
         sums[:] = 0
         for k in range(count):
-            i, j = pixels[k, 0] - cells, pixels[k, 1] - cells
-            for u in range(wide):
-                line = padded[i + u, j : j + wide]
-                total = sums[u]
-                for v in range(wide):
-                    total[v] += line[v]
+            _add_rows(sums, padded, pixels[k, 0] - cells, pixels[k, 1] - cells)
         scores[t] = sums / (5.0 * count)
     return scores
-
-

@@ -53,9 +53,7 @@ def point_cloud(keys: KeyPoses, trajectory: Trajectory, config: LinkConfig, rang
     places, origins = to_world(pose, in_key), to_world(pose, origin_in_key)
     normals, good = find_normals(places, origins, keys.point_travel, config, range_std)
     back = np.column_stack((np.zeros((len(pose), 2)), -pose[:, 2]))
-    return PointCloud(
-        keys.point_key, keys.point_travel, in_key, places, normals, to_world(back, normals), good
-    )
+    return PointCloud(keys.point_key, keys.point_travel, in_key, places, normals, to_world(back, normals), good)
 
 
 def find_normals(
@@ -98,7 +96,7 @@ def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArra
 @kernel
 def _span(cells: IntArray, order: IntArray, travel: FloatArray, cell: int, low: float, high: float) -> tuple[int, int]:
     """First and last (excluded) place in ``order`` of the points in a cell that were seen between two travels."""
-    begin, end = np.searchsorted(cells, cell), np.searchsorted(cells, cell + 1)
+    begin, end = int(np.searchsorted(cells, cell)), int(np.searchsorted(cells, cell + 1))
     while begin < end and travel[order[begin]] < low:
         begin += 1
     stop = begin
@@ -153,6 +151,15 @@ def _normals(
 
 
 @kernel
+def _band(gap: float, borders: FloatArray) -> int:
+    """Between which borders, in ascending order, a length of driving lies; the last ones have no end."""
+    band = 0
+    while band < len(borders) - 2 and gap >= borders[band + 1]:
+        band += 1
+    return band
+
+
+@kernel
 def _along(
     places: FloatArray,
     normals: FloatArray,
@@ -170,9 +177,7 @@ def _along(
     per_metre = (radius / reach) ** 2
     links, count = np.empty((len(places) * bands, 2), np.int64), 0
     best, nearest = np.empty(bands, np.int64), np.empty(bands)
-    for i in range(len(places)):
-        if not good[i]:
-            continue
+    for i in np.nonzero(good)[0]:
         x, y, s = places[i, 0], places[i, 1], travel[i]
         best[:] = -1
         nearest[:] = radius * radius
@@ -187,9 +192,7 @@ def _along(
                         continue
                     dx, dy = x - places[j, 0], y - places[j, 1]
                     square = dx * dx + dy * dy + per_metre * gap * gap
-                    band = 0
-                    while band < bands - 1 and gap >= borders[band + 1]:
-                        band += 1
+                    band = _band(gap, borders)
                     if square >= nearest[band]:
                         continue
                     cosine = normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1]

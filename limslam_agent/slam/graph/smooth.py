@@ -11,7 +11,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import Decision, MapScore, accept_groups, prune_groups, supported
-from limslam_agent.slam.graph.bundle import Relations, bundle
+from limslam_agent.slam.graph.bundle import bundle
 from limslam_agent.slam.graph.chunk_graph import (
     ChunkSolution,
     Loop,
@@ -20,7 +20,14 @@ from limslam_agent.slam.graph.chunk_graph import (
     information_matrix,
     solve_annealed,
 )
-from limslam_agent.slam.graph.key_poses import KeyPoses, LogData, Trajectory, choose_keys, event_poses, odometry_trajectory
+from limslam_agent.slam.graph.key_poses import (
+    KeyPoses,
+    LogData,
+    Trajectory,
+    choose_keys,
+    event_poses,
+    odometry_trajectory,
+)
 from limslam_agent.slam.graph.least_squares import pose_columns, relation_factor
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.slam.graph.local_smoothing import link_std, local_equations, smooth_locally
@@ -137,15 +144,13 @@ def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = No
     log = _Log(keys, local, data, config)
     if len(log.middles(0)) < 2:
         return _result(keys, "local", {"local": [_unlooped(local)]})
-    found = loops_along_the_way(log.chunks(local, 0))
-    rounds = {name: _rounds(log, found, place) for name, place in (("guard", _place_guarded), ("all", _place_all))}
-    best = max(rounds, key=lambda name: max(each.score for each in rounds[name]))
-    return _result(keys, best, rounds)
+    rounds = _both_starts(log)
+    return _result(keys, max(rounds, key=lambda name: _best(rounds[name]).score), rounds)
 
 
 @dataclass(frozen=True, eq=False)
 class _Log:
-    """What all rounds share: the key poses, the local trajectory, the recording, the settings and the hops' covariances."""
+    """What all rounds share: the key poses, local trajectory, recording, settings, and the hops' covariances."""
 
     keys: KeyPoses
     local: Trajectory
@@ -187,7 +192,7 @@ class _Log:
 def local_covariances(
     keys: KeyPoses, trajectory: Trajectory, middles: IntArray, config: GraphConfig, range_std: float
 ) -> FloatArray:
-    """Covariances (c - 1, 3, 3) of the motions between key poses ``middles`` (c,), by odometry and links along the way."""
+    """Covariances (c - 1, 3, 3) of the motions between key poses (c,), by odometry and links along the way."""
     cloud = point_cloud(keys, trajectory, config.links, range_std)
     std = config.bundle.link_inflation * link_std(config, range_std)
     equations = local_equations(keys, trajectory, cloud, config, std)
@@ -212,26 +217,46 @@ class _Placed:
         return _Placed(decision.loops, decision.solution, dropped, self.recognised + gained)
 
 
-_Placing = Callable[[Chunks, _Placed, MapScore], _Placed]
+def _both_starts(log: _Log) -> dict[str, list[Round]]:
+    """The rounds of both starts; one that is far behind after its trial is given up."""
+    config = log.config.rounds
+    found = loops_along_the_way(log.chunks(log.local, 0))
+    rounds = {name: _rounds(log, [], found, name, config.trial) for name in _STARTS}
+    best = max(_best(each).score for each in rounds.values())
+    for name, done in rounds.items():
+        if _best(done).score > best - config.hopeless:
+            rounds[name] = _rounds(log, done, found, name, len(config.hops))
+    return rounds
 
 
-def _rounds(log: _Log, found: list[Loop], place: _Placing) -> list[Round]:
+def _best(rounds: list[Round]) -> Round:
+    return max(rounds, key=lambda each: each.score)
+
+
+def _rounds(log: _Log, done: list[Round], found: list[Loop], start: str, end: int) -> list[Round]:
     """Rounds in which chunks are cut anew and everything is tested anew, until nothing changes."""
-    rounds: list[Round] = []
-    trajectory = log.local
-    for number in range(len(log.config.rounds.hops)):
-        rounds.append(_round(log, trajectory, number, found if number == 0 else None, place))
-        trajectory = rounds[-1].trajectory
-        if number >= 2 and rounds[-1].score < rounds[-2].score + log.config.rounds.settled and not rounds[-1].recognised:
+    rounds = list(done)
+    for number in range(len(done), end):
+        trajectory = rounds[-1].trajectory if rounds else log.local
+        rounds.append(_round(log, trajectory, number, None if rounds else found, start))
+        if (
+            number >= 2
+            and rounds[-1].score < rounds[-2].score + log.config.rounds.settled
+            and not rounds[-1].recognised
+        ):
             break
     return rounds
 
 
-def _round(log: _Log, trajectory: Trajectory, number: int, found: list[Loop] | None, place: _Placing) -> Round:
+def _round(log: _Log, trajectory: Trajectory, number: int, found: list[Loop] | None, start: str) -> Round:
     """Loops along the way, their support, the wide search, unions from the second round on, and the bundle."""
     config, chunks = log.config, log.chunks(trajectory, number)
     loops = loops_along_the_way(chunks) if found is None else found
-    placed = place(chunks, _supported(chunks, loops), score := MapScore.of(chunks.maps, config.agreement))
+    placed, score = _supported(chunks, loops), MapScore.of(chunks.maps, config.agreement)
+    if number < config.rounds.wide_search:
+        placed = _STARTS[start](chunks, placed, score)
+    elif start == "guard":
+        placed = _pruned(chunks, placed, score)
     if number > 0:
         unions = [[loop] for loop in match_unions(chunks, placed.solution.poses, placed.loops)]
         placed = placed.after(_accept(chunks, placed, unions, score, 0.0), NOT_ADDED)
@@ -263,6 +288,9 @@ def _place_all(chunks: Chunks, placed: _Placed, _: MapScore) -> _Placed:
     return _Placed(loops, solution, placed.dropped, len(loops) - len(placed.loops))
 
 
+_STARTS: dict[str, Callable[[Chunks, _Placed, MapScore], _Placed]] = {"guard": _place_guarded, "all": _place_all}
+
+
 def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
     if not placed.loops:
         return placed
@@ -286,9 +314,7 @@ def _bundled(log: _Log, trajectory: Trajectory, chunks: Chunks, placed: _Placed,
     information = np.array([loop.information for loop in kept]).reshape(-1, 3, 3)
     relations = chunks.middles[ends], relative, information
     bundled = bundle(log.keys, moved, relations, config, log.data.range_std, iterations)
-    verdicts = [
-        LoopVerdict(loop, KEPT if good else OUTVOTED) for loop, good in zip(placed.loops, strong, strict=True)
-    ]
+    verdicts = [LoopVerdict(loop, KEPT if good else OUTVOTED) for loop, good in zip(placed.loops, strong, strict=True)]
     return Round(
         trajectory=bundled,
         score=log.score(bundled),
@@ -313,7 +339,7 @@ def _unlooped(trajectory: Trajectory) -> Round:
 
 
 def _result(keys: KeyPoses, start: str, rounds: dict[str, list[Round]]) -> GraphResult:
-    best = max(rounds[start], key=lambda each: each.score)
+    best = _best(rounds[start])
     turn_bias, scale, turn_gain = (float(value) for value in best.trajectory.bias)
     return GraphResult(
         poses=event_poses(keys, best.trajectory),

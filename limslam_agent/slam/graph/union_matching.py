@@ -33,9 +33,7 @@ def _match_union(chunks: Chunks, poses: FloatArray, second: int) -> Loop | None:
         return None
     others = others[np.argsort(distance[others], kind="stable")]
     first = int(others[0])
-    union = united(
-        [chunks.maps[each] for each in others], poses[others], len(chunks.maps[0].grid), chunks.config.maps
-    )
+    union = united([chunks.maps[each] for each in others], poses[others], len(chunks.maps[0].grid), chunks.config.maps)
     grid = search_grid(union, config.window, matching)
     window = Window(config.window, config.turn_window, config.turn_step)
     guess = se2.between(poses[first], poses[second])

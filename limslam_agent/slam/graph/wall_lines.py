@@ -58,7 +58,7 @@ def lines_in(
 ) -> WallLines:
     """Lines among the points of each span (w, 2): first point and last, excluded."""
     limits = np.array([tolerance, config.min_length, config.max_gap, np.cos(config.max_angle)])
-    bins = int(round(2.0 * np.pi / config.angle_bin))
+    bins = round(2.0 * np.pi / config.angle_bin)
     counts = np.array([config.min_points, config.max_lines, config.max_tries, config.spread, bins])
     found = _lines(places, normals, good, spans, config.offset_bin, counts, limits)
     return WallLines(*found)
@@ -85,16 +85,14 @@ def add_lines(
 
 
 @kernel
-def line_error(
-    pose: FloatArray, place: FloatArray, angle: float, centre: FloatArray, by: FloatArray
-) -> float:
+def line_error(pose: FloatArray, place: FloatArray, angle: float, centre: FloatArray, by: FloatArray) -> float:
     """Distance of a point in the world, seen from a pose, from a line; derivatives by pose and line in ``by`` (5,)."""
     nx, ny = np.cos(angle), np.sin(angle)
     dx, dy = place[0] - centre[0], place[1] - centre[1]
     by[0], by[1] = nx, ny
     by[2] = (place[0] - pose[0]) * ny - (place[1] - pose[1]) * nx
     by[3], by[4] = nx * dy - ny * dx, -1.0
-    return nx * dx + ny * dy
+    return float(nx * dx + ny * dy)
 
 
 @kernel
@@ -209,9 +207,7 @@ def _refine(
     min_points: int,
     limits: FloatArray,
 ) -> tuple[bool, float, float]:
-    """Fit a line (normal x, y, centre x, y) to the longest run of its points, three times; whether it stands, its ends.
-
-    """
+    """Fit a line (normal x, y, centre x, y) three times to its longest run; whether it stands, and its two ends."""
     member, along = np.empty(len(places), np.bool_), np.empty(len(places))
     low = high = 0.0
     for _turn in range(3):
@@ -234,6 +230,26 @@ def _refine(
 
 
 @kernel
+def _take(
+    places: FloatArray,
+    normals: FloatArray,
+    good: BoolArray,
+    free: BoolArray,
+    line: FloatArray,
+    ends: tuple[float, float],
+    limits: FloatArray,
+) -> None:
+    """Points on a line between its ends are free no longer; those without a trusted normal come along."""
+    for k in range(len(places)):
+        dx, dy = places[k, 0] - line[2], places[k, 1] - line[3]
+        along = line[0] * dy - line[1] * dx
+        cosine = line[0] * normals[k, 0] + line[1] * normals[k, 1]
+        near = abs(line[0] * dx + line[1] * dy) < limits[0] and ends[0] - 0.1 < along < ends[1] + 0.1
+        if near and (cosine > limits[3] or not good[k]):
+            free[k] = False
+
+
+@kernel
 def _window(
     places: FloatArray,
     normals: FloatArray,
@@ -243,7 +259,6 @@ def _window(
     limits: FloatArray,
     label: IntArray,
     found: FloatArray,
-    votes: FloatArray,
 ) -> int:
     """Lines among the points of one window: the line of each point in ``label``, angle and centre in ``found``."""
     label[:] = -1
@@ -255,20 +270,16 @@ def _window(
     turns = np.arctan2(normals[:, 1], normals[:, 0])
     reach = np.sqrt((local**2).sum(axis=1).max()) + 3.0 * side
     width = int(2.0 * reach / side) + 4
-    if counts[4] * width > len(votes):
-        votes = np.zeros(counts[4] * width)
+    votes = np.zeros(counts[4] * width)
     grid = (counts[4], width, side, -reach)
     chosen = np.nonzero(good)[0]
     touched = _touched(local[chosen], turns[chosen], counts[3], grid)
-    for k in chosen:
-        _vote(votes, local[k], turns[k], counts[3], grid, 1.0)
+    for each in chosen:
+        _vote(votes, local[each], turns[each], counts[3], grid, 1.0)
     free = np.ones(len(local), np.bool_)
     line, lines = np.empty(4), 0
     for _try in range(counts[2]):
-        best = touched[0]
-        for each in touched:
-            if votes[each] > votes[best]:
-                best = each
+        best = int(touched[np.argmax(votes[touched])])
         if lines == counts[1] or votes[best] < 0.6 * counts[0]:
             break
         angle = (best // width) * 2.0 * np.pi / counts[4]
@@ -278,22 +289,19 @@ def _window(
         stands, low, high = _refine(local, normals, good, free, line, counts[0], limits)
         taken = 0
         if stands:
+            _take(local, normals, good, free, line, (low, high), limits)
             for k in range(len(local)):
-                dx, dy = local[k, 0] - line[2], local[k, 1] - line[3]
-                along = line[0] * dy - line[1] * dx
-                cosine = line[0] * normals[k, 0] + line[1] * normals[k, 1]
-                near = abs(line[0] * dx + line[1] * dy) < limits[0] and low - 0.1 < along < high + 0.1
-                if free[k] and near and (cosine > limits[3] or not good[k]):
-                    label[k], free[k] = lines, False
-                    if good[k]:
-                        _vote(votes, local[k], turns[k], counts[3], grid, -1.0)
-                        taken += 1
+                if free[k] or label[k] >= 0:
+                    continue
+                label[k] = lines
+                if good[k]:
+                    _vote(votes, local[k], turns[k], counts[3], grid, -1.0)
+                    taken += 1
             found[lines, 0] = np.arctan2(line[1], line[0])
             found[lines, 1], found[lines, 2] = line[2] + mx, line[3] + my
             lines += 1
         if not taken:
             votes[best] = 0.0
-    votes[:] = 0.0
     return lines
 
 
@@ -313,13 +321,12 @@ def _lines(
     points, owner, members = np.empty(total, np.int64), np.empty(total, np.int64), 0
     angles, centres, count = np.empty(len(spans) * counts[1]), np.empty((len(spans) * counts[1], 2)), 0
     label, found = np.empty(total, np.int64), np.empty((counts[1], 3))
-    votes = np.zeros(counts[4] * 512)
     for w in range(len(spans)):
         begin, end = spans[w]
         if end - begin < 2 * counts[0]:
             continue
         lines = _window(
-            places[begin:end], normals[begin:end], good[begin:end], side, counts, limits, label[: end - begin], found, votes
+            places[begin:end], normals[begin:end], good[begin:end], side, counts, limits, label[: end - begin], found
         )
         for each in range(lines):
             angles[count + each] = found[each, 0]

@@ -59,13 +59,14 @@ def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int)
 def _group(chunks: Chunks, poses: FloatArray, first: int, second: int, found: Match) -> list[Loop]:
     """The match and its neighbours' matches as loops; empty if too few neighbours match."""
     config = chunks.config
-    if chunks.match_backward(first, second, found.pose).score < config.loops.backward_score:
+    if not chunks.matches_backward(first, second, found.pose):
         return []
     matches = [(first, second, found)]
     for i, j in _neighbours(chunks, first, second):
         guess = se2.compose(se2.between(poses[i], poses[first]), found.pose)
         guess = se2.compose(guess, se2.between(poses[second], poses[j]))
-        other = chunks.match(i, j, guess, config.wide.neighbour_window, config.wide.neighbour_turn)
+        window = config.wide.neighbour_window, config.wide.neighbour_turn
+        other = chunks.match(i, j, guess, *window, config.loops.score)
         if other.score > config.loops.score:
             matches.append((i, j, other))
         if len(matches) > config.wide.neighbours:
