@@ -106,7 +106,7 @@ def table(
     """Print medians with intervals, as the paper's grid."""
     from benchmarks.analysis.tables import table as tabulate
     from benchmarks.suite.store import read_rows
-    from limslam_agent.output.atomic_write import whole_file
+    from limslam_agent.output.atomic_write import atomic_write
 
     rows = [row for folder in folders for row in read_rows(folder)]
     # The course of runs is looked up where they lie; of several folders there is no such place.
@@ -114,7 +114,7 @@ def table(
     if out is None:
         typer.echo(text.rstrip("\n"))
         return
-    with whole_file(out) as beside:
+    with atomic_write(out) as beside:
         beside.write_text(text, encoding="utf-8")
     typer.echo(f"table       {out}")
 

@@ -1,11 +1,11 @@
-"""A policy of one's own against the frontier explorer, by the same metrics: ``python examples/evaluate_policy.py``."""
+"""Score a function beside the frontier explorer, by the same metrics: ``python examples/evaluate_policy.py``."""
 
 from limslam_agent import LimSlamAgent, evaluate, medians, preset
 from limslam_env import NominalNoise, Observation, RobotSpec
 
 
 def bounce(observation: Observation) -> tuple[float, float]:
-    """Left and right wheel: straight on, and a turn to the right where the four beams ahead see something near."""
+    """Wheel speeds: straight ahead, or a right turn when one of the four beams ahead sees something near."""
     return (0.6, -0.5) if observation["ranges"][1:5].min() < 0.35 else (0.7, 0.7)
 
 

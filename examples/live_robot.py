@@ -1,10 +1,10 @@
-"""The loop for a live robot: read wheels and ranges from anywhere, let the agent think, send wheel speeds.
+"""The loop for a live robot: read wheels and ranges from anywhere, call the agent, send wheel speeds.
 
     python examples/live_robot.py --out my_room
 
-``FakeRobot`` stands in for yours: it moves and measures in an empty room, by itself. Write a class with the same four
-methods that talks to your robot (a serial port, a UDP socket, a ROS node), say in ``SPEC`` where its beams are, and
-keep the loop. Nothing of the simulator is imported here, so this also runs on the robot.
+``FakeRobot`` replaces a real robot: it moves and measures in an empty room. For your robot, write a class with the same
+four methods that talks to it (by a serial port, a UDP socket, or a ROS node), describe its beams in ``SPEC``, and keep
+the loop. This file imports nothing of the simulator, so it also runs on the robot.
 """
 
 import argparse
@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limslam_agent import LimSlamAgent, preset
 from limslam_agent.output.export import map_content, write_grid, write_json
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
-# Measure your own: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.
+# Measure your robot: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.
 RADIUS = 0.08
 SPEC = RobotSpec(
     radius=RADIUS,
@@ -34,25 +33,25 @@ WHEEL_VARIANCE = 2e-5
 
 
 class Robot(Protocol):
-    """What the loop asks of a robot."""
+    """What the loop needs from a robot."""
 
     def read_wheels(self) -> tuple[float, float]:
         """Left and right wheel travel since the last call, m (ticks times metres per tick)."""
 
     def read_ranges(self) -> list[float]:
-        """What each beam of ``SPEC`` reads, m; not a number or infinity where it sees nothing."""
+        """The reading of each beam of ``SPEC``, m; NaN or infinity where it sees nothing."""
 
     def send_wheel_speeds(self, left: float, right: float) -> None:
-        """Wheel speeds, m/s, to be kept until the next ones come."""
+        """Set the wheel speeds, m/s, until the next call."""
 
     def wait(self) -> None:
-        """Come back when it is time for the next readings."""
+        """Return when it is time for the next readings."""
 
 
 class FakeRobot:
-    """A robot in an empty room of 3 x 2 m: put yours in its place.
+    """A robot in an empty room of 3 x 2 m. Replace it with your own.
 
-    On a serial port ``read_ranges`` might be ``[float(word) for word in port.readline().split()]``, and
+    With a serial port ``read_ranges`` might be ``[float(word) for word in port.readline().split()]``, and
     ``send_wheel_speeds`` might be ``port.write(b"%.3f %.3f;" % (left, right))``.
     """
 
@@ -64,7 +63,7 @@ class FakeRobot:
         self._pace = SPEC.control_period if in_real_time else 0.0
 
     def read_wheels(self) -> tuple[float, float]:
-        """Encoders err by a variance for each metre."""
+        """Encoders have a variance per metre of travel."""
         told = self._travel + self._random.normal(size=2) * np.sqrt(WHEEL_VARIANCE * np.abs(self._travel))
         self._travel = np.zeros(2)
         return float(told[0]), float(told[1])
@@ -92,33 +91,31 @@ class FakeRobot:
         self._pose = np.array([*np.clip(place, RADIUS, self.ROOM - RADIUS), self._pose[2] + turn])
 
     def wait(self) -> None:
-        """A real robot's readings come at their own pace."""
+        """A real robot gives its readings at a fixed rate."""
         time.sleep(self._pace)
 
 
 def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = None) -> int:
-    """Drive until the agent is done, or for so many steps; the number of steps driven.
+    """Drive until the agent is done, or for ``steps`` steps. Returns the number of steps driven.
 
-    ``log`` is a text that ``limslam replay`` reads.
+    ``log`` is a text file to write, which ``limslam replay`` can read.
     """
     rows = ["t,x,y,theta," + ",".join(f"r_{math.degrees(beam.angle):g}" for beam in SPEC.beams)]
-    by_wheels = np.zeros(3)
     step = 0
     try:
         while step < steps and not agent.done:
             wheels, ranges = robot.read_wheels(), robot.read_ranges()
-            by_wheels = moved(by_wheels, *wheels)
-            # In a log ranges are counted from the robot's centre, and these beams start on its rim.
-            from_centre = [reading + RADIUS for reading in ranges]
-            rows.append(",".join(f"{value:.6g}" for value in (step * SPEC.control_period, *by_wheels, *from_centre)))
-            # The agent wants a beam's maximum where nothing was seen.
+            # The agent expects the longest range of a beam that saw nothing.
             readings = np.nan_to_num(ranges, nan=np.inf).clip(0.0, SPEC.max_ranges)
             action = agent.act({"wheels": np.array(wheels), "ranges": readings})
+            # A log holds the pose by odometry, and ranges from the robot's centre. These beams start on its rim.
+            row = (step * SPEC.control_period, *agent.mapper.odometry[0], *(reading + RADIUS for reading in ranges))
+            rows.append(",".join(f"{value:.6g}" for value in row))
             left, right = SPEC.max_wheel_speed * action
             robot.send_wheel_speeds(float(left), float(right))
             robot.wait()
             step += 1
-    finally:  # whatever happens, a robot must not drive on
+    finally:  # also after an error, the robot must stop
         robot.send_wheel_speeds(0.0, 0.0)
         if log is not None:
             log.write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -126,20 +123,12 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
     return step
 
 
-def moved(pose: NDArray[np.float64], left: float, right: float) -> NDArray[np.float64]:
-    """A pose (3,) by wheel travel alone, as odometry would have it."""
-    ahead, turn = 0.5 * (left + right), (right - left) / SPEC.axle
-    x, y, heading = pose
-    middle = heading + 0.5 * turn
-    return np.array([x + ahead * math.cos(middle), y + ahead * math.sin(middle), heading + turn])
-
-
 def main() -> None:
     """Explore, then write ``map.json``, ``map.pgm`` with ``map.yaml``, and ``log.csv``."""
     parser = argparse.ArgumentParser(description="Explore with a live robot.")
     parser.add_argument("--out", type=Path, default=Path("live_robot"), help="folder for the map and the log")
     parser.add_argument("--steps", type=int, default=6000, help="longest run")
-    parser.add_argument("--real-time", action="store_true", help="as slowly as a robot would")
+    parser.add_argument("--real-time", action="store_true", help="run at the speed of a real robot")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
 

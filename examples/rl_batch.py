@@ -1,7 +1,7 @@
 """Stable-Baselines3's PPO on a batch of environments: ``python examples/rl_batch.py --steps 1000000`` (extra ``rl``).
 
-All robots move in one call of compiled code: hundreds of thousands of steps a second, so that the network is what
-takes time.
+All robots move in one call of compiled code, hundreds of thousands of steps a second. The network then takes most of
+the time.
 """
 
 import argparse
@@ -28,7 +28,7 @@ def main() -> None:
         sensor_noise=0.02,
         max_episode_steps=600,
     )
-    # The last four observations tell a robot how it moves.
+    # The last four observations show how the robot moves.
     env = VecFrameStack(Sb3VecEnv(batch), n_stack=4)
     model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu")
     model.learn(options.steps)

@@ -1,7 +1,7 @@
-"""PPO in one file, as CleanRL writes it: ``python examples/rl_cleanrl.py`` (needs torch, as the extra ``rl`` does).
+"""PPO in one file, in the style of CleanRL: ``python examples/rl_cleanrl.py`` (needs torch, as the extra ``rl`` does).
 
-Nothing is hidden: environments, network, rollout, advantages and update stand one below the other. The environments
-are Gymnasium's; any other vector of them that ends an episode and begins the next one in the same step will do.
+Environments, network, rollout, advantages and update follow each other in this file. Any vector of Gymnasium
+environments works that ends an episode and begins the next one in the same step.
 """
 
 import argparse
@@ -21,7 +21,7 @@ GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.99, 0.95, 0.2, 0.001, 0.5
 
 
 def make_env() -> gym.Env:
-    """One environment: ranges and wheel travel in a row, scaled."""
+    """One environment with a flat, scaled observation of ranges and wheel travel."""
     env = gym.make("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600)
     return FlattenObservation(NormalizedObservation(env))
 
@@ -36,14 +36,14 @@ class Agent(nn.Module):
         self.log_std = nn.Parameter(torch.full((2,), -0.5))
 
     def forward(self, observation: Tensor) -> tuple[Normal, Tensor]:
-        """What to do (n, 2), and what it is worth (n,)."""
+        """The distribution of the action (n, 2), and the value (n,)."""
         return Normal(self.actor(observation), self.log_std.exp()), self.critic(observation).squeeze(-1)
 
 
 def advantages(rewards: Tensor, values: Tensor, dones: Tensor) -> Tensor:
-    """Generalised advantage estimates (t, n); ``values`` has a row more: what came after.
+    """Generalised advantage estimates (t, n); ``values`` has one more row, for the last observation.
 
-    An episode that is cut by its time counts as ended here, as in CleanRL.
+    A truncated episode counts as ended here, as in CleanRL.
     """
     found, after = torch.zeros_like(rewards), torch.zeros(rewards.shape[1])
     for step in reversed(range(len(rewards))):
@@ -54,7 +54,7 @@ def advantages(rewards: Tensor, values: Tensor, dones: Tensor) -> Tensor:
 
 
 def main() -> None:
-    """Collect, learn, and again."""
+    """Collect rollouts and learn from them in turns."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--steps", type=int, default=100_000)
     options = arguments.parse_args()

@@ -1,6 +1,7 @@
-"""RecurrentPPO of sb3-contrib: an LSTM in place of a map: ``python examples/rl_recurrent.py`` (extra ``rl``).
+"""RecurrentPPO of sb3-contrib, with a recurrent network instead of a map: ``python examples/rl_recurrent.py``.
 
-A robot that sees 1.5 m far must remember where it has been. Here the network has to find out how.
+A robot that sees 1.5 m far must remember where it has been. Here a recurrent network (LSTM) has to learn that. Needs
+the extra ``rl``.
 """
 
 import argparse
@@ -13,7 +14,7 @@ from limslam_env.envs.wrappers import FlattenObservation, NormalizedObservation
 
 
 def main() -> None:
-    """Train, and drive for ten seconds with what was learned."""
+    """Train, and drive for ten seconds by the trained network."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--steps", type=int, default=100_000)
     options = arguments.parse_args()
@@ -25,7 +26,7 @@ def main() -> None:
     observation, info = env.reset(seed=1)
     state, is_first = None, True
     for _ in range(100):
-        # The state is the network's memory; the start of an episode wipes it.
+        # The state is the network's memory; the start of an episode resets it.
         action, state = model.predict(observation, state, is_first, deterministic=True)
         observation, _, _, _, info = env.step(action)
         is_first = False

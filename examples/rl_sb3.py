@@ -1,6 +1,6 @@
 """Stable-Baselines3's PPO on one environment: ``python examples/rl_sb3.py --steps 100000`` (extra ``rl``).
 
-Ranges scaled to 0..1, three moves (ahead, left, right), each held for half a second: enough to learn to keep going.
+Ranges are scaled to 0..1, and there are three moves (ahead, left, right). This is enough to learn to keep moving.
 """
 
 import argparse
@@ -15,13 +15,13 @@ from limslam_env.envs.wrappers import DiscreteAction, FlattenObservation, FrameS
 
 
 def make_env() -> Monitor:
-    """One floor plan a minute, in numbers that a network likes."""
+    """Episodes of one minute on random floor plans, with scaled and stacked observations."""
     env = gym.make("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600)
     return Monitor(FrameStackObservation(FlattenObservation(DiscreteAction(NormalizedObservation(env))), 4))
 
 
 def main() -> None:
-    """Train, say what came of it, and save."""
+    """Train, print the mean reward, and save."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--steps", type=int, default=100_000)
     arguments.add_argument("--out", default="")
@@ -29,7 +29,7 @@ def main() -> None:
     model = PPO("MlpPolicy", make_env(), n_steps=min(options.steps, 2048), batch_size=64, seed=0, device="cpu")
     model.learn(options.steps)
     mean, std = evaluate_policy(model, make_env(), n_eval_episodes=2)
-    # Square metres seen, less time and collisions.
+    # The reward is the area seen, m^2, minus penalties for time and collisions.
     print(f"{model.num_timesteps} steps: reward {mean:.1f} +- {std:.1f}")
     if options.out:
         model.save(options.out)

@@ -1,6 +1,6 @@
 """LimSLAM in TorchRL: ``python examples/rl_torchrl.py`` (after ``pip install torchrl``; no part of the extra ``rl``).
 
-`GymEnv` takes the environment as it is; what comes out are TensorDicts, and what learns from them is TorchRL's.
+`GymEnv` takes the environment without changes. It returns TensorDicts, from which TorchRL's PPO learns.
 """
 
 import argparse
@@ -18,12 +18,12 @@ import limslam_env  # noqa: F401 (registers the environments)
 
 
 def main() -> None:
-    """Collect a rollout, learn from it, and again."""
+    """Collect rollouts and learn from them in turns."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--steps", type=int, default=100_000)
     options = arguments.parse_args()
     torch.manual_seed(0)
-    # No check at each step, as it would only cost time here.
+    # The check of each step would only take time here.
     bare = GymEnv("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600, disable_env_checker=True)
     one_row = CatTensors(["ranges", "wheels"], out_key="observation", del_keys=False)
     env = TransformedEnv(bare, Compose(one_row, StepCounter(), RewardSum()))

@@ -1,6 +1,6 @@
-"""One PPO policy for two robots that share a building, by way of SuperSuit: ``python examples/rl_two_robots.py``.
+"""One PPO policy for two robots that share a building, by SuperSuit: ``python examples/rl_two_robots.py``.
 
-To Stable-Baselines3 each robot is an environment of its own; both feed the same network (extra ``rl``).
+Stable-Baselines3 sees each robot as an environment of its own, and both train the same network (extra ``rl``).
 """
 
 import argparse
@@ -16,7 +16,7 @@ from limslam_agent import evaluate
 
 
 def in_a_row(team: ParallelEnv) -> ParallelEnv:
-    """The same robots with ranges and wheels in one row, as SuperSuit wants them."""
+    """The same robots with flat observations, which SuperSuit needs."""
     return supersuit.observation_lambda_v0(
         team,
         lambda observation, space: np.asarray(spaces.flatten(space, observation)),
@@ -25,7 +25,7 @@ def in_a_row(team: ParallelEnv) -> ParallelEnv:
 
 
 def main() -> None:
-    """Train, and score the pair as `limslam run` is scored."""
+    """Train, and score both robots by the metrics of `limslam run`."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--steps", type=int, default=100_000)
     options = arguments.parse_args()
@@ -33,7 +33,7 @@ def main() -> None:
     robots = supersuit.pettingzoo_env_to_vec_env_v1(in_a_row(team))
     # Four buildings side by side: eight robots.
     env = supersuit.concat_vec_envs_v1(robots, 4, base_class="stable_baselines3")
-    # SuperSuit's batch takes no seed: two trainings differ.
+    # SuperSuit's batch takes no seed, so two trainings differ.
     model = PPO("MlpPolicy", env, n_steps=32, batch_size=64, device="cpu")
     model.learn(options.steps)
 

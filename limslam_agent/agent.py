@@ -1,9 +1,10 @@
-"""LimSlamAgent: SLAM and a policy for one robot, from observation to action."""
+"""LimSlamAgent: a mapper and a policy for one robot, from observation to action."""
 
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.policies.policies import Policy
+from limslam_agent.mapper import Mapper
+from limslam_agent.policies.policy import Policy
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.geometry import FloatArray
@@ -11,16 +12,17 @@ from limslam_env.interface import Observation, RobotSpec
 
 
 class LimSlamAgent:
-    """A robot's mind: it maps what its few beams see and explores until nothing is left.
+    """Maps with a few range beams and explores until nothing is left to explore.
 
     Parameters
     ----------
     robot
         Body and beams.
     config
-        Settings of every stage.
+        Settings of every stage. The preset ``consistent`` by default.
     policy
-        What decides where to go; the nearest frontier if left out. It is used for one run.
+        Chooses the actions. By default the agent explores the nearest frontier. A policy that is given serves for one
+        run.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig | None = None, policy: Policy | None = None) -> None:
@@ -28,32 +30,48 @@ class LimSlamAgent:
         self.robot, self.config = robot, self._team.config
 
     def reset(self, start_pose: FloatArray, seed: int | None = None) -> None:
-        """Forget everything and begin at a known pose (3,), m, m, rad.
+        """Forget everything and start again at a known pose (3,): x (m), y (m), heading (rad).
 
-        ``seed`` is for agents that draw numbers; this one draws none.
+        ``seed`` is for agents that draw random numbers. This class draws none.
+
+        Raises
+        ------
+        ValueError
+            If the pose has another shape or is not finite.
         """
         self._team.reset(np.asarray(start_pose, dtype=float)[None], seed)
 
     def act(self, observation: Observation) -> FloatArray:
-        """Wheel speeds (2,), fractions of the maximum, in answer to an observation."""
+        """Wheel speeds (2,), left and right, as fractions of the maximum, for one observation.
+
+        Raises
+        ------
+        ValueError
+            If the observation has the wrong shape or reports no motion.
+        """
         self.observe(observation)
         return self.decide()
 
     def observe(self, observation: Observation) -> None:
-        """The mapping half of :meth:`act`: where the robot is, and where the walls are."""
+        """The mapping half of :meth:`act`: update pose, walls and grid from one observation."""
         self._team.observe([observation])
 
     def decide(self) -> FloatArray:
-        """The exploring half of :meth:`act`: wheel speeds (2,) from what is believed now."""
+        """The exploring half of :meth:`act`: wheel speeds (2,). The map stays as it is."""
         return self._team.decide()[0]
 
     def finish(self) -> None:
-        """Use what is still waiting in the scan buffers: the run is over."""
+        """Use the readings that are still buffered. Call this after the last step."""
         self._team.finish()
 
     @property
+    def mapper(self) -> Mapper:
+        """The mapping half: SLAM, occupancy grid and odometry."""
+        return self._team.mapper
+
+    @property
     def slam(self) -> LineSlam:
-        """The mapping half."""
+        """The SLAM of the mapper."""
         return self._team.slam
 
     @property
@@ -63,14 +81,14 @@ class LimSlamAgent:
 
     @property
     def done(self) -> bool:
-        """Whether there is nothing left to do."""
+        """Whether the policy has stopped."""
         return self._team.done
 
     @property
     def stop_reason(self) -> str | None:
-        """Why there is nothing left to do, in words; None while there is."""
+        """Why the policy has stopped, in words. None while the policy is active."""
         return self._team.stop_reason
 
     def snapshot(self) -> Snapshot:
-        """What the agent believes now; it stays as it is while the agent goes on."""
+        """Everything that the agent believes now. Later steps do not change the snapshot."""
         return self._team.snapshot()

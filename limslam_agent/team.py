@@ -1,14 +1,15 @@
-"""LimSlamTeam: one mind for several robots, from their observations to their actions."""
+"""LimSlamTeam: one shared map and a policy for each of several robots."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.policies.belief import Belief, Policy
-from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.mapper import Mapper
+from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.policy import Policy
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -17,24 +18,29 @@ from limslam_env.interface import Observation, RobotSpec
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What a mind believes at a moment; read-only.
+    """Everything that a team believes at one moment. Later steps do not change a snapshot.
 
     Attributes
     ----------
-    poses, covariances
-        Of each robot (n, 3), m, m, rad, and (n, 3, 3).
+    poses
+        Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
+    covariances
+        Covariance of each estimated pose (n, 3, 3).
+    odometry
+        Pose of each robot by odometry alone (n, 3).
     landmarks
-        The walls with their covariances.
+        The walls of the map as lines with covariances.
     segments
-        The walls (N, 4), m.
+        The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
     grid
-        Occupancy.
+        Occupancy grid.
     plans
-        The way that each robot means to go (k, 2), m.
+        The path (k, 2), m, that each robot intends to drive.
     """
 
     poses: FloatArray
     covariances: FloatArray
+    odometry: FloatArray
     landmarks: list[Landmark]
     segments: FloatArray
     grid: GridView
@@ -42,38 +48,48 @@ class Snapshot:
 
     @property
     def pose(self) -> FloatArray:
-        """The pose of the first robot (3,)."""
+        """Pose of the first robot (3,)."""
         return np.asarray(self.poses[0])
 
     @property
     def covariance(self) -> FloatArray:
-        """The covariance of the first robot's pose (3, 3)."""
+        """Covariance of the first robot's pose (3, 3)."""
         return np.asarray(self.covariances[0])
 
     @property
     def plan(self) -> FloatArray:
-        """The first robot's plan (k, 2), m."""
+        """The path (k, 2), m, that the first robot intends to drive."""
         return self.plans[0]
 
 
 class LimSlamTeam:
-    """One map and one filter for all robots, and a policy for each (step 9 of the method).
+    """One mapper for all robots of a team, and a policy for each robot (step 9 of the method).
 
     Parameters
     ----------
     robot
         Body and beams of each robot.
     config
-        Settings of every stage.
+        Settings of every stage. The preset ``consistent`` by default.
     num_robots
-        How many there are.
+        Number of robots.
     policies
-        What decides where each goes; frontiers, shared out, if left out. They are used for one run.
+        One policy for each robot. By default each robot explores frontiers, and the robots divide the frontiers
+        among themselves. Policies that are given serve for one run.
+
+    Attributes
+    ----------
+    mapper
+        The mapping half: SLAM, occupancy grid and odometry.
+    policies
+        The policy of each robot.
+    names
+        The names of the robots: ``robot_0``, ``robot_1`` and so on.
 
     Raises
     ------
     ValueError
-        If there is not one policy for each robot.
+        If there is no robot, or not one policy for each robot.
     """
 
     def __init__(
@@ -87,92 +103,90 @@ class LimSlamTeam:
             raise ValueError(f"a team has one robot or more, not {num_robots}")
         if policies is not None and len(policies) != num_robots:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
-        self.robot, self.config, self.num_robots = robot, config or preset("consistent"), num_robots
+        self.mapper = Mapper(robot, config, np.zeros((num_robots, 3)))
+        self.robot, self.config, self.num_robots = robot, self.mapper.config, num_robots
         self.names = [f"robot_{number}" for number in range(num_robots)]
         self._given_policies = policies
         self.reset(np.zeros((num_robots, 3)))
 
     def reset(self, start_poses: FloatArray, seed: int | None = None) -> None:
-        """Forget everything and begin at known poses (n, 3), m, m, rad.
+        """Forget everything and start again at known poses (n, 3): x (m), y (m), heading (rad).
 
-        ``seed`` is for minds that draw numbers; this one draws none.
+        ``seed`` is for teams that draw random numbers. This class draws none.
 
         Raises
         ------
         ValueError
-            If there is not one pose for each robot.
+            If there is not one pose for each robot, or a pose is not finite.
         """
         del seed
         poses = np.asarray(start_poses, dtype=float)
         if poses.shape != (self.num_robots, 3):
             raise ValueError(f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not {poses.shape}")
-        self.slam = LineSlam(self.robot, self.config, poses)
-        self._grid = OccupancyGrid(self.config.grid)
+        self.mapper.reset(poses)
         self.policies: list[Policy] = list(
             self._given_policies or [self._new_policy(number) for number in range(self.num_robots)]
         )
-        # How many cells were known when each robot stopped.
+        # Number of known cells at the time when each robot stopped.
         self._known_at_stop: dict[int, int] = {}
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
-        """Wheel speeds (2,) of each robot by its name, fractions of the maximum, in answer to their observations."""
+        """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one observation of each."""
         self.observe([observations[name] for name in self.names])
         return dict(zip(self.names, self.decide(), strict=True))
 
     def observe(self, observations: Sequence[Observation]) -> None:
-        """The mapping half of :meth:`act`: where the robots are, and where the walls are."""
-        self.slam.step(*observations)
+        """The mapping half of :meth:`act`: update poses, walls and grid from one observation of each robot."""
+        self.mapper.step(*observations)
 
     def decide(self) -> list[FloatArray]:
-        """The exploring half of :meth:`act`: wheel speeds (2,) of each robot from what is believed now."""
-        slam = self.slam
-        poses, covariances, segments = slam.poses, slam.covariances, slam.segments
-        for pose, front in zip(poses, slam.robots, strict=True):
-            self._grid.update(pose, self.robot, front.ranges, front.measured)
-        view, actions = self._grid.view, []
-        self._call_up_who_stopped(view)
-        for number, policy in enumerate(self.policies):
-            belief = Belief(
-                poses[number], covariances[number], slam.robots[number].ranges, segments, view,
-                np.delete(poses, number, axis=0), self._goals_besides(number),
-            )  # fmt: skip
-            actions.append(policy.act(belief))
-        return actions
+        """The exploring half of :meth:`act`: wheel speeds (2,) of each robot. The map stays as it is."""
+        beliefs = self.mapper.beliefs
+        self._restart_stopped(beliefs[0].grid)
+        # The robots decide in order, so that each one knows the new goals of those before it.
+        return [
+            policy.act(replace(beliefs[number], other_goals=self._goals_of_others(number)))
+            for number, policy in enumerate(self.policies)
+        ]
 
     def finish(self) -> None:
-        """Use what is still waiting in the scan buffers: the run is over."""
-        self.slam.finish()
+        """Use the readings that are still buffered. Call this after the last step."""
+        self.mapper.finish()
+
+    @property
+    def slam(self) -> LineSlam:
+        """The SLAM of the mapper."""
+        return self.mapper.slam
 
     @property
     def done(self) -> bool:
-        """Whether there is nothing left to do for anybody."""
+        """Whether the policies of all robots have stopped."""
         return all(policy.stop_reason is not None for policy in self.policies)
 
     @property
     def stop_reason(self) -> str | None:
-        """Why there is nothing left to do, in words; None while there is."""
+        """Why all robots have stopped, in words. None while a robot is still active."""
         reasons = [policy.stop_reason for policy in self.policies if policy.stop_reason is not None]
         if len(reasons) < self.num_robots:
             return None
         return reasons[0] if len(set(reasons)) == 1 else "; ".join(reasons)
 
     def snapshot(self) -> Snapshot:
-        """What is believed now; it stays as it is while the team goes on."""
-        slam, view = self.slam, self._grid.view
-        values = view.values.copy()
-        values.setflags(write=False)
-        grid = GridView(view.low, view.cell, values)
+        """Everything that the team believes now. Later steps do not change the snapshot."""
+        slam, mapper = self.slam, self.mapper
         plans = [policy.plan.copy() for policy in self.policies]
-        return Snapshot(slam.poses, slam.covariances, slam.landmarks, slam.segments, grid, plans)
+        return Snapshot(
+            slam.poses, slam.covariances, mapper.odometry, slam.landmarks, slam.segments, mapper.grid, plans
+        )
 
     def _new_policy(self, number: int) -> Policy:
         return FrontierPolicy(self.robot, self.config.policy, number)
 
-    def _call_up_who_stopped(self, view: GridView) -> None:
-        """Who saw nothing left to do looks again when the others have found enough that is new."""
+    def _restart_stopped(self, grid: GridView) -> None:
+        """Give a robot that has stopped a new policy, once the other robots have mapped enough new cells."""
         if self._given_policies is not None or self.num_robots == 1 or self.done:
             return
-        known = int(np.count_nonzero(view.values))
+        known = int(np.count_nonzero(grid.values))
         for number, policy in enumerate(self.policies):
             if policy.stop_reason is None:
                 self._known_at_stop.pop(number, None)
@@ -180,6 +194,6 @@ class LimSlamTeam:
                 self.policies[number] = self._new_policy(number)
                 self._known_at_stop[number] = known
 
-    def _goals_besides(self, number: int) -> FloatArray:
+    def _goals_of_others(self, number: int) -> FloatArray:
         goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]
         return np.array([goal for goal in goals if goal is not None]).reshape(-1, 2)

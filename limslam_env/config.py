@@ -90,9 +90,9 @@ class NoiseConfig:
 
     @classmethod
     def sharp(cls, **changes: Setting) -> Self:
-        """Infrared sensors of the Sharp kind: noise that grows with range, dropouts, steps, fold-back and a cone.
+        """Noise of triangulating infrared sensors such as Sharp's, with dropouts, steps, fold-back and a cone.
 
-        ``changes`` are further settings, or other ones; numbers of the order of a GP2Y0A02's data sheet.
+        ``changes`` add or replace settings. The values have the order of magnitude of a GP2Y0A02's data sheet.
         """
         typical: dict[str, Setting] = {
             "sensor_noise": 0.005,
@@ -136,7 +136,7 @@ class DrawnNoise(NoiseConfig):
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Pieces that a step's reward is the sum of.
+    """The terms whose sum is the reward of a step.
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """When an episode has reached its goal, and what a step is worth.
+    """The goal of an episode and the reward of a step.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""What an agent may know: the robot, its data sheet, and the shape of an observation.
+"""What an agent may know: the robot's specification, its nominal noise, and the form of an observation.
 
-This is the only door between ``limslam_env`` and ``limslam_agent`` besides ``geometry``.
-Nothing in here can tell the truth about a world.
+Besides ``geometry`` and ``compilation`` this is the only module of the simulator that an agent may import. Nothing in
+it gives access to the ground truth.
 """
 
 import json

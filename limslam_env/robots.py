@@ -1,4 +1,4 @@
-"""Robots that ship: the paper's, and some that people own. Others are a ``RobotSpec`` away.
+"""Robots that come with the package: the paper's and common real ones. A ``RobotSpec`` describes any other robot.
 
 Each is a function, so that its numbers can be changed: ``ring(64, max_range=3.0)``.
 """

@@ -23,7 +23,7 @@ def agent(*names: str) -> set[str]:
 # For each package, and each module beside the packages: which others it may import. A package may always import itself.
 ENV = {
     "limslam_env": env("config", "interface"),
-    "limslam_env.__main__": set(),
+    "limslam_env.__main__": {"limslam_env"},
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.config": set(),
@@ -31,7 +31,8 @@ ENV = {
     "limslam_env.worlds": {GEOMETRY},
     "limslam_env.worlds.formats": {GEOMETRY, *env("worlds")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
-    "limslam_env.kernels": {GEOMETRY},
+    "limslam_env.compilation": set(),
+    "limslam_env.kernels": {GEOMETRY, *env("compilation")},
     "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
     "limslam_env.batch": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -51,33 +52,50 @@ AGENT = {
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
-    "limslam_agent.slam.batch": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.consistent")},
+    "limslam_agent.slam.batch": {
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent", "grid"),
+    },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
-    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
-    "limslam_agent.policies.learned": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "policies")},
-    "limslam_agent.team": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "policies")},
-    "limslam_agent.agent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "policies", "team")},
-    "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "config", "policies", "slam.batch")},
+    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid")},
+    "limslam_agent.mapper": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid")},
+    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
+    "limslam_agent.policies.learned": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies")},
+    "limslam_agent.team": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "mapper", "policies"),
+    },
+    "limslam_agent.agent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "team")},
+    "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "mapper", "slam.batch")},
     "limslam_agent.logs": WHAT_AN_AGENT_MAY_KNOW,
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid")},
     "limslam_agent.replay": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "logs", "output"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "grid", "logs", "mapper", "output"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
-RULES = ENV | AGENT
+# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis <- training; speed beside.
+BENCHMARKS = {
+    "benchmarks": set(),
+    "benchmarks.suite": set(),
+    "benchmarks.analysis": {"benchmarks.suite"},
+    "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
+    "benchmarks.speed": set(),
+    "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
+}
+RULES = ENV | AGENT | BENCHMARKS
 COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch"}
-NUMBA_IS_IMPORTED_BY = {"limslam_env.kernels.rays", "limslam_agent.slam.batch.compilation"}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 MOST_MODULES, LONGEST_FILE = 15, 520
 
 
 def modules_of(top: str) -> dict[str, Path]:
-    """The files of an installed package by their dotted names: those of a checkout, or of a wheel."""
-    folder = Path(next(iter(find_spec(top).submodule_search_locations)))
+    """The files of a package by their dotted names: of a checkout, or of a wheel, which has no benchmarks."""
+    spec = find_spec(top)
+    if spec is None and top == "benchmarks":
+        return {}
+    folder = Path(next(iter(spec.submodule_search_locations)))
     found = {}
     for path in sorted(folder.rglob("*.py")):
         parts = path.relative_to(folder.parent).with_suffix("").parts
@@ -85,7 +103,8 @@ def modules_of(top: str) -> dict[str, Path]:
     return found
 
 
-MODULES = modules_of("limslam_env") | modules_of("limslam_agent")
+INSTALLED = modules_of("limslam_env") | modules_of("limslam_agent")
+MODULES = INSTALLED | modules_of("benchmarks")
 PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
 
 
@@ -117,9 +136,10 @@ def place_of(name: str) -> str:
 def places_imported(names: list[str]) -> set[str]:
     """The places in the project that modules import."""
     found = set().union(*(imports(MODULES[name]) for name in names))
-    return {place_of(name) for name in found if name.split(".")[0] in {"limslam_env", "limslam_agent"}}
+    return {place_of(name) for name in found if name.split(".")[0] in TOPS}
 
 
+TOPS = {"limslam_env", "limslam_agent", "benchmarks"}
 PLACES = {place: [name for name in MODULES if place_of(name) == place] for place in map(place_of, MODULES)}
 
 
@@ -131,13 +151,19 @@ def test_every_package_has_a_rule():
 def test_a_package_imports_only_what_its_rule_names(place):
     # What __init__ loads on demand, for users, is no import of the package.
     names = [name for name in PLACES[place] if name not in {"limslam_env", "limslam_agent"}]
-    assert places_imported(names) - {place} - RULES[place] == set()
+    found = places_imported(names) - {place} - RULES[place]
+    assert {other for other in found if place not in BENCHMARKS or other in BENCHMARKS} == set()
+
+
+def test_what_is_installed_imports_no_benchmark():
+    found = {
+        name for name, path in INSTALLED.items() if any(full.split(".")[0] == "benchmarks" for full in imports(path))
+    }
+    assert found == set()
 
 
 def test_no_package_is_in_an_import_circle():
-    graph = {
-        place: places_imported(names) - {place} for place, names in PLACES.items() if place not in PLACES.get("", [])
-    }
+    graph = {place: places_imported(names) - {place} for place, names in PLACES.items()}
     graph["limslam_env"] = graph["limslam_agent"] = set()  # they load what users ask for, on demand
     while graph:
         leaves = {place for place, others in graph.items() if not others & set(graph)}
@@ -151,10 +177,10 @@ def test_no_package_has_too_many_modules(place):
 
 
 @pytest.mark.parametrize(
-    ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", NUMBA_IS_IMPORTED_BY)]
+    ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", {"limslam_env.compilation"})]
 )
 def test_these_modules_alone_import_it(library, owners):
-    found = {name for name, path in MODULES.items() if any(full.split(".")[0] == library for full in imports(path))}
+    found = {name for name, path in INSTALLED.items() if any(full.split(".")[0] == library for full in imports(path))}
     assert found == owners
 
 

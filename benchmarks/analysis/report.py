@@ -18,7 +18,7 @@ from benchmarks.analysis.plots import drawings
 from benchmarks.analysis.sheets import render
 from benchmarks.analysis.tables import cost_sheet, failure_sheet, number_sheets
 from benchmarks.suite.store import Row, read_rows
-from limslam_agent.output.atomic_write import whole_file
+from limslam_agent.output.atomic_write import atomic_write
 
 _COLOURS = 96
 _KINDS = {
@@ -54,7 +54,7 @@ def report(folder: Path, out: Path) -> Path:
         raise ValueError(f"{folder}: no results: there is not one row to report")
     path = out if out.suffix.lower() in {".html", ".htm"} else out / "report.html"
     page = _page(rows, folder)
-    with whole_file(path) as beside:
+    with atomic_write(path) as beside:
         beside.write_text(page, encoding="utf-8")
     return path
 

@@ -1,15 +1,15 @@
-"""How many beliefs a second many robots form, beside single ones: ``python -m benchmarks.speed.batch_slam``.
+"""How many beliefs a second a batch computes, beside single wrappers: ``python -m benchmarks.speed.batch_slam``.
 
-Drives round Env1 are recorded first; every robot of the batch follows one of them, from another place of it on. What
-is timed is all that makes an observation of a belief: filter, occupancy grid, and its crop. Single wrappers and batches
-take turns in one run, so that the ratio says something on any machine. Processor time is told beside the time that
-went by: on a machine that does other things, too, the former says what the latter would have been.
+First, drives in Env1 are recorded. Every robot of the batch then follows one of the drives, each with its own delay.
+The time covers all parts of a belief observation: filter, occupancy grid, and the crop of the grid. Single wrappers and
+batches are timed in the same run, so that the ratio holds on any machine. The table gives processor time beside
+wall-clock time: on a busy machine, processor time is what the wall-clock time would be on a quiet one.
 """
 
 import argparse
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -25,16 +25,16 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise
 
 BAR = 20_000
-"""Belief-steps a second that two threads should do."""
+"""Belief-steps a second that two threads should reach."""
 
 NOISE = 0.02
 
 
 class _Recorded(LimSlamEnv):
-    """An environment that tells again what was recorded, so that nothing but the belief is timed."""
+    """An environment that plays back a recording, so that only the belief is timed."""
 
     def play(self, ranges: FloatArray, wheels: FloatArray, start: FloatArray) -> None:
-        """What to tell: readings (k, n_beams), m, wheel travel (k, 2), m, and the start (3,)."""
+        """Set the recording: readings (k, n_beams), m, wheel travel (k, 2), m, and the start pose (3,)."""
         self._told = [
             {"ranges": seen.astype(np.float32), "wheels": driven.astype(np.float32)}
             for seen, driven in zip(ranges, wheels, strict=True)
@@ -66,18 +66,18 @@ def record(steps: int, seed: int, config: AgentConfig) -> tuple[FloatArray, Floa
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, float]:
-    """Seconds that go by, and of processor time."""
+    """Wall-clock time and processor time of a call, s."""
     begun, used = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - begun, time.process_time() - used
 
 
 def gain_of_two_threads() -> float:
-    """How much more two threads get done than one, now and on this machine, when they have nothing in common."""
+    """How much faster two independent threads work than one, now and on this machine."""
     data, pool = bytes(50_000_000), ThreadPoolExecutor(2)
 
     def digest(_: int) -> None:
-        # This runs without Python's lock.
+        # This runs without the lock of the interpreter.
         hashlib.sha256(data).digest()
 
     one = timed(lambda: digest(0))[0]
@@ -87,7 +87,7 @@ def gain_of_two_threads() -> float:
 
 
 def time_single(logs: list[tuple[FloatArray, FloatArray, FloatArray]], config: AgentConfig) -> FloatArray:
-    """Seconds a belief-step of the single wrapper (2,): by the clock, and of processor time."""
+    """Wall-clock time and processor time of a belief-step of the single wrapper (2,), s."""
     total, steps = np.zeros(2), 0
     for ranges, wheels, start in logs:
         env = _Recorded("env1")
@@ -107,13 +107,13 @@ def time_single(logs: list[tuple[FloatArray, FloatArray, FloatArray]], config: A
 def time_batch(
     logs: list[tuple[FloatArray, FloatArray, FloatArray]], config: AgentConfig, num_envs: int, threads: int
 ) -> tuple[FloatArray, BatchSlam]:
-    """The same of a batch whose robots follow the drives in turn, each some steps after the one before."""
+    """As :func:`time_single`, for a batch whose robots follow the drives in turn, each with its own delay."""
     env = LimSlamEnv("env1")
     batch = BatchSlam(env.robot, config, num_envs, num_threads=threads)
     starts = np.array([logs[number % len(logs)][2] for number in range(num_envs)])
     delays = np.arange(num_envs) // len(logs) % 50
     length = len(logs[0][0])
-    # Drives begin one after the other, so that not all robots do the rare and costly things at once.
+    # The drives begin one after another, so that rare and costly steps do not fall together.
     rows = np.clip(np.arange(length)[:, None] - delays, 0, None)
     chosen = np.arange(num_envs) % len(logs)
     ranges, wheels = np.array([log[0] for log in logs]), np.array([log[1] for log in logs])
@@ -127,13 +127,13 @@ def time_batch(
     return total / (length * num_envs), batch
 
 
-def main() -> None:
-    """Record, time, and print a table."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Record, time, and print a table. The arguments are those of the command line unless they are given."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--envs", type=int, default=64, help="robots of a batch")
     parser.add_argument("--steps", type=int, default=1500, help="steps of a drive")
     parser.add_argument("--drives", type=int, default=4, help="drives that are recorded")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(arguments)
     config = preset("consistent", NominalNoise(NOISE))
     logs = [record(chosen.steps, 200 + number, config) for number in range(chosen.drives)]
     single = time_single(logs[:2], config)
@@ -148,8 +148,8 @@ def main() -> None:
             f"{1 / each[0]:>9.0f} {single[0] / each[0]:>9.1f} {verdict:>7}"
         )
         if threads == 2:
-            print(f"what two threads gain at all here: {gain_of_two_threads():.2f}")
-    print(f"memory set aside for one robot: {batch.bytes_per_env / 1e6:.2f} MB; no room for {batch.left_out.sum()}")
+            print(f"speed-up of two independent threads on this machine: {gain_of_two_threads():.2f}")
+    print(f"memory of one robot: {batch.bytes_per_env / 1e6:.2f} MB; overflows: {batch.overflows.sum()}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """How long one prediction and one update take, by the number of landmarks: ``python -m benchmarks.speed.ekf``.
 
-The line filter is timed beside filterpy's dense one in the same run, on the same state, so that the
-ratio says something on any machine. The bars are for the line filter, in milliseconds of the median.
+The line filter is timed beside the dense filter of filterpy in the same run and on the same state, so that the ratio
+holds on any machine. The bars are limits for the median of the line filter, in milliseconds.
 """
 
 import math
@@ -18,10 +18,10 @@ from limslam_env.geometry.line import to_frame, to_frame_jacobians
 from limslam_env.geometry.se2 import compose, compose_jacobians
 
 BARS_MS = {50: 0.05, 200: 0.10, 500: 0.40}
-"""Landmarks, and the longest that prediction and one update may take, ms."""
+"""By number of landmarks, the limit for prediction and one update, ms."""
 
 CLONE_LANDMARKS, CLONE_BAR_MS = (20, 50, 200), 1.0
-"""The same for the consistent filter; its bar is for 200 landmarks."""
+"""Numbers of landmarks for the consistent filter, and its limit for 200 of them, ms."""
 
 BATCH = 4
 RANGE_STD = 0.02
@@ -31,11 +31,11 @@ INCREMENT = np.array([0.02, 0.0, 0.01])
 MOTION_COVARIANCE = np.diag([1e-6, 1e-7, 1e-5])
 LINE_COVARIANCE = np.diag([1e-5, 1e-4])
 OFF = np.array([1e-4, 1e-4])
-"""How far observed lines lie off where they are expected (m, rad): near, so that the two stay alike."""
+"""Innovation of each observed line (m, rad). It is small, so that both filters keep the same linearisation."""
 
 
 def line_filter(landmarks: int) -> LineEKF:
-    """A filter with that many lines all round the robot, each correlated with all others."""
+    """A filter with that many lines around the robot, each correlated with all others."""
     generator = np.random.default_rng(landmarks)
     ekf = LineEKF(np.zeros(POSE), 1e-4 * np.eye(POSE))
     for _ in range(landmarks):
@@ -70,7 +70,7 @@ def time_line_filter(ekf: LineEKF, repetitions: int) -> FloatArray:
 
 
 def time_dense_filter(dense: ExtendedKalmanFilter, repetitions: int, seconds: float) -> FloatArray:
-    """The same with matrices of full size; three at least, and no more than fit into ``seconds``."""
+    """As :func:`time_line_filter` with dense matrices: three durations or more, as many as fit in ``seconds``."""
     size = len(dense.x)
     durations: list[float] = []
     while len(durations) < repetitions and (len(durations) < 3 or sum(durations) < seconds):
@@ -104,7 +104,7 @@ def dense_jacobian(state: FloatArray, columns: IntArray) -> FloatArray:
 
 
 def clone_filter(landmarks: int) -> CloneEKF:
-    """The consistent filter with that many lines all round the robot, each correlated with the pose and all others."""
+    """The consistent filter with that many lines around the robot, each correlated with the pose and all others."""
     generator = np.random.default_rng(landmarks)
     ekf = CloneEKF(np.zeros(POSE))
     ekf.P = 1e-4 * np.eye(POSE)

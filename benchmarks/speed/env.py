@@ -1,14 +1,14 @@
 """How fast the environments are, beside a plain pymunk loop in the same run: ``python -m benchmarks.speed.env``.
 
-These machines are shared and change their speed from second to second. So all candidates take turns in short bursts,
-and each is judged by its best one.
+A shared machine changes its speed from second to second. Therefore all candidates take turns in short bursts, and the
+best burst of each candidate counts.
 """
 
 import argparse
 import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import gymnasium as gym
@@ -24,7 +24,7 @@ Loop = Callable[[int], None]
 
 
 def plain_loop(walls: int = 40) -> Loop:
-    """Pymunk alone: a body on its way among walls, and six rays a step."""
+    """Pymunk alone: a body that moves among walls, and six rays a step."""
     generator = np.random.default_rng(0)
     space = pymunk.Space()
     for _ in range(walls):
@@ -91,7 +91,7 @@ def team_loop(num_robots: int) -> Loop:
 
 def rooms(num_walls: int) -> World:
     """Square rooms of 2.3 m with a door in each wall: the building grows with the number of walls."""
-    # A room has a wall of two pieces below and one to its left.
+    # Each room adds two walls, below it and to its left; a door divides each of them into two pieces.
     side = round(math.sqrt(num_walls / 4.0))
     cell, jamb, walls = 2.3, 0.8, []
     for i, j in itertools.product(range(side + 1), range(side)):
@@ -119,7 +119,7 @@ def best_times(loops: dict[str, Loop], bursts: int) -> dict[str, float]:
 
 
 def print_speeds(bursts: int) -> None:
-    """A table of speeds, each beside the plain loop's."""
+    """Print a table of speeds, and the ratio of each to the speed of the plain loop."""
     small, large = rooms(40), rooms(2000)
     loops = {
         "plain pymunk, 40 walls, six rays": plain_loop(),
@@ -150,12 +150,12 @@ def print_loading(folder: Path) -> None:
     print(f"loaded and checked in {loaded - start:.2f} s; made and reset for the first time in {end - loaded:.2f} s")
 
 
-def main() -> None:
-    """Print Markdown tables."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print Markdown tables. The arguments are those of the command line unless they are given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bursts", type=int, default=100)
     parser.add_argument("--plans", type=Path, help="folder of wall lists")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     print_speeds(options.bursts)
     if options.plans:
         print_loading(options.plans)

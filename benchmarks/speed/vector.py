@@ -1,8 +1,8 @@
 """How fast the batched environment is, beside others in the same run: ``python -m benchmarks.speed.vector``.
 
-As in :mod:`benchmarks.speed.env`, candidates take turns in short bursts. Each is judged by its best one:
-what a machine can do when nobody else uses it. ``vmas`` and ``ir-sim`` take part where they are
-installed (extra ``peers``).
+As in :mod:`benchmarks.speed.env`, candidates take turns in short bursts, and the best burst of each counts: it shows
+what the machine can do when no other program uses it. ``vmas`` and ``ir-sim`` are measured too where they are installed
+(extra ``peers``).
 """
 
 import argparse
@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -58,7 +58,7 @@ print((resident() - before) / 16384)
 
 
 def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
-    """Steps of a batch, with autoreset; as many environment-steps as are done at a call."""
+    """Steps of a batch, with autoreset. A call returns the number of environment-steps that it has done."""
     envs.reset(seed=0)
     envs.action_space.seed(0)
     actions = itertools.cycle([envs.action_space.sample() for _ in range(8)])
@@ -89,7 +89,7 @@ def team_loop(num_envs: int, steps: int) -> Loop:
 
 
 def loops() -> dict[str, Loop]:
-    """What is compared; the first one is the yardstick."""
+    """What is compared. All rates are given as ratios to the first two."""
     single = single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02))
 
     def one() -> int:
@@ -135,7 +135,7 @@ def best_rates(candidates: dict[str, Loop], bursts: int) -> dict[str, float]:
 
 @contextlib.contextmanager
 def busy_process() -> Iterator[None]:
-    """Another process that wants a core for itself."""
+    """Another process that uses a core all the time."""
     process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         yield
@@ -155,14 +155,14 @@ def median_rate(loop: Loop, seconds: float = 3.0) -> float:
 
 
 def of_new_process(code: str, *arguments: str) -> list[float]:
-    """The numbers that a program of its own prints."""
+    """The numbers that a program prints in a new process."""
     command = [sys.executable, "-c", code, *arguments]
     output = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ)  # noqa: S603 (see above)
     return [float(word) for word in output.stdout.split()]
 
 
 def print_rates(rates: dict[str, float]) -> None:
-    """A table of rates, beside CartPole's and the single environment's."""
+    """Print a table of rates, and the ratios to CartPole and to the single environment."""
     cartpole, single = itertools.islice(rates.values(), 2)
     print("| candidate | steps/s | x CartPole | x single |\n|---|---|---|---|")
     for name, rate in rates.items():
@@ -170,7 +170,7 @@ def print_rates(rates: dict[str, float]) -> None:
 
 
 def print_bars(rates: dict[str, float], batch: Loop) -> None:
-    """The bars, as ratios in this run."""
+    """Print the ratios that this run should reach, and what it has reached."""
     few, many = (rates[f"batch of 8192, rooms of {walls} walls"] for walls in (40, 2000))
     alone = median_rate(batch)
     with busy_process():
@@ -184,14 +184,14 @@ def print_bars(rates: dict[str, float], batch: Loop) -> None:
     print(f"| 40 walls / 2000 walls | {few / many:.2f} | <= 1.3 |")
     print(f"| beside a busy process / alone, {cores} cores | {beside / alone:.2f} | >= {1.0 - 1.0 / cores:.2f} |")
     print(f"| import, then first step | {loading:.2f} s, {first:.2f} s | first step <= 1.5 s |")
-    print(f"| memory an environment, its grid and two steps' results among it | {memory:.1f} kB | <= 20 kB |")
+    print(f"| memory of an environment, with its grid and the results of two steps | {memory:.1f} kB | <= 20 kB |")
 
 
-def main() -> None:
-    """Print Markdown tables."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print Markdown tables. The arguments are those of the command line unless they are given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bursts", type=int, default=100)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     candidates = loops()
     rates = best_rates(candidates, options.bursts)
     print_rates(rates)

@@ -1,4 +1,4 @@
-"""Who does the jobs: processes of this machine, or Ray. Whoever it is, a job that dies takes no other one with it."""
+"""Engines run the jobs of a suite: processes of this machine, or Ray. A job that dies ends no other job."""
 
 import multiprocessing
 import os
@@ -19,81 +19,125 @@ Result: TypeAlias = Outcome | Failure
 Work: TypeAlias = Callable[[Job], Outcome]
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""Environment of a worker: sums split over threads differ in their last bits, and the cores are taken as it is."""
+"""Environment of a worker. Sums that are split over threads differ in their last bits, and all cores are in use."""
+
+STARTING = 600.0
+"""Longest time until a worker starts a job, s, unless the time-out is longer. It only prevents waiting forever."""
 
 
 class Engine(Protocol):
-    """Does jobs, in any order."""
+    """Runs jobs, in any order."""
 
     def run(self, jobs: Sequence[Job], work: Work) -> Generator[tuple[Job, Result]]:
-        """Yield each job with what came of it, when it has ended. ``work`` is a function that a worker can import."""
+        """Yield each job with its result as soon as the job has ended. A worker must be able to import ``work``."""
 
 
 @dataclass(frozen=True)
 class ProcessEngine:
-    """Processes of this machine.
+    """Processes on this machine.
 
-    They are not a ``ProcessPoolExecutor``: that one breaks as a whole when one of its processes dies, says not whose
-    job it was, and has no time-out. Here each worker has a pipe of its own and at most one job.
+    A ``ProcessPoolExecutor`` would not do: it fails as a whole when one of its processes dies, it does not say which
+    job that process had, and it has no time-out. Here each worker has its own pipe and at most one job.
 
     Attributes
     ----------
     workers
-        How many there are.
+        Number of processes.
     timeout
-        Wall-clock time, s, after which a job is given up and its worker killed.
+        Wall-clock time, s, after which a job has failed and its worker is killed. The clock of a job starts when a
+        worker starts the job: the time that a new process takes to import its modules does not count.
     """
 
     workers: int
     timeout: float
 
     def run(self, jobs: Sequence[Job], work: Work) -> Generator[tuple[Job, Result]]:
-        """Yield each job with what came of it; when the caller stops listening, the workers are killed."""
-        waiting, busy = deque(jobs), dict[_Worker, tuple[Job, float]]()
-        idle = [_Worker(work) for _ in range(min(self.workers, len(jobs)))]
+        """Yield each job with its result. When the caller closes the generator, the workers are killed."""
+        waiting, busy = deque(jobs), list[_Worker]()
+        idle = [_Worker(work, self.timeout) for _ in range(min(self.workers, len(jobs)))]
         try:
             while waiting or busy:
                 while waiting and idle:
-                    worker, job = idle.pop(), waiting.popleft()
-                    busy[worker] = job, time.monotonic() + self.timeout
-                    worker.give(job)
-                for worker in _ended(busy):
-                    job, _ = busy.pop(worker)
-                    idle.append(worker)
-                    yield job, worker.take(self.timeout)
+                    busy.append(idle.pop())
+                    busy[-1].give(waiting.popleft())
+                for worker in _ready(busy):
+                    result = worker.take()
+                    if result is not None:
+                        busy.remove(worker)
+                        idle.append(worker)
+                        yield worker.clock.job, result
         finally:
             for worker in (*idle, *busy):
                 worker.kill()
 
 
-class _Worker:
-    """A process that does one job after the other; a new one is started where the last one has died."""
+class JobClock:
+    """The time limit of one job, on the monotonic clock.
 
-    def __init__(self, work: Work) -> None:
-        self._work = work
+    Parameters
+    ----------
+    job
+        The job.
+    timeout
+        Longest time from the start of the job to its end, s.
+
+    Attributes
+    ----------
+    job
+        The job.
+    deadline
+        The time at which the job fails, unless something is heard of it before.
+    """
+
+    def __init__(self, job: Job, timeout: float) -> None:
+        self.job, self._timeout = job, timeout
+        self._limit, self._missing = max(timeout, STARTING), "started"
+        self.deadline = time.monotonic() + self._limit
+
+    def start(self) -> None:
+        """Begin the time of the job itself."""
+        self._limit, self._missing = self._timeout, "done"
+        self.deadline = time.monotonic() + self._limit
+
+    @property
+    def failure(self) -> Failure:
+        """The result of a job whose time is over."""
+        return Failure(f"time-out: not {self._missing} after {self._limit:g} s")
+
+
+class _Worker:
+    """A process that runs one job after another. A new process replaces one that has died."""
+
+    clock: JobClock
+
+    def __init__(self, work: Work, timeout: float) -> None:
+        self._work, self._timeout = work, timeout
         self._running: tuple[SpawnProcess, Connection] | None = None
 
     @property
     def connection(self) -> Connection:
-        """Has something to read when the job has ended, one way or the other."""
+        """The pipe. It can be read when the job has started, when it has ended, and when the process has died."""
         return self._process()[1]
 
     def give(self, job: Job) -> None:
-        """Have a job done."""
+        """Hand a job to the process."""
         try:
             self.connection.send(job)
-        except OSError:  # it has died between two jobs, so none is to blame
+        except OSError:  # the process has died between two jobs, so no job is to blame
             self.kill()
             self.connection.send(job)
+        self.clock = JobClock(job, self._timeout)
 
-    def take(self, timeout: float) -> Result:
-        """What came of the job. A worker that has neither answered nor died is late, and killed."""
+    def take(self) -> Result | None:
+        """The result of the job; None if the job has only started. A worker whose time is over is killed."""
         process, connection = self._process()
         try:
             if connection.poll():
-                result: Result = connection.recv()
+                result: Result | None = connection.recv()
+                if result is None:
+                    self.clock.start()
                 return result
-            failure = Failure(f"time-out: not done after {timeout:g} s")
+            failure = self.clock.failure
         except (EOFError, OSError):
             process.join()
             failure = Failure(_death(process.exitcode or 0))
@@ -101,7 +145,7 @@ class _Worker:
         return failure
 
     def kill(self) -> None:
-        """End it, if it is there."""
+        """End the process, if there is one."""
         if self._running is not None:
             process, connection = self._running
             self._running = None
@@ -114,21 +158,21 @@ class _Worker:
             context = multiprocessing.get_context("spawn")
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(theirs, self._work), daemon=True)
-            with _workers_environment():
+            with one_thread(), _ctrl_c_ignored():
                 process.start()
-            # With our copy open, nobody would notice that the worker's is closed.
+            # While this process holds a copy of the worker's end, the death of the worker does not close the pipe.
             theirs.close()
             self._running = process, ours
         return self._running
 
 
-def _ended(busy: dict[_Worker, tuple[Job, float]]) -> list[_Worker]:
-    """Wait for workers that have answered or died, or for the first whose time is over."""
-    patience = min(deadline for _, deadline in busy.values()) - time.monotonic()
+def _ready(busy: Sequence[_Worker]) -> list[_Worker]:
+    """Wait for workers that have sent something or died, or for the first worker whose time is over."""
+    patience = min(worker.clock.deadline for worker in busy) - time.monotonic()
     ready = wait([worker.connection for worker in busy], max(patience, 0.0))
     if ready:
         return [worker for worker in busy if worker.connection in ready]
-    return [worker for worker, (_, deadline) in busy.items() if deadline <= time.monotonic()]
+    return [worker for worker in busy if worker.clock.deadline <= time.monotonic()]
 
 
 def _death(exit_code: int) -> str:
@@ -139,41 +183,42 @@ def _death(exit_code: int) -> str:
 
 
 def _serve(connection: Connection, work: Work) -> None:
-    """Do jobs until nobody wants any more, in a process of its own."""
+    """Run jobs in a process of their own until the pipe is closed."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:
             job = connection.recv()
         except EOFError:
             return
-        connection.send(attempt(work, job))
+        for stage in stages(work, job):
+            connection.send(stage)
 
 
 def _end_with_parent() -> None:
-    # A job may take minutes, and a killed run that is started again has those cores to itself.
+    # A job may take minutes. A run that was killed and is started again should have those processors to itself.
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
         os._exit(1)
 
 
-def attempt(work: Work, job: Job) -> Result:
-    """Do a job in a worker, on one thread; an exception becomes a failure."""
+def stages(work: Work, job: Job) -> Iterator[Result | None]:
+    """Run a job in a worker, on one thread: None when the job starts, then its result. An exception is a failure."""
     import cv2
 
     cv2.setNumThreads(1)
+    yield None
     try:
-        return work(job)
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is this job's alone
-        return Failure(" ".join(f"{type(error).__name__}: {error}".split()))
+        result: Result = work(job)
+    except Exception as error:  # noqa: BLE001 - any exception concerns this job alone
+        result = Failure(" ".join(f"{type(error).__name__}: {error}".split()))
+    yield result
 
 
 @contextmanager
-def _workers_environment() -> Iterator[None]:
-    """What a new process inherits: single threads, and deaf ears for Ctrl-C, which is for us to answer."""
+def one_thread() -> Iterator[None]:
+    """Give new processes the environment of workers; afterwards this process has its own environment again."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
-    is_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
     os.environ.update(ONE_THREAD)
     try:
         yield
@@ -183,5 +228,16 @@ def _workers_environment() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-        if is_main:
-            signal.signal(signal.SIGINT, handler)
+
+
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C: it reaches all processes of a terminal, and their parent ends the workers."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)

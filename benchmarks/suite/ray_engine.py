@@ -1,4 +1,4 @@
-"""Jobs on Ray: on this machine, or on a cluster."""
+"""The engine that runs jobs on Ray: on this machine, or on a cluster."""
 
 import os
 import socket
@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.suite.engines import ONE_THREAD, Result, Work, attempt
+from benchmarks.suite.engines import ONE_THREAD, JobClock, Result, Work, one_thread, stages
 from benchmarks.suite.jobs import Failure, Job
 
 OBJECT_STORE = 100_000_000
-"""Memory of a local Ray's object store, bytes; results are small, and Ray would take a third of the machine."""
+"""Memory of the object store of a local Ray, bytes. Results are small; Ray would reserve a third of the machine."""
 
 PATIENCE = 10.0
-"""How long a cluster may take to take a connection, s."""
+"""Longest time in which a cluster must accept a connection, s."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class RayEngine:
     Attributes
     ----------
     workers
-        How many jobs are under way at once; None for as many as Ray has CPUs.
+        Number of jobs that run at once; None for as many as Ray has CPUs.
     timeout
-        Wall-clock time, s, after which a job is given up and its worker killed. It begins when the job is handed to
-        Ray.
+        Wall-clock time, s, after which a job has failed and its worker is killed. The clock of a job starts when a
+        worker starts the job: the time that Ray takes to start workers does not count.
     address
-        Of a cluster that is up, as in ``ray.init``; None starts Ray on this machine, and ends it.
+        Address of a running cluster, as in ``ray.init``; None starts Ray on this machine for this run only.
     """
 
     workers: int | None
@@ -39,7 +39,7 @@ class RayEngine:
     address: str | None = None
 
     def run(self, jobs: Sequence[Job], work: Work) -> Generator[tuple[Job, Result]]:
-        """Yield each job with what came of it; when the caller stops listening, tasks under way are cancelled.
+        """Yield each job with its result. When the caller closes the generator, running tasks are cancelled.
 
         Raises
         ------
@@ -47,58 +47,66 @@ class RayEngine:
             If Ray is not installed, or there is no cluster at the address.
         """
         with _ray(self.workers, self.address) as ray:
-            # A task that is tried again could be blamed for nothing, and its time-out would begin anew.
-            task = ray.remote(num_cpus=1, max_retries=0)(attempt)
+            # A task that Ray repeats would have a wrong time-out, and it would hide why its worker died.
+            task = ray.remote(num_cpus=1, max_retries=0, num_returns="streaming")(stages)
             slots = self.workers or max(int(ray.cluster_resources()["CPU"]), 1)
-            waiting, busy = deque(jobs), dict[Any, tuple[Job, float]]()
+            waiting, busy = deque(jobs), dict[Any, JobClock]()
             try:
                 while waiting or busy:
                     while waiting and len(busy) < slots:
                         job = waiting.popleft()
-                        busy[task.remote(work, job)] = job, time.monotonic() + self.timeout
-                    patience = min(deadline for _, deadline in busy.values()) - time.monotonic()
-                    ready, _ = ray.wait(list(busy), timeout=max(patience, 0.0))
-                    for reference in ready or [each for each in busy if busy[each][1] <= time.monotonic()]:
-                        job, _ = busy.pop(reference)
-                        yield job, self._result(ray, reference) if ready else self._given_up(ray, reference)
+                        busy[task.remote(work, job)] = JobClock(job, self.timeout)
+                    for stream, result in _heard(ray, busy):
+                        if result is not None:
+                            yield busy.pop(stream).job, result
             finally:
-                for reference in busy:
-                    ray.cancel(reference, force=True)
+                for stream in busy:
+                    ray.cancel(stream, force=True)
 
-    def _given_up(self, ray: Any, reference: Any) -> Failure:
-        ray.cancel(reference, force=True)
-        return Failure(f"time-out: not done after {self.timeout:g} s")
 
-    def _result(self, ray: Any, reference: Any) -> Result:
-        try:
-            result: Result = ray.get(reference)
-        except ray.exceptions.RayError as error:
-            # Ray's messages go on for paragraphs.
-            first = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-            return Failure(f"{type(error).__name__}: {first}")
-        return result
+def _heard(ray: Any, busy: dict[Any, JobClock]) -> list[tuple[Any, Result | None]]:
+    """Wait for tasks that have sent something: None when a job starts, then its result. Late tasks are cancelled."""
+    patience = min(clock.deadline for clock in busy.values()) - time.monotonic()
+    ready, _ = ray.wait(list(busy), timeout=max(patience, 0.0))
+    if ready:
+        return [(stream, _next(ray, stream, busy[stream])) for stream in ready]
+    late = [stream for stream, clock in busy.items() if clock.deadline <= time.monotonic()]
+    for stream in late:
+        ray.cancel(stream, force=True)
+    return [(stream, busy[stream].failure) for stream in late]
+
+
+def _next(ray: Any, stream: Any, clock: JobClock) -> Result | None:
+    try:
+        result: Result | None = ray.get(next(stream))
+    except ray.exceptions.RayError as error:
+        # Only the first line of Ray's long messages is kept.
+        first = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+        return Failure(f"{type(error).__name__}: {first}")
+    if result is None:
+        clock.start()
+    return result
 
 
 @contextmanager
 def _ray(workers: int | None, address: str | None) -> Iterator[Any]:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Ray's own choice of 15 lets its workers starve wherever something else is busy.
+    # With Ray's default niceness of 15 its workers get no processor time while other programs are busy.
     os.environ.setdefault("RAY_worker_niceness", "0")
     try:
         import ray
     except ImportError as error:
         raise ValueError("--engine ray needs Ray: pip install 'limslam[ray]'") from error
-    options: dict[str, Any] = {
-        "log_to_driver": False,
-        "logging_level": "ERROR",
-        "runtime_env": {"env_vars": ONE_THREAD},
-    }
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address is not None:
         _check_answers(address)
+        options |= {"runtime_env": {"env_vars": ONE_THREAD}}
     else:
+        # The workers of a Ray on this machine inherit the environment, so that Ray can start them beforehand.
         options |= {"num_cpus": workers, "include_dashboard": False, "object_store_memory": OBJECT_STORE}
     try:
-        ray.init(address=address or "local", **options)
+        with one_thread():
+            ray.init(address=address or "local", **options)
     except (ConnectionError, ValueError) as error:
         raise ValueError(f"--address {address}: no Ray cluster answers there: {str(error).splitlines()[0]}") from error
     try:
@@ -108,7 +116,7 @@ def _ray(workers: int | None, address: str | None) -> Iterator[Any]:
 
 
 def _check_answers(address: str) -> None:
-    """Refuse an address ``host:port`` at which nobody listens; Ray itself would go on asking for ten minutes."""
+    """Refuse an address ``host:port`` where no program listens. Ray itself would try to connect for ten minutes."""
     host, _, port = address.rpartition(":")
     if not (host and port.isdigit()) or "//" in address:
         return

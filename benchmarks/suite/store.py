@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
 from benchmarks.suite.provenance import version_changes
-from limslam_agent.output.atomic_write import whole_file
+from limslam_agent.output.atomic_write import atomic_write
 
 RESULTS, STAMP, LOCK, SERIES = "results.jsonl", "suite.json", ".lock", "series"
 
@@ -123,7 +123,7 @@ class Store:
 
     def _write_series(self, key: str, series: dict[str, Any]) -> str:
         name = f"{SERIES}/{key}.npz"
-        with whole_file(self.folder / name) as beside, beside.open("wb") as file:
+        with atomic_write(self.folder / name) as beside, beside.open("wb") as file:
             np.savez_compressed(file, **series)
             file.flush()
             os.fsync(file.fileno())
@@ -207,7 +207,7 @@ def _mend(folder: Path) -> None:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with atomic_write(path) as beside, beside.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

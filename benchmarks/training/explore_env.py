@@ -10,8 +10,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from benchmarks.training.explore_kernels import MEMORY, look_round, steer, take_in
+from benchmarks.training.explore_kernels import look_round, steer, take_in
 from limslam_agent.config.presets import GridConfig, preset
+from limslam_agent.policies.collision_guard import MEMORY
 from limslam_agent.policies.learned.learned import DriveConfig
 from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.slam.batch.batch_slam import BatchSlam
@@ -74,7 +75,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         super().__init__(env)
         robot = getattr(env.unwrapped, "robot", None)
         if not isinstance(robot, RobotSpec):
-            raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
+            raise ValueError(f"{env.unwrapped} has no robot of LimSLAM")  # noqa: TRY004 (a wrong value)
         if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ValueError("episodes must begin in the step in which others end: autoreset_mode='SameStep'")
         self.config, self.robot = config or ExploreConfig(), robot

@@ -1,7 +1,7 @@
-"""The inner loops of training, compiled by numba: many robots' grids, bumpers and polar views at once.
+"""The inner loops of training, compiled by numba: many robots' grids, collision guards and polar views at once.
 
 Each does what a part of ``limslam_agent`` does for one robot, and tests hold it to that: ``mark_grid`` is
-`OccupancyGrid.update`, ``note_touch`` and ``soften`` are `Bumper`'s, ``look`` is `polar_view.observe`.
+`OccupancyGrid.update`, ``note_touch`` and ``soften`` are `CollisionGuard`'s, ``look`` is `polar_view.observe`.
 Grids are squares with the robot's start in the middle, so that they need not grow.
 """
 
@@ -10,17 +10,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.policies.learned.polar_view import FREE_TOLL, LEAST_UNKNOWN, TIGHT_TOLL
+from limslam_agent.policies.collision_guard import GHOST, LOOK_AHEAD, MARGIN, MEMORY, SHARES, TOUCH, TOUCHING
+from limslam_agent.policies.learned.polar_view import FAR, FREE_COST, LEAST_UNKNOWN, TIGHT_COST
+from limslam_agent.slam.batch.grid import SKIPPED, change_cells, touched_cells
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
-from limslam_env.kernels.rays import compiled
 
-MEMORY, TOUCH = 40, 3
-_TOUCHING, _LOOK_AHEAD, _MARGIN, _GHOST = 0.4, 0.3, 0.025, 0.02
-_SHARES = (1.0, 0.5, 0.25, 0.0)
+compiled = entry_of(
+    "benchmarks.training.explore_kernels",
+    "limslam_agent.policies",
+    "limslam_agent.policies.learned",
+    "limslam_agent.slam.core",
+    "limslam_agent.slam.batch",
+)
+
+_STOPPING_SHARES = (*SHARES, 0.0)
 _FAR_AWAY = 1 << 30
-_FAR = 10.0
-_ANGLES = np.arange(8) * (np.pi / 4)
-_BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))
 
 
 @compiled
@@ -32,71 +37,45 @@ def mark_grid(
     stamp: int,
     pose: FloatArray,
     ranges: ReadingArray,
+    measured: BoolArray,
     beams: FloatArray,
     radius: float,
     rules: FloatArray,
 ) -> None:
-    """Take one robot's readings (n_beams,), m, into its grid.
+    """Update one robot's grid by its readings (n_beams,), m.
 
     Parameters
     ----------
     values
-        (side, side), changed: positive free, negative occupied, 0 unknown.
+        (side, side), changed: positive is free, negative is occupied, 0 is unknown.
     corner
-        Cell (column, row) of the lower left one, counted from the world's origin.
+        Column and row of the lower left cell, counted from the world's origin.
     box
-        First row, past the last row, first and past the last column of what is known; changed.
+        First row, row past the last, first column, and column past the last of the known cells; changed.
     stamps, stamp
-        Scratch (side, side), and a number that is not in it yet.
+        Scratch (side, side), and a number that it does not contain yet.
     pose
-        (3,), m and rad, by which the readings are placed.
+        (3,), m and rad, at which the readings are placed.
+    measured
+        Which readings (n_beams,) are used.
     beams
         (n_beams, 6): origin x, y (m), direction x, y, and the readings (m) up to and from which nothing is measured.
     radius
         Of the body, m.
     rules
-        Cell side (m), what a beam adds that crosses a cell, what it takes off where it ends, and the limit.
+        Side of a cell (m), what a beam adds to a cell that it crosses, what it subtracts where it ends, and the limit.
     """
-    side, cell = len(values), rules[0]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    limit = int(rules[3])
-    for beam in range(len(beams)):
-        reading = float(ranges[beam])
-        if not beams[beam, 4] < reading < beams[beam, 5]:
-            continue
-        x, y = beams[beam, 0] + reading * beams[beam, 2], beams[beam, 1] + reading * beams[beam, 3]
-        column = math.floor((pose[0] + cos * x - sin * y) / cell) - corner[0]
-        row = math.floor((pose[1] + sin * x + cos * y) / cell) - corner[1]
-        if 0 <= row < side and 0 <= column < side and stamps[row, column] != stamp:
-            stamps[row, column] = stamp
-            _add(values, box, row, column, -int(rules[2]), limit)
-    for beam in range(len(beams)):
-        reading = float(ranges[beam])
-        if not reading > beams[beam, 4]:
-            continue
-        for step in range(math.floor(reading / (0.5 * cell))):
-            along = step * (0.5 * cell)
-            x, y = beams[beam, 0] + along * beams[beam, 2], beams[beam, 1] + along * beams[beam, 3]
-            column = math.floor((pose[0] + cos * x - sin * y) / cell) - corner[0]
-            row = math.floor((pose[1] + sin * x + cos * y) / cell) - corner[1]
-            if 0 <= row < side and 0 <= column < side and stamps[row, column] != stamp:
-                stamps[row, column] = stamp
-                _add(values, box, row, column, int(rules[1]), limit)
-    for point in range(len(_BODY)):
-        column = math.floor((pose[0] + radius * _BODY[point, 0]) / cell) - corner[0]
-        row = math.floor((pose[1] + radius * _BODY[point, 1]) / cell) - corner[1]
-        if 0 <= row < side and 0 <= column < side and stamps[row, column] != stamp:
-            stamps[row, column] = stamp
-            _add(values, box, row, column, int(rules[1]), limit)
-
-
-@compiled
-def _add(values: NDArray[np.int8], box: IntArray, row: int, column: int, amount: int, limit: int) -> None:
-    value = min(max(values[row, column] + amount, -limit), limit)
-    # 0 is kept for cells about which nothing is known.
-    values[row, column] = value if value != 0 else (1 if amount > 0 else -1)
-    box[0], box[1] = min(box[0], row), max(box[1], row + 1)
-    box[2], box[3] = min(box[2], column), max(box[3], column + 1)
+    side = len(values)
+    cells = touched_cells(pose, ranges, measured, beams, radius, rules[0])
+    for i in range(len(cells)):
+        row, column = cells[i, 0] - corner[1], cells[i, 1] - corner[0]
+        if 0 <= row < side and 0 <= column < side:
+            cells[i, 0], cells[i, 1] = row, column
+            box[0], box[1] = min(box[0], row), max(box[1], row + 1)
+            box[2], box[3] = min(box[2], column), max(box[3], column + 1)
+        else:
+            cells[i, 0], cells[i, 1], cells[i, 2] = 0, 0, SKIPPED
+    change_cells(values, cells, stamps, stamp, int(rules[1]), int(rules[2]), int(rules[3]))
 
 
 @compiled
@@ -121,7 +100,7 @@ def note_touch(
         reading = float(ranges[beam])
         ages[place, beam] = -1
         if reading <= beams[beam, 4]:
-            reading = _TOUCHING * beams[beam, 4]
+            reading = TOUCHING * beams[beam, 4]
             ages[place, beam] = slot + TOUCH
         elif reading < beams[beam, 5]:
             ages[place, beam] = slot + MEMORY
@@ -141,9 +120,9 @@ def soften(
     radius: float,
 ) -> float:
     """The speed (m/s) that there is room for when ``speed`` and ``turn`` (rad/s) are wanted."""
-    heading = pose[2] + 0.5 * turn * _LOOK_AHEAD
-    way_x, way_y = speed * _LOOK_AHEAD * math.cos(heading), speed * _LOOK_AHEAD * math.sin(heading)
-    for share in _SHARES:
+    heading = pose[2] + 0.5 * turn * LOOK_AHEAD
+    way_x, way_y = speed * LOOK_AHEAD * math.cos(heading), speed * LOOK_AHEAD * math.sin(heading)
+    for share in _STOPPING_SHARES:
         is_clear = True
         for place in range(len(points)):
             for beam in range(points.shape[1]):
@@ -151,9 +130,9 @@ def soften(
                     continue
                 x, y = points[place, beam, 0] - pose[0], points[place, beam, 1] - pose[1]
                 before = math.hypot(x, y)
-                if before <= radius - _GHOST:
+                if before <= radius - GHOST:
                     continue
-                if math.hypot(x - share * way_x, y - share * way_y) < min(before, radius + _MARGIN):
+                if math.hypot(x - share * way_x, y - share * way_y) < min(before, radius + MARGIN):
                     is_clear = False
                     break
             if not is_clear:
@@ -189,7 +168,7 @@ def frontier_steps(
                     r, c = row + down, column + right
                     if 0 <= r < side and 0 <= c < side and values[r, c] < 0:
                         is_tight = True
-            tolls[row, column] = TIGHT_TOLL if is_tight else FREE_TOLL
+            tolls[row, column] = TIGHT_COST if is_tight else FREE_COST
             if is_tight or not _is_frontier(values, row, column):
                 continue
             steps[row, column] = 0
@@ -278,7 +257,7 @@ def look(
             gain = min(max((here - best) * half / radii[polar // directions], -1.0), 1.0)
         view[polar], view[size + polar], view[2 * size + polar] = unknown / 6.0, occupied / 6.0, gain
     has_way = here < _FAR_AWAY
-    view[-2] = min(here * half / _FAR, 1.0) if has_way else 1.0
+    view[-2] = min(here * half / FAR, 1.0) if has_way else 1.0
     view[-1] = 1.0 if has_way else 0.0
 
 
@@ -299,16 +278,17 @@ def take_in(
     radius: float,
     rules: FloatArray,
 ) -> None:
-    """Grids and bumpers of the robots ``which`` (n,) take in a step's readings (n, n_beams) at poses (n, 3).
+    """Grids and collision guards of the robots ``which`` (n,) take in a step's readings (n, n_beams) at poses (n, 3).
 
-    ``stamps`` (side, side) is one scratch for all: robot i uses ``stamp + i``.
+    ``stamps`` (side, side) is scratch that all robots share: robot i uses ``stamp + i``.
     """
+    measured = np.ones(ranges.shape[1], dtype=np.bool_)
     for robot in range(len(poses)):
         if which[robot]:
             slots[robot] += 1
             mark_grid(
                 values[robot], corners[robot], boxes[robot], stamps, stamp + robot, poses[robot], ranges[robot],
-                beams, radius, rules,
+                measured, beams, radius, rules,
             )  # fmt: skip
             note_touch(points[robot], ages[robot], slots[robot], poses[robot], ranges[robot], beams)
 

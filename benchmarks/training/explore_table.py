@@ -12,7 +12,7 @@ from benchmarks.analysis.figure_style import BAND, COLOURS, DASHES, INK, legend_
 from benchmarks.analysis.series import read_series
 from benchmarks.analysis.statistics import Estimate, median, medians
 from benchmarks.suite.store import Row, read_rows
-from limslam_agent.output.atomic_write import whole_file
+from limslam_agent.output.atomic_write import atomic_write
 from limslam_env.geometry import FloatArray
 
 LABELS = {
@@ -168,5 +168,5 @@ def draw_curves(curves: Mapping[str, Curves], path: Path) -> None:
     )
     plain_axes(axes)
     legend_below(figure, handles, 2)
-    with whole_file(path) as beside:
+    with atomic_write(path) as beside:
         figure.savefig(beside, dpi=110)

@@ -22,7 +22,7 @@ from benchmarks.suite.train_config import Phase, Pose, TrainConfig
 from benchmarks.training.direction_policy import DirectionPolicy
 from benchmarks.training.explore_env import ExploreConfig, ExploreVectorEnv
 from benchmarks.training.explore_trial import Trial, times_to
-from limslam_agent.output.atomic_write import whole_file
+from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.policies.learned.learned import TEMPERATURE
 from limslam_agent.policies.learned.network import DirectionNetwork, save_network
 from limslam_env.config import RewardConfig
@@ -174,7 +174,7 @@ class _Keeper(BaseCallback):
         self._note()
         policy = self.model.policy
         held = {"policy": policy.state_dict(), "optimizer": policy.optimizer.state_dict(), **asdict(self._progress)}
-        with whole_file(self._folder / CHECKPOINT) as beside:
+        with atomic_write(self._folder / CHECKPOINT) as beside:
             torch.save(held, beside)
 
     def _note(self) -> None:

@@ -19,9 +19,9 @@ def show(
         typer.Option(help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none"),
     ] = None,
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Open a finished run: what came of it, its map, and its errors over time."""
+    """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.finished_run import PICTURE, read_run
     from limslam_agent.output.summary import replay_summary, run_summary
 
@@ -54,15 +54,15 @@ def true_edges(run: "FinishedRun") -> "FloatArray | None":
 
 
 def write_picture(path: Path, run: "FinishedRun", lines: list[str], edges: "FloatArray | None") -> None:
-    """Draw a run into a file, which appears when it is whole."""
+    """Draw a run into a file, which appears only when it is complete."""
     from matplotlib.figure import Figure
 
-    from limslam_agent.output.atomic_write import whole_file
+    from limslam_agent.output.atomic_write import atomic_write
     from limslam_agent.output.run_picture import SIZE, draw_run
 
     figure = Figure(figsize=SIZE, layout="constrained")
     draw_run(figure, run, lines, edges)
-    with whole_file(path) as beside:
+    with atomic_write(path) as beside:
         figure.savefig(beside, dpi=150, facecolor="white")
 
 
@@ -106,4 +106,4 @@ def _check_target(path: Path, *, force: bool) -> None:
     if path.is_dir():
         raise ValueError(f"{path}: is a folder")
     if path.exists() and not force:
-        raise ValueError(f"{path}: is there already; --force replaces it")
+        raise ValueError(f"{path}: already exists; --force replaces it")

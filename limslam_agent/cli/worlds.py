@@ -8,7 +8,7 @@ import typer
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
 
-worlds = typer.Typer(name="worlds", help="The shipped worlds, and yours: list, check, convert.")
+worlds = typer.Typer(name="worlds", help="List the shipped worlds; check and convert world files.")
 
 # The grid that is searched grows as the robot shrinks.
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 0.02, 10.0
@@ -40,9 +40,9 @@ def list_worlds(
 @worlds.command()
 def check(
     world: Annotated[str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")],
-    radius: Annotated[float, typer.Option(help="Radius of the robot that shall live there, m.")] = 0.10,
+    radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
 ) -> None:
-    """Say whether a robot can live in a world, and why not."""
+    """Check whether a robot can be used in a world, and show the reason if it cannot."""
     from limslam_env.worlds.formats.loading import load_world
 
     if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
@@ -62,24 +62,24 @@ def convert(
     source: Annotated[str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")],
     target: Annotated[Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")],
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a world in another format."""
     from limslam_env.worlds.formats.loading import load_world
-    from limslam_env.worlds.formats.writers import write_world
+    from limslam_env.worlds.formats.writing import write_world
 
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
     in_the_way = [file for file in files if file.exists()]
     if in_the_way and not force:
-        raise ValueError(f"{in_the_way[0]}: is there already; --force replaces it")
+        raise ValueError(f"{in_the_way[0]}: already exists; --force replaces it")
     write_world(load_world(source), target)
     typer.echo(f"world       {target}")
 
 
 def reachable_area(world: "World", radius: float) -> float:
-    """Floor (m^2) that the body of a robot of ``radius`` (m) can come over from the world's starts.
+    """Floor (m^2) that the body of a robot of ``radius`` (m) can cover from the world's starts.
 
-    Where there are none: in its largest closed region.
+    A world without starts is measured in its largest closed region.
     """
     import numpy as np
     from scipy import ndimage

@@ -1,31 +1,46 @@
-"""Parts of the method that can be left out, to see what they are worth."""
+"""Ablations: settings with one part of the method switched off, which shows what that part contributes."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.presets import AgentConfig, EstimatorConfig
+from limslam_agent.config.published import PublishedConfig
 
 NO_GATE = 1e6
-"""A gap, m, that no end points have. A finite one, since settings are written as JSON."""
+"""A gap that is longer than any gap between end points, m. It is finite, since settings are written as JSON."""
 
-ABLATIONS = ("no-ekf", "no-loop-closing", "no-end-gate", "only-best-line")
+
+def _without_loop_closing(config: ConsistentConfig) -> ConsistentConfig:
+    return replace(config, merging=replace(config.merging, enabled=False))
+
+
+_PUBLISHED: dict[str, Callable[[PublishedConfig], PublishedConfig]] = {
+    "no-ekf": lambda config: replace(config, filter=replace(config.filter, correct=False)),
+    "no-loop-closing": lambda config: replace(config, closing=replace(config.closing, enabled=False)),
+    "no-end-gate": lambda config: replace(config, association=replace(config.association, max_end_gap=NO_GATE)),
+    "only-best-line": lambda config: replace(config, hough=replace(config.hough, only_best=True)),
+}
+
+ABLATIONS = tuple(_PUBLISHED)
 
 
 def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
-    """Settings with one part of the method left out.
+    """Settings with one part of the method switched off.
 
     Raises
     ------
     ValueError
-        If there is no such part, or the estimator has no such part.
+        If there is no such ablation, or the estimator has no such part.
     """
-    if config.estimator != "published" and ablation in set(ABLATIONS) - {"no-loop-closing"}:
-        raise ValueError(f"{ablation} leaves out a part of the published method: it goes with the preset paper")
-    if ablation == "no-ekf":
-        return replace(config, filter=replace(config.filter, correct=False))
+    if ablation not in ABLATIONS:
+        raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
+    return replace(config, estimator=_ablated(config.estimator, ablation))
+
+
+def _ablated(estimator: EstimatorConfig, ablation: str) -> EstimatorConfig:
+    if isinstance(estimator, PublishedConfig):
+        return _PUBLISHED[ablation](estimator)
     if ablation == "no-loop-closing":
-        return replace(config, closing=replace(config.closing, enabled=False))
-    if ablation == "no-end-gate":
-        return replace(config, association=replace(config.association, max_end_gap=NO_GATE))
-    if ablation == "only-best-line":
-        return replace(config, hough=replace(config.hough, only_best=True))
-    raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
+        return _without_loop_closing(estimator)
+    raise ValueError(f"{ablation} switches off a part of the published method: it needs the preset paper")

@@ -1,67 +1,234 @@
-"""Settings of the consistent estimator. All are ours, tuned on seeds that are not reported; m and rad."""
+"""Settings of the consistent estimator, one frozen dataclass for each stage.
+
+All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
+"""
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
-from limslam_agent.config.published import HoughConfig
+from limslam_agent.config.bounds import Angle, Bounded, Bounds, Count, CountOrNone, NonNegative
+from limslam_agent.config.shared import HoughConfig
 from limslam_env.geometry import FloatArray
 
-_NOISY = 0.01  # m, std of a range
+_NOISY_STD = 0.01  # m, standard deviation of a range
+
+_StdShare = Annotated[float, Bounds(0.0, 0.999)]
 
 
 @dataclass(frozen=True)
-class StraightConfig:
-    """When readings about one line are no straight wall (consistent estimator). All ours.
+class PendingReadingsConfig(Bounded):
+    """Which readings are collected, and how long each of them waits for an association.
+
+    A pending reading is kept beside a clone of the pose that it was measured from.
+
+    Attributes
+    ----------
+    min_distance, min_turn
+        No new readings are collected before the robot has driven or turned this far, m and rad.
+    beams
+        At most this many beams of a side are used in a step.
+    batch
+        Number of new readings of a side at which lines are extracted from its pending readings.
+    wall_end
+        Distance driven without a hit after which a wall has ended, m.
+    complete_after
+        A piece of wall is complete when the robot has driven this far since the piece's last reading, m.
+    max_age
+        A reading that has been pending for this long, m driven, is discarded.
+    max_clones
+        Largest number of cloned poses in the filter's state.
+    """
+
+    min_distance: NonNegative = 0.01
+    min_turn: NonNegative = math.radians(1.0)
+    beams: Count = 8
+    batch: Count = 12
+    wall_end: NonNegative = 0.25
+    complete_after: NonNegative = 0.15
+    max_age: NonNegative = 1.5
+    max_clones: Count = 70
+
+
+@dataclass(frozen=True)
+class SegmentationConfig(Bounded):
+    """When the readings on one extracted line are not one straight wall.
 
     Attributes
     ----------
     kink_gate, min_kink
-        Chi-square (one degree of freedom) gained by a kink, and the least angle of one, rad.
+        Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad.
     curve_gate
-        Chi-square (three degrees of freedom) gained by a smooth curve.
+        Least gain in chi-square (three degrees of freedom) of a smooth curve.
     end_zone, end_gate
-        Points within this far of an end, m, are another wall's if it gains so much chi-square to have them aside.
+        Points within ``end_zone`` of an end, m, belong to another wall if chi-square falls by more than ``end_gate``
+        without them.
+    gap_ahead
+        Largest hole between the points of the beams ahead that still belong to one wall, m. It replaces the
+        ``max_gap`` of the Hough transform for these beams, which meet a wall at places far apart.
     """
 
-    kink_gate: float = 12.0
-    min_kink: float = math.radians(8.0)
-    curve_gate: float = 14.0
-    end_zone: float = 0.10
-    end_gate: float = 6.0
+    kink_gate: NonNegative = 12.0
+    min_kink: Angle = math.radians(8.0)
+    curve_gate: NonNegative = 14.0
+    end_zone: NonNegative = 0.10
+    end_gate: NonNegative = 6.0
+    gap_ahead: NonNegative = 0.9
 
 
 @dataclass(frozen=True)
-class SelfCalibrationConfig:
-    """What is known of the odometry's constant errors before they are estimated (consistent estimator). All ours.
+class WallAssociationConfig(Bounded):
+    """When the readings of one straight piece of wall belong to a known landmark.
+
+    Attributes
+    ----------
+    max_end_gap, max_angle, max_offset
+        Landmarks farther away than this are not considered: the gap along the wall, m, the difference of direction,
+        rad, and the offset across the wall, m. The angle and the offset also limit the merging of two landmarks.
+    gate
+        Largest chi-square (two degrees of freedom) of the difference between the readings and a landmark.
+    far_gate
+        Readings with a chi-square between ``gate`` and ``far_gate`` stay pending: they neither update the landmark
+        nor create one.
+    ambiguity
+        Readings are discarded if the chi-square of a second landmark within ``gate`` is larger by less than this.
+    """
+
+    max_end_gap: NonNegative = 0.35
+    max_angle: Angle = math.radians(20.0)
+    max_offset: NonNegative = 0.5
+    gate: NonNegative = 9.0
+    far_gate: NonNegative = 25.0
+    ambiguity: NonNegative = 9.0
+
+
+@dataclass(frozen=True)
+class UpdateConfig(Bounded):
+    """When and how the readings of a piece of wall update a known landmark.
+
+    Attributes
+    ----------
+    min_length
+        Shorter pieces update nothing, m.
+    residual_sigmas
+        Largest chi-square of the residuals about the best line, in standard deviations of its distribution.
+    end_slack
+        Readings up to this far beyond a landmark's known ends count as inside, m.
+    beyond_length, beyond_gate, beyond_angle_std
+        If most readings lie beyond the known ends, the piece must be at least this long, m, its chi-square at most
+        this large, and the standard deviation of its direction at most this large, rad.
+    huber
+        Residuals of more standard deviations than this are weighted down (Huber's weights).
+    iterations
+        Iterations of the iterated update.
+    """
+
+    min_length: NonNegative = 0.15
+    residual_sigmas: NonNegative = 3.0
+    end_slack: NonNegative = 0.05
+    beyond_length: NonNegative = 0.20
+    beyond_gate: NonNegative = 9.0
+    beyond_angle_std: Angle = math.radians(4.0)
+    huber: NonNegative = 1.5
+    iterations: Count = 2
+
+
+@dataclass(frozen=True)
+class CreationConfig(Bounded):
+    """When the readings of a piece of wall create a landmark.
+
+    Attributes
+    ----------
+    min_length, min_length_noisy
+        Least length of the piece, m, for ranges with a standard deviation below 1 cm, and for other ranges.
+    min_length_complete
+        Least length of a piece that is complete, m: no more readings of it will come.
+    readings_per_std
+        Least number of readings for each metre of the ranges' standard deviation.
+    max_angle_std
+        Largest standard deviation of the piece's direction, rad.
+    iterations
+        Iterations of the first update.
+    """
+
+    min_length: NonNegative = 0.7
+    min_length_noisy: NonNegative = 1.0
+    min_length_complete: NonNegative = 0.25
+    readings_per_std: NonNegative = 500.0
+    max_angle_std: Angle = math.radians(3.0)
+    iterations: Count = 4
+
+
+@dataclass(frozen=True)
+class ExtentConfig(Bounded):
+    """Between which places a landmark is a wall, and when it is drawn.
+
+    Attributes
+    ----------
+    through_sigmas, through_slack
+        A beam has passed through a landmark's line if the beam is longer than the distance to the line by this many
+        standard deviations and by this length, m.
+    max_gap
+        Longest stretch without readings that is drawn as wall, m.
+    through_tolerance
+        Largest number of beams that passed for each beam that hit, where a wall is drawn.
+    min_readings, min_length
+        A landmark is drawn if it has this many readings and its piece of wall is this long, m.
+    """
+
+    through_sigmas: NonNegative = 3.0
+    through_slack: NonNegative = 0.05
+    max_gap: NonNegative = 0.30
+    through_tolerance: NonNegative = 1.0
+    min_readings: CountOrNone = 10
+    min_length: NonNegative = 0.20
+
+
+@dataclass(frozen=True)
+class MergingConfig(Bounded):
+    """When two landmarks are one wall and are merged, which closes a loop.
 
     Attributes
     ----------
     enabled
-        Whether the sizes of wheels and axle are part of the state.
+        False is the ablation without loop closing.
+    gate
+        Largest chi-square (two degrees of freedom) of the difference of the two landmarks.
+    min_overlap
+        Least length of wall that both landmarks cover, m.
+    """
+
+    enabled: bool = True
+    gate: NonNegative = 16.0
+    min_overlap: NonNegative = 0.15
+
+
+@dataclass(frozen=True)
+class SelfCalibrationConfig(Bounded):
+    """The prior of the constant errors of the odometry, which the filter can estimate.
+
+    Attributes
+    ----------
+    enabled
+        Whether the sizes of the wheels and of the axle are part of the filter's state.
     size_std
-        Of both wheels together, as a share.
+        Standard deviation of the size of both wheels together, as a share.
     uneven_std
-        Of the right wheel beside the left, as a share.
+        Standard deviation of the difference between the two wheels, as a share.
     axle_std
-        Of the axle, as a share.
+        Standard deviation of the length of the axle, as a share.
     """
 
     enabled: bool = False
-    size_std: float = 0.03
-    uneven_std: float = 0.01
-    axle_std: float = 0.03
-
-    def __post_init__(self) -> None:
-        for name in ("size_std", "uneven_std", "axle_std"):
-            if not 0.0 <= getattr(self, name) < 1.0:
-                raise ValueError(f"{name} must be a share from 0 to 1, not {getattr(self, name)}")
+    size_std: _StdShare = 0.03
+    uneven_std: _StdShare = 0.01
+    axle_std: _StdShare = 0.03
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the left and right wheel's and the axle's factors (3, 3)."""
+        """Covariance of the scale errors of left wheel, right wheel and axle (3, 3)."""
         both, half = self.size_std**2, 0.25 * self.uneven_std**2
         covariance = np.diag([both + half, both + half, self.axle_std**2])
         covariance[[0, 1], [1, 0]] = both - half
@@ -69,100 +236,43 @@ class SelfCalibrationConfig:
 
 
 @dataclass(frozen=True)
-class CloneConfig:
-    """The consistent estimator: readings wait until it is clear which wall they show. All ours.
+class ConsistentConfig:
+    """Settings of the consistent estimator, one group for each stage.
 
     Attributes
     ----------
-    batch
-        New readings of a side after which it looks for lines.
-    max_age
-        Readings that have waited for this long, m driven, are given up.
-    max_clones
-        More are not kept.
-    wall_end
-        Distance driven without a hit after which a wall has ended.
-    passed
-        A piece of wall of which nothing was seen for this far, m driven, is complete.
-    new_length, new_length_noisy
-        Least length of a new landmark, for exact ranges and for noisy ones (std of 1 cm or more), m.
-    new_length_complete
-        The same for a complete piece.
-    new_readings
-        Least number of readings of a new landmark for each metre of the ranges' standard deviation.
-    max_angle_std
-        Of a new landmark, rad.
-    gate
-        Largest chi-square (two degrees of freedom) by which readings may disagree with a landmark.
-    far_gate
-        Readings between the two gates are neither of the landmark nor of a new one.
-    left_sigmas
-        Of what is left unexplained, in standard deviations of its chi-square.
-    ambiguity
-        Readings that a second landmark explains as well but for this chi-square are left out.
-    min_length
-        Shorter pieces are not used, m.
-    end_slack, beyond_length, beyond_gate, beyond_angle_std
-        Readings mostly more than ``end_slack`` beyond a landmark's known ends must be so long a piece, fit this well,
-        and have a direction known this well.
-    max_end_gap, max_angle, max_offset
-        Limits for readings and a landmark, and for two landmarks, before anything is computed: m, rad, m.
-    huber
-        Standard deviations beyond which a reading counts less.
-    iterations, first_iterations
-        Of the iterated update, for a known landmark and a new one.
-    one_wall_gate, min_overlap
-        Two landmarks are one wall below this chi-square, if they share so much of it, m.
-    through_sigmas, through_slack
-        A beam has gone through a wall if it went on for so many standard deviations and so far beyond it.
-    max_gap, through_tolerance
-        What is drawn as one piece: holes that nobody looked at, m, and beams that passed for each one that hit.
-    shown_readings, shown_length
-        A landmark is a wall of the map if it was read this often and is so long, m.
-    beams
-        At most so many beams of a side are used in a step.
-    gap_ahead
-        Hole between points of the beams ahead that may be one wall, m.
+    pending
+        Which readings are collected, and how long they are pending.
+    hough
+        Extraction of lines from the pending readings of a side.
+    segmentation
+        Division of the readings on a line into straight pieces of wall.
+    association
+        When a piece belongs to a known landmark.
+    update
+        How a piece updates a landmark.
+    creation
+        When a piece creates a landmark.
+    extents
+        Between which places a landmark is a wall.
+    merging
+        When two landmarks are merged.
+    self_calibration
+        Estimation of the odometry's constant errors.
     """
 
-    batch: int = 12
-    max_age: float = 1.5
-    max_clones: int = 70
-    wall_end: float = 0.25
-    passed: float = 0.15
-    new_length: float = 0.7
-    new_length_noisy: float = 1.0
-    new_length_complete: float = 0.25
-    new_readings: float = 500.0
-    max_angle_std: float = math.radians(3.0)
-    gate: float = 9.0
-    far_gate: float = 25.0
-    left_sigmas: float = 3.0
-    ambiguity: float = 9.0
-    min_length: float = 0.15
-    end_slack: float = 0.05
-    beyond_length: float = 0.20
-    beyond_gate: float = 9.0
-    beyond_angle_std: float = math.radians(4.0)
-    max_end_gap: float = 0.35
-    max_angle: float = math.radians(20.0)
-    max_offset: float = 0.5
-    huber: float = 1.5
-    iterations: int = 2
-    first_iterations: int = 4
-    one_wall_gate: float = 16.0
-    min_overlap: float = 0.15
-    through_sigmas: float = 3.0
-    through_slack: float = 0.05
-    max_gap: float = 0.30
-    through_tolerance: float = 1.0
-    shown_readings: int = 10
-    shown_length: float = 0.20
-    beams: int = 8
-    gap_ahead: float = 0.9
+    pending: PendingReadingsConfig = field(default_factory=PendingReadingsConfig)
     hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.15))
-    straight: StraightConfig = field(default_factory=StraightConfig)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    association: WallAssociationConfig = field(default_factory=WallAssociationConfig)
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+    creation: CreationConfig = field(default_factory=CreationConfig)
+    extents: ExtentConfig = field(default_factory=ExtentConfig)
+    merging: MergingConfig = field(default_factory=MergingConfig)
+    self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
 
     def for_ranges(self, std: float) -> Self:
-        """These settings with the length that ranges of a standard deviation (m) ask for."""
-        return self if std < _NOISY else replace(self, new_length=self.new_length_noisy)
+        """These settings with the least length of a new landmark for ranges of a standard deviation (m)."""
+        if std < _NOISY_STD:
+            return self
+        return replace(self, creation=replace(self.creation, min_length=self.creation.min_length_noisy))

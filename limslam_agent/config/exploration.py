@@ -1,100 +1,108 @@
-"""Settings of exploration and of teams: m, m/s and rad."""
+"""Settings of exploration, of the occupancy grid and of teams. The unit is m, m/s or rad.
+
+The word "ours" marks a choice of this project.
+"""
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, NonNegative, Positive
 
 
 @dataclass(frozen=True)
-class TeamConfig:
-    """Several robots: beams that may have hit another one, and who looks again.
+class TeamConfig(Bounded):
+    """Several robots: which beams may have hit a teammate, and when a robot that had finished explores again.
 
     Attributes
     ----------
     sigmas
-        How many standard deviations of the other's believed place are allowed for. Ours.
+        A beam is dropped if it may have hit a teammate whose pose errs by this many standard deviations. Ours.
     slack
-        What is added to that. Ours: the published filter is surer of itself than it should be.
+        Length that is added to that distance, m. Ours: the covariance of the published filter is too small.
     news
-        A robot that had nothing left to do looks again when the others have found more cells than this. Ours.
+        A robot that had finished looks for frontiers again when its teammates have discovered more cells than
+        this. Ours.
     """
 
-    sigmas: float = 3.0
-    slack: float = 0.05
-    news: int = 50
+    sigmas: NonNegative = 3.0
+    slack: NonNegative = 0.05
+    news: CountOrNone = 50
 
 
 @dataclass(frozen=True)
-class GridConfig:
-    """The low-resolution occupancy grid.
+class GridConfig(Bounded):
+    """The low-resolution occupancy grid. All ours.
 
     Attributes
     ----------
     cell
-        Side of a cell. Ours.
+        Side of a cell, m.
     seen_through, hit
-        What a beam adds to the cells that it crosses, and takes off the cell in which it ends. Ours.
+        What a beam adds to the cells that it crosses, and what it subtracts from the cell in which it ends.
     limit
-        Values stay within plus and minus this. Ours.
+        A cell's value stays between minus and plus this.
     """
 
-    cell: float = 0.10
-    seen_through: int = 1
-    hit: int = 4
-    limit: int = 20
+    cell: Positive = 0.10
+    seen_through: CountOrNone = 1
+    hit: CountOrNone = 4
+    limit: Annotated[int, Bounds(1, 10_000)] = 20
 
 
 @dataclass(frozen=True)
-class PolicyConfig:
-    """Where to go and how to get there. All ours.
+class PolicyConfig(Bounded):
+    """Exploration: which frontier the robot drives to, and how it drives there. All ours.
 
     Attributes
     ----------
     speed
-        Cruising speed while exploring, m/s: slower means more points a metre, and better lines.
+        Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
     lap_speed
         Cruising speed on laps, m/s.
     turn_rate
         Fastest turn, rad/s.
     lookahead
-        Distance of the point on the path that is steered for.
+        Distance ahead, on the path, of the point that the robot steers for, m.
     clearance
-        Distance that the planner keeps between the robot's rim and occupied cells if it can.
+        Distance that the planner keeps between the robot's rim and occupied cells where there is enough space, m.
     margin
-        Distance that it keeps unless there is no other way.
+        Distance that it keeps unless there is no other path, m.
     stop_distance
-        Free distance ahead of the rim below which the robot only turns.
+        Free distance ahead of the rim below which the robot only turns, m.
     min_frontier
-        Cells; smaller frontiers are mostly gaps between beams.
+        Least number of cells of a frontier: smaller ones are mostly gaps between beams.
     min_last_frontier
-        Cells; the smallest frontiers that are gone to when no others are left. Across a corridor of twice
-        the robot's width lie but two.
+        Least number of cells of a frontier when no larger frontiers are left. A corridor that is twice as wide as
+        the robot has a frontier of two cells.
     view_distance
-        A frontier cell counts as reached when the way to it is this short.
+        A frontier cell counts as reached when the path to it is this short, m.
     far_view_distance, small_frontier
-        A frontier of no more than so many cells is looked at from this far, where nothing stands between.
+        A frontier of at most ``small_frontier`` cells counts as reached from ``far_view_distance``, m, if nothing
+        stands between the robot and the frontier.
     replan_period
-        Steps between two plans.
+        Number of steps between two plans.
     patience
-        Steps that the robot stands in front of something before it tries something else. Without getting nearer or
-        seeing anything new it goes on for three times as long.
+        Number of steps for which the robot waits in front of an obstacle before it tries another way. Three times as
+        many steps without progress end the approach of a goal.
     back_steps
-        Steps that it then drives back.
+        Number of steps for which the robot then drives backwards.
     aside_steps
-        Steps for which a goal that could not be reached is left alone.
+        Number of steps for which a goal that could not be reached is ignored.
     """
 
-    speed: float = 0.20
-    lap_speed: float = 0.25
-    turn_rate: float = 2.0
-    lookahead: float = 0.25
-    clearance: float = 0.15
-    margin: float = 0.05
-    stop_distance: float = 0.06
-    min_frontier: int = 3
-    min_last_frontier: int = 2
-    view_distance: float = 0.35
-    far_view_distance: float = 1.0
-    small_frontier: int = 6
-    replan_period: int = 5
-    patience: int = 30
-    back_steps: int = 8
-    aside_steps: int = 300
+    speed: Positive = 0.20
+    lap_speed: Positive = 0.25
+    turn_rate: Annotated[float, Bounds(0.01, 100.0)] = 2.0
+    lookahead: NonNegative = 0.25
+    clearance: NonNegative = 0.15
+    margin: NonNegative = 0.05
+    stop_distance: NonNegative = 0.06
+    min_frontier: Count = 3
+    min_last_frontier: Count = 2
+    view_distance: NonNegative = 0.35
+    far_view_distance: NonNegative = 1.0
+    small_frontier: CountOrNone = 6
+    replan_period: Count = 5
+    patience: Count = 30
+    back_steps: CountOrNone = 8
+    aside_steps: CountOrNone = 300

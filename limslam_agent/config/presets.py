@@ -1,96 +1,113 @@
-"""Settings of the agent, one frozen dataclass a stage, and the presets that put them together."""
+"""Settings of the agent, and the presets: named settings that the command line knows."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from limslam_agent.config.consistent import CloneConfig, SelfCalibrationConfig, StraightConfig
+from limslam_agent.config.bounds import Bounded, NonNegative
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
-from limslam_agent.config.published import (
-    AssociationConfig,
-    BufferConfig,
-    FilterConfig,
-    HoughConfig,
-    LoopClosingConfig,
-    MapConfig,
-    OdometryConfig,
-)
+from limslam_agent.config.published import FilterConfig, PublishedConfig
+from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_env.interface import NominalNoise
 
 __all__ = [
+    "ESTIMATORS",
     "PRESETS",
     "AgentConfig",
-    "AssociationConfig",
-    "BufferConfig",
-    "CloneConfig",
-    "FilterConfig",
+    "ConsistentConfig",
+    "EstimatorConfig",
     "GridConfig",
     "HoughConfig",
-    "LoopClosingConfig",
-    "MapConfig",
     "OdometryConfig",
     "PolicyConfig",
-    "SelfCalibrationConfig",
-    "StraightConfig",
+    "PublishedConfig",
     "TeamConfig",
     "preset",
+    "self_calibrating",
 ]
+
+EstimatorConfig = PublishedConfig | ConsistentConfig
+"""Settings of an estimator. Their type says which estimator is used."""
+
+ESTIMATORS: dict[str, EstimatorConfig] = {
+    "consistent": ConsistentConfig(),
+    "paper": PublishedConfig(),
+    "odometry": PublishedConfig(filter=FilterConfig(correct=False)),
+}
+"""The estimator's settings in each preset."""
+
+PRESETS = tuple(ESTIMATORS)
 
 
 @dataclass(frozen=True)
-class AgentConfig:
-    """Everything that an agent is told, besides its robot.
+class AgentConfig(Bounded):
+    """Everything that an agent is told, besides its robot. ``AgentConfig()`` is the preset ``consistent``.
 
     Attributes
     ----------
     preset
-        Name of the preset that these settings began as.
+        Name of the preset that these settings started from.
     estimator
-        ``published`` or ``consistent``: how readings become a map.
+        Settings of the estimator, which turns readings into a map. Their type chooses the estimator:
+        `PublishedConfig` or `ConsistentConfig`.
     noise
-        Nominal noise of the robot, as its builder knows it.
+        Nominal noise of the robot, as its data sheets give it.
+    min_range_std
+        Least standard deviation of a range that any estimator assumes, m: a sensor quantises its ranges.
+    odometry
+        Noise and bias of the odometry of a recorded log.
+    team
+        How several robots share their observations.
+    grid
+        The occupancy grid.
+    policy
+        Exploration.
     """
 
-    preset: str = "paper"
-    estimator: str = "published"
+    preset: str = "consistent"
+    estimator: EstimatorConfig = field(default_factory=ConsistentConfig)
     noise: NominalNoise = field(default_factory=NominalNoise)
+    min_range_std: NonNegative = 0.005
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    buffer: BufferConfig = field(default_factory=BufferConfig)
-    hough: HoughConfig = field(default_factory=HoughConfig)
-    association: AssociationConfig = field(default_factory=AssociationConfig)
-    closing: LoopClosingConfig = field(default_factory=LoopClosingConfig)
-    filter: FilterConfig = field(default_factory=FilterConfig)
-    map: MapConfig = field(default_factory=MapConfig)
     team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
-    clones: CloneConfig = field(default_factory=CloneConfig)
-    self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
-
-    def __post_init__(self) -> None:
-        if self.self_calibration.enabled and self.estimator != "consistent":
-            raise ValueError("only the consistent estimator can calibrate odometry by itself")
 
     @property
     def range_std(self) -> float:
-        """Standard deviation that a range is credited with, m."""
-        return max(self.noise.range_std, self.filter.min_range_std)
-
-
-PRESETS = ("consistent", "paper", "odometry")
+        """Standard deviation of a range that the estimator assumes, m."""
+        return max(self.noise.range_std, self.min_range_std)
 
 
 def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     """The settings of a preset.
+
+    Parameters
+    ----------
+    name
+        One of ``PRESETS``: ``consistent``, ``paper`` (the published method) or ``odometry`` (the published method
+        without corrections).
+    noise
+        Nominal noise of the robot; that of ideal ranges when None.
 
     Raises
     ------
     ValueError
         If there is no such preset.
     """
-    if name not in PRESETS:
+    if name not in ESTIMATORS:
         raise ValueError(f"no preset is called {name!r}; there are {', '.join(PRESETS)}")
-    return AgentConfig(
-        preset=name,
-        estimator="consistent" if name == "consistent" else "published",
-        noise=noise or NominalNoise(),
-        filter=FilterConfig(correct=name != "odometry"),
-    )
+    return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise())
+
+
+def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:
+    """The same settings, with an estimator that does, or does not, estimate the constant errors of the odometry.
+
+    Raises
+    ------
+    ValueError
+        If the estimator cannot do that.
+    """
+    if not isinstance(config.estimator, ConsistentConfig):
+        raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
+    calibration = replace(config.estimator.self_calibration, enabled=enabled)
+    return replace(config, estimator=replace(config.estimator, self_calibration=calibration))

@@ -1,126 +1,74 @@
-"""Settings of the stages that the paper has: one frozen dataclass a stage.
+"""Settings of the published method: the estimator of the paper, which the preset ``paper`` selects.
 
-The paper gives hardly a number; where a comment says "ours", the choice is this project's, tuned on seeds that are not
-reported. Lengths are in metres, angles in radians unless a name says degrees.
+The preset ``odometry`` is the same estimator with its corrections switched off. "Published" names the method and its
+code, and "paper" names only that preset. The paper gives hardly any numbers. The word "ours" marks a choice of this
+project, tuned on seeds that are not reported. Lengths are in metres, and angles are in radians.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative
+from limslam_agent.config.shared import HoughConfig
 
 
 @dataclass(frozen=True)
-class OdometryConfig:
-    """The motion of a log that holds odometry poses instead of wheel travel.
-
-    Attributes
-    ----------
-    distance_variance
-        Variance of the travelled distance, m^2 per metre.
-    turn_variance_per_metre
-        Variance of the heading, rad^2 per metre driven.
-    turn_variance_per_radian
-        Variance of the heading, rad^2 per radian turned.
-    turn_bias
-        True minus reported heading for each metre driven, rad per metre.
-    distance_scale
-        True distance over reported distance.
-    """
-
-    distance_variance: float = 0.05**2
-    turn_variance_per_metre: float = math.radians(0.8) ** 2
-    turn_variance_per_radian: float = math.radians(4.0) ** 2
-    turn_bias: float = 0.0
-    distance_scale: float = 1.0
-
-
-@dataclass(frozen=True)
-class BufferConfig:
-    """The pseudo-dense scans.
+class BufferConfig(Bounded):
+    """The scan buffers, which turn a few beams into a pseudo-dense scan.
 
     Attributes
     ----------
     size
-        Points at which a buffer is handed on. Ours.
+        Number of points at which a buffer is full and its lines are extracted. Ours.
     min_distance, min_turn
-        A side takes no new points before the robot has driven or turned this far. Ours: points
-        measured while standing still say nothing new about a line.
+        A side takes no new points before the robot has driven or turned this far, m and rad: points that are
+        measured while the robot stands still add nothing to a line. Ours.
     max_gap
-        Distance driven without a measurement after which the wall has ended: what is in the
-        buffer is handed on and the next measurement begins a new wall. Ours.
+        Distance driven without a measurement after which the wall has ended, m. The lines of the buffer are then
+        extracted, and the next measurement begins a new wall. Ours.
     """
 
-    size: int = 30
-    min_distance: float = 0.01
-    min_turn: float = math.radians(1.0)
-    max_gap: float = 0.25
+    size: Count = 30
+    min_distance: NonNegative = 0.01
+    min_turn: NonNegative = math.radians(1.0)
+    max_gap: NonNegative = 0.25
 
 
 @dataclass(frozen=True)
-class HoughConfig:
-    """Lines in a buffer of points.
-
-    Attributes
-    ----------
-    theta_step
-        Angle bins. Ours.
-    r_step
-        Distance bins; never finer than three standard deviations of the ranges, because the
-        votes of one wall would split. Ours.
-    min_votes
-        The threshold: *every* line with this many votes is taken, not only the best. Ours.
-    max_offset
-        Points this far from a line belong to it, or 2.5 standard deviations if that is more. Ours.
-    max_gap
-        A hole in a line's points that makes two pieces of it. Ours.
-    min_length
-        Shorter pieces are no walls. Ours.
-    only_best
-        Ablation: take only the line with the most votes.
-    """
-
-    theta_step: float = math.radians(2.0)
-    r_step: float = 0.02
-    min_votes: int = 8
-    max_offset: float = 0.03
-    max_gap: float = 0.30
-    min_length: float = 0.25
-    only_best: bool = False
-
-
-@dataclass(frozen=True)
-class AssociationConfig:
-    """When an observed line is a landmark that is known already.
+class AssociationConfig(Bounded):
+    """When an observed line is a known landmark.
 
     Attributes
     ----------
     gate
-        Largest squared Mahalanobis distance. Ours: wider than chi-square's, because the published filter is
-        surer of itself than it should be.
+        Largest squared Mahalanobis distance. Ours: it is wider than the quantile of chi-square, because the
+        covariance of the published filter is too small.
     max_end_gap
-        Largest distance along the wall between the observation and the landmark's end points. Ours: a little
-        more than the gap that ends a wall in the buffer. `ablations` leaves this gate out.
+        Largest distance along the wall between the observation and the end points of the landmark, m. Ours: a little
+        more than the gap that ends a wall in the buffer. An ablation removes this gate.
     max_angle, max_distance
-        Largest difference of direction, and distance of the observation's middle from the line. Ours.
+        Largest difference of direction, rad, and largest distance of the observation's middle from the line, m. Ours.
     range_slack
-        How far past its sensors' range a landmark may lie and still count as seen. Ours.
+        A landmark counts as visible up to this far past the range of the sensors, m. Ours.
     min_new_length
-        An observation that is no known landmark becomes a new one when it is at least this long. Ours:
-        the direction of a short stretch is poorly known, and everything later leans on it.
+        An observation of no known landmark becomes a new landmark if it is at least this long, m. Ours: the direction
+        of a short segment is poorly known, and later observations are associated with it.
     min_new_share
-        The same as a share of the sensors' reach: those who see farther take their points farther apart. Ours.
+        The same length as a share of the sensors' reach, because points are farther apart at long range. The larger
+        of the two lengths applies. Ours.
     """
 
-    gate: float = 16.0
-    max_end_gap: float = 0.35
-    max_angle: float = math.radians(15.0)
-    max_distance: float = 0.35
-    range_slack: float = 0.25
-    min_new_length: float = 0.30
-    min_new_share: float = 0.14
+    gate: NonNegative = 16.0
+    max_end_gap: NonNegative = 0.35
+    max_angle: Angle = math.radians(15.0)
+    max_distance: NonNegative = 0.35
+    range_slack: NonNegative = 0.25
+    min_new_length: NonNegative = 0.30
+    min_new_share: NonNegative = 0.14
 
 
 @dataclass(frozen=True)
-class LoopClosingConfig:
+class LoopClosingConfig(Bounded):
     """When the two landmarks nearest to an observation are one wall.
 
     Attributes
@@ -128,56 +76,82 @@ class LoopClosingConfig:
     enabled
         False is the ablation without loop closing.
     gate
-        Largest squared Mahalanobis distance between the two. Ours.
+        Largest squared Mahalanobis distance between the two landmarks. Ours.
     min_overlap
-        They must share at least this length of wall. Ours: two walls on one line with a door between them
-        share none.
+        Least length of wall that both landmarks cover, m. Ours: two walls on one line with a door between them
+        have no overlap.
     max_angle, max_distance
-        Largest difference of direction, and distance of the younger's middle from the older's line. Ours.
+        Largest difference of direction, rad, and largest distance of the newer landmark's middle from the older
+        landmark's line, m. Ours.
     floor_distance, floor_angle
-        Least standard deviations that the difference of two landmarks is credited with, m and rad. Ours.
+        Least standard deviations of the difference of two landmarks, m and rad. Ours.
     """
 
     enabled: bool = True
-    gate: float = 12.0
-    min_overlap: float = 0.20
-    max_angle: float = math.radians(15.0)
-    max_distance: float = 0.35
-    floor_distance: float = 0.01
-    floor_angle: float = math.radians(0.5)
+    gate: NonNegative = 12.0
+    min_overlap: NonNegative = 0.20
+    max_angle: Angle = math.radians(15.0)
+    max_distance: NonNegative = 0.35
+    floor_distance: NonNegative = 0.01
+    floor_angle: Angle = math.radians(0.5)
 
 
 @dataclass(frozen=True)
-class MapConfig:
-    """When a landmark is a wall of the map. Until then it is provisional: used, but not shown.
+class MapConfig(Bounded):
+    """When a landmark is a wall of the map. Until then it is provisional: the filter uses it, but no map shows it.
 
     Attributes
     ----------
     min_observations
-        Observed lines that it must be made of. Ours.
+        Least number of observed lines of the landmark. Ours.
     min_length
-        Its least length. Ours.
+        Least length of the landmark, m. Ours.
     """
 
-    min_observations: int = 2
-    min_length: float = 0.30
+    min_observations: CountOrNone = 2
+    min_length: NonNegative = 0.30
 
 
 @dataclass(frozen=True)
-class FilterConfig:
+class FilterConfig(Bounded):
     """The extended Kalman filter.
 
     Attributes
     ----------
-    min_range_std
-        Least standard deviation that a range is credited with, m; quantities are never exact.
     drift_share
-        Besides its fit's covariance, an observed line is credited in angle with this share of the variance that
-        odometry's heading has gathered since its points were measured. Ours; 0 is the fit alone.
+        The angle variance of an observed line is that of its fit plus this share of the variance that the
+        odometry's heading has accumulated since the points were measured. Ours; 0 uses the fit alone.
     correct
         False is the ablation without a filter: lines are drawn at the odometry's poses.
     """
 
-    min_range_std: float = 0.005
-    drift_share: float = 1.0
+    drift_share: NonNegative = 1.0
     correct: bool = True
+
+
+@dataclass(frozen=True)
+class PublishedConfig:
+    """Settings of the published method, one group for each stage.
+
+    Attributes
+    ----------
+    buffer
+        The scan buffers.
+    hough
+        Extraction of lines from a full buffer.
+    association
+        When an observed line is a known landmark.
+    closing
+        Loop closing.
+    map
+        When a landmark is drawn.
+    filter
+        The extended Kalman filter.
+    """
+
+    buffer: BufferConfig = field(default_factory=BufferConfig)
+    hough: HoughConfig = field(default_factory=HoughConfig)
+    association: AssociationConfig = field(default_factory=AssociationConfig)
+    closing: LoopClosingConfig = field(default_factory=LoopClosingConfig)
+    map: MapConfig = field(default_factory=MapConfig)
+    filter: FilterConfig = field(default_factory=FilterConfig)

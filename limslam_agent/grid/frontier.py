@@ -1,4 +1,7 @@
-"""Frontiers: where what is free meets what is unknown (Yamauchi 1997)."""
+"""Frontiers: free cells beside unknown ones.
+
+Source: B. Yamauchi, "A frontier-based approach for autonomous exploration", 1997.
+"""
 
 import numpy as np
 from scipy import ndimage
@@ -12,22 +15,22 @@ _ALL_AROUND = np.ones((3, 3), dtype=int)
 def frontier_cells(
     grid: GridView, min_size: int, ignored: BoolArray | None = None, *, close_gaps: bool = False, pocket: int = 1
 ) -> BoolArray:
-    """Free cells (rows, columns) with an unknown one beside them, in groups of at least ``min_size``.
+    """Free cells (rows, columns) beside an unknown cell, in groups of at least ``min_size``.
 
     Parameters
     ----------
     grid
         The map.
     min_size
-        Cells of the smallest group.
+        Least number of cells of a group.
     ignored
-        Cells that are no frontier; what they leave of a group counts by itself.
+        Cells (rows, columns) that are not frontiers. The remaining cells are grouped without them.
     close_gaps
-        Whether a single unknown cell between two occupied ones counts as wall: beams left it out.
+        Whether a single unknown cell between two occupied cells counts as wall, because it is only a gap between beams.
     pocket
-        Cells of the smallest unknown region that is worth a look.
+        Least number of cells of an unknown region that makes frontiers.
     """
-    # What lies past the grid's edge is unknown too.
+    # Cells beyond the grid's edge are unknown.
     unknown = np.pad(grid.unknown, 1, constant_values=True)
     if close_gaps:
         unknown &= ~_closed_walls(np.pad(grid.occupied, 1))
@@ -54,7 +57,7 @@ def group_places(grid: GridView, frontier: BoolArray) -> FloatArray:
 
 
 def sight_begins(grid: GridView, path: FloatArray, distance: float) -> int:
-    """From which place of a path (k, 2), m, on its end is seen over free cells, from ``distance`` (m) or less."""
+    """Index of the first point of a path (k, 2), m, whose end is visible from there within ``distance``, m."""
     away = np.hypot(*(path - path[-1]).T)
     shares = np.linspace(0.0, 1.0, 2 * int(distance / grid.cell) + 2)[:, None]
     place = len(path) - 1
@@ -87,6 +90,6 @@ def _without_small(cells: BoolArray, min_size: int) -> BoolArray:
     """The cells in groups, corners touching, of at least ``min_size``."""
     labels, _ = ndimage.label(cells, structure=_ALL_AROUND)
     keep = np.bincount(labels.ravel()) >= min_size
-    # The first is what is in no group.
+    # Label 0 is that of all other cells.
     keep[0] = False
     return np.asarray(keep[labels])

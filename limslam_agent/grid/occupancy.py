@@ -1,4 +1,4 @@
-"""A low-resolution occupancy grid that grows as far as the robot has seen."""
+"""A low-resolution occupancy grid that grows with the area that the robot has seen."""
 
 from dataclasses import dataclass
 
@@ -12,11 +12,15 @@ from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32
 _MAX_CELLS = 20_000
+_ANGLES = np.arange(8) * (np.pi / 4)
+
+BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))
+"""Points (9, 2) of the robot's body that are certainly free, in shares of its radius."""
 
 
 @dataclass(frozen=True, eq=False)
 class GridView:
-    """The grid at a moment; not to be written to.
+    """The grid at one moment, read-only.
 
     Attributes
     ----------
@@ -34,21 +38,21 @@ class GridView:
 
     @property
     def free(self) -> BoolArray:
-        """Cells through which more was seen than was seen in them."""
+        """Cells that more beams crossed than ended in, weighted (rows, columns)."""
         return np.asarray(self.values > 0)
 
     @property
     def occupied(self) -> BoolArray:
-        """Cells in which something was seen."""
+        """Cells in which more beams ended than crossed them, weighted (rows, columns)."""
         return np.asarray(self.values < 0)
 
     @property
     def unknown(self) -> BoolArray:
-        """Cells about which nothing is known."""
+        """Cells that no beam has touched (rows, columns)."""
         return np.asarray(self.values == 0)
 
     def cells(self, points: FloatArray) -> IntArray:
-        """(row, column) of the cells that points (n, 2) lie in; may be outside the grid."""
+        """Cells (n, 2) as (row, column) in which points (n, 2), m, lie. They may be outside the grid."""
         return np.floor((points - self.low) / self.cell).astype(np.int64)[:, ::-1]
 
     def centres(self, cells: IntArray) -> FloatArray:
@@ -57,28 +61,49 @@ class GridView:
 
 
 class OccupancyGrid:
-    """The grid of one map.
+    """The occupancy grid of one map.
 
-    A cell's value goes up when a beam passes through it and down when one ends in it, as
-    published, so that single wrong readings are outvoted.
+    A cell's value increases when a beam crosses the cell, and decreases when a beam ends in it, as in the published
+    method, so that single wrong readings have little effect. Each cell changes once a step, however many beams touch
+    it. ``slam.batch.grid`` is the compiled counterpart.
+
+    Parameters
+    ----------
+    config
+        Side of a cell, and by how much values change.
     """
 
     def __init__(self, config: GridConfig) -> None:
         self._config = config
-        # Cells are counted from the world's origin; what is known lies within the two corners.
+        # Cells are counted from the world's origin. The known cells lie between the two corners.
         self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
         self._values = np.zeros((0, 0), dtype=np.int16)
 
     @property
     def view(self) -> GridView:
-        """The grid as it is now, as far as anything is known."""
+        """The part of the grid in which cells are known."""
         (left, bottom), (right, top) = self._known_low - self._low, self._known_high - self._low
         values = self._values[bottom:top, left:right]
         values.setflags(write=False)
         return GridView(np.asarray(self._known_low * self._config.cell, dtype=np.float64), self._config.cell, values)
 
     def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
-        """Take in one step's readings (n_beams,), m, of which ``usable`` are new, from a believed pose (3,)."""
+        """Update the grid by one step's readings.
+
+        Parameters
+        ----------
+        pose
+            Estimated pose (3,), m, m, rad.
+        robot
+            Body and beams.
+        ranges, usable
+            Readings (n_beams,), m, and which of them are new.
+
+        Raises
+        ------
+        ValueError
+            If the map has become so large that the pose must be wrong.
+        """
         # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
         beams = np.nonzero(usable & (ranges > robot.too_near))[0]
         origins, directions = robot.beam_origins[beams], robot.beam_directions[beams]
@@ -86,7 +111,7 @@ class OccupancyGrid:
         length = ranges[beams]
         ends = transform_points(pose, origins + length[:, None] * directions)
         passed = transform_points(pose, self._samples(origins, directions, length))
-        body = pose[:2] + robot.radius * _BODY
+        body = pose[:2] + robot.radius * BODY
         self._reach(np.vstack((passed, ends, body)))
         ends_cells = self._indices(ends[hit])
         crossed = np.setdiff1d(self._indices(np.vstack((passed, body))), ends_cells)
@@ -108,11 +133,11 @@ class OccupancyGrid:
         flat = self._values.reshape(-1)
         limit = self._config.limit
         value = np.clip(flat[indices] + amount, -limit, limit)
-        # 0 is kept for cells about which nothing is known.
+        # The value 0 is reserved for unknown cells.
         flat[indices] = np.where(value == 0, np.sign(amount), value)
 
     def _reach(self, points: FloatArray) -> None:
-        """Let the grid cover points (n, 2), with some to spare so that it seldom has to grow."""
+        """Extend the grid to cover points (n, 2), m, with a margin so that it seldom has to grow."""
         low = np.floor(points.min(axis=0) / self._config.cell).astype(np.int64)
         high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
         rows, columns = self._values.shape
@@ -135,7 +160,3 @@ class OccupancyGrid:
         column, row = old_low - new_low
         grown[row : row + rows, column : column + columns] = self._values
         self._low, self._values = new_low, grown
-
-
-_ANGLES = np.arange(8) * (np.pi / 4)
-_BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))

@@ -1,4 +1,4 @@
-"""Dijkstra on the occupancy grid: what it costs to get anywhere, and the way there."""
+"""Shortest paths on the occupancy grid by Dijkstra's algorithm."""
 
 import functools
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 _TIGHT = 20.0
 # A step in each of these directions, its length in cells; the slots 7 to 4 hold the same steps backwards.
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
-# No way is this long. Steps of infinite cost are left out of a search with any limit, and of no other.
+# No path is this long. SciPy ignores steps of infinite cost only if a search has a limit.
 _ANYWHERE = 1e15
 _WIDER = 2.5
 
 
 @dataclass(frozen=True, eq=False)
 class Routes:
-    """Least-cost ways from one cell to all others.
+    """Least-cost paths from one cell to all others.
 
     Attributes
     ----------
     cost
-        (rows, columns), m, more near walls; infinite where the robot cannot get.
+        Cost of the path to each cell (rows, columns), m, increased near walls; infinite for unreachable cells.
     predecessors
-        For each cell, by flat index, the one before it on its way; negative for none.
+        Flat index of the cell before each cell on its path (rows * columns,); negative for none.
     """
 
     cost: FloatArray
@@ -56,24 +56,24 @@ def routes(
     targets: BoolArray | None = None,
     closed: BoolArray | None = None,
 ) -> Routes:
-    """Dijkstra (1959) from a place (2,), m, over free cells.
+    """Least-cost paths from a place (2,), m, over free cells (E. Dijkstra, "A note on two problems", 1959).
 
     Parameters
     ----------
     grid
         The map.
     start
-        Where the robot is. Its cell counts as free: it is there.
+        Position of the robot (2,), m. Its cell counts as free.
     radius
-        Distance from occupied cells within which a step costs many times as much, m. It is not forbidden:
-        cells are coarse, and a passage that looks too narrow may be the only one.
+        Distance from occupied cells within which a step costs many times as much, m. Such steps are not forbidden,
+        because cells are coarse, and a passage that looks too narrow may be the only one.
     comfort
         Further distance within which a step costs up to three times as much, m.
     targets
-        Cells (rows, columns) of interest. With them the search ends when the cheapest one is found: what costs
-        more than that one may then be left at infinity.
+        Cells (rows, columns) of interest. If given, the search ends when the cheapest of them is found, and the cost
+        of cells that are more expensive may be infinite.
     closed
-        Cells (rows, columns) that are not to be driven over though they are free.
+        Free cells (rows, columns) that paths must not cross.
     """
     row, column = (int(index) for index in grid.cells(start[None])[0])
     open_cells = grid.free if closed is None else grid.free & ~closed
@@ -82,8 +82,8 @@ def routes(
         return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1))
     open_cells[row, column] = True
     distance = wall_distance(grid)
-    toll = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0) + _TIGHT * (distance < radius)
-    graph = _graph(open_cells, toll * grid.cell)
+    factor = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0) + _TIGHT * (distance < radius)
+    graph = _graph(open_cells, factor * grid.cell)
     cost, predecessors = _search(graph, row * columns + column, targets, grid)
     return Routes(cost.reshape(rows, columns), predecessors)
 
@@ -97,17 +97,17 @@ def wall_distance(grid: GridView) -> FloatArray:
     return np.asarray((cells.astype(float) - 0.5) * grid.cell)
 
 
-def _graph(open_cells: BoolArray, toll: FloatArray) -> "sparse.csr_array[Any, Any]":
-    """Each cell's steps to its eight neighbours; those that cannot be taken have infinite cost."""
+def _graph(open_cells: BoolArray, factor: FloatArray) -> "sparse.csr_array[Any, Any]":
+    """Costs of the steps from each cell to its eight neighbours; infinite for steps that are not possible."""
     rows, columns = open_cells.shape
-    price = np.where(open_cells, toll, np.inf)
+    price = np.where(open_cells, factor, np.inf)
     weights = np.full((rows, columns, 8), np.inf)
     for slot, (down, right, length) in enumerate(_STEPS):
         here = (slice(0, rows - down), slice(max(-right, 0), columns - max(right, 0)))
         there = (slice(down, rows), slice(max(right, 0), columns - max(-right, 0)))
         step = 0.5 * length * (price[here] + price[there])
         if down and right:
-            # No cutting of corners: between two occupied cells that touch, the wall goes on.
+            # A diagonal step must not pass between two occupied cells: they may be one wall.
             step[~(open_cells[here[0], there[1]] & open_cells[there[0], here[1]])] = np.inf
         weights[(*here, slot)] = step
         weights[(*there, 7 - slot)] = step
@@ -117,7 +117,7 @@ def _graph(open_cells: BoolArray, toll: FloatArray) -> "sparse.csr_array[Any, An
 
 @functools.lru_cache(maxsize=4)
 def _neighbours(rows: int, columns: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Columns and row pointers of a grid's graph, for grids of one size; past the edge stands any cell."""
+    """Columns and row pointers of the graph of a grid. Neighbours beyond the edge are replaced by any cell."""
     ahead = np.array([down * columns + right for down, right, _ in _STEPS])
     offsets = np.concatenate((ahead, -ahead[::-1]))
     size = rows * columns
@@ -128,7 +128,7 @@ def _neighbours(rows: int, columns: int) -> tuple[NDArray[np.int32], NDArray[np.
 def _search(
     graph: "sparse.csr_array[Any, Any]", start: int, targets: BoolArray | None, grid: GridView
 ) -> tuple[FloatArray, IntArray]:
-    """Costs and predecessors by flat index. Wider and wider round the start, until a target is found."""
+    """Costs and predecessors by flat index, searched within a growing distance until a target is found."""
     wanted = np.zeros(0, dtype=np.int64) if targets is None else np.flatnonzero(targets)
     limit = _ANYWHERE
     if wanted.size:

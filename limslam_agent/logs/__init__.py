@@ -1,1 +1,1 @@
-"""Recorded logs: CARMEN, CSV, npz and ROS bags, and known relations between poses."""
+"""Readers of recorded logs. ``log_reader.read_log`` opens every supported format."""

@@ -1,6 +1,6 @@
-"""CARMEN logs, with a few beams chosen out of the laser's: a sparse robot out of a rich one.
+"""Reads CARMEN logs and keeps a few beams of the laser, so that a robot with many beams becomes a sparse robot.
 
-The lines that count are, with the odometry as the *second* pose of a scan::
+These lines are used. The odometry is the *second* pose of a scan::
 
     FLASER n r_1 .. r_n  x y theta  odom_x odom_y odom_theta  ipc_time host logger_time
     ODOM x y theta tv rv accel  ipc_time host logger_time
@@ -17,41 +17,41 @@ from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, num
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
 
-# SICK lasers, which most of these logs were taken with, code "no return" and errors as their topmost readings: 8183 to
-# 8191 counts of 1 mm or 1 cm, by their setting.
+# Most of these logs come from SICK lasers. Their largest readings, 8183 to 8191 counts of 1 mm or 1 cm, are codes for
+# "no return" and for errors.
 _SICK_TOP_COUNTS = (8183.0, 8191.5)
 _SICK_UNITS = (0.001, 0.01)
 
 _SCAN_TAIL = 9
 _ODOM_FIELDS = 10
-# Where the laser's pose strays from a fixed place on the odometry's by more than this (m, rad), it is not where the
-# laser is mounted but what a mapper made of the log.
+# If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the mount of the laser but
+# the result of a mapping program.
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
 def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
-    """Read a CARMEN log, plain or gzip, keeping the beams nearest to the given angles.
+    """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
     Parameters
     ----------
     path
-        The log. Lines other than ODOM and FLASER are skipped; scans have 180, 181, 360 or 361 beams over 180 degrees.
+        The log. Lines other than ODOM and FLASER are skipped. Scans have 180, 181, 360 or 361 beams over 180 degrees.
     beams_deg
-        Beam angles in degrees, 0 ahead, left positive.
+        Beam angles, deg, 0 is ahead and left is positive.
     max_range
-        Longest reading that the sparse robot is given, m; a longer one is "nothing seen".
+        Longest reading of the sparse robot, m; a longer one counts as "nothing seen".
 
     Returns
     -------
     RecordedLog
-        One event a line, in the order of the file, at the lines' ``ipc_time``. The frame of the estimate is the robot's
-        first pose: where odometry began counting means nothing, and may be far away.
+        One event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is the
+        robot's first pose, because the origin of odometry is arbitrary and may be far away.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, holds something that is not a finite number where one is used, has
-        no scan or no odometry, or has no beam within 1 degree of a given angle.
+        If the file cannot be read, is cut short, has something other than a finite number where one is needed, has no
+        scan or no odometry, or has no beam within 1 degree of a given angle.
     """
     try:
         check_max_range(max_range)
@@ -67,9 +67,9 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
     if not events.time:
-        raise LogError(f"{fspath(path)}: has no odometry: not one ODOM or FLASER line")
+        raise LogError(f"{fspath(path)}: has no odometry: there is no ODOM or FLASER line")
     if not events.ranges:
-        raise LogError(f"{fspath(path)}: has no scan: not one FLASER line")
+        raise LogError(f"{fspath(path)}: has no scan: there is no FLASER line")
     try:
         return _as_log(events, max_range)
     except ValueError as error:
@@ -77,14 +77,14 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
 
 
 def beam_angles_deg(count: int) -> FloatArray:
-    """Directions (deg) of a scan's beams, (count,), from the right at -90 towards the left.
+    """Directions of a scan's beams (count,), deg, from -90 on the right to the left.
 
-    Even counts leave the last place, at +90, out.
+    A scan with an even count has no beam at +90.
 
     Raises
     ------
     ValueError
-        If the layout of so many beams is not known.
+        If the layout of this number of beams is unknown.
     """
     if count not in (180, 181, 360, 361):
         raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")
@@ -92,7 +92,7 @@ def beam_angles_deg(count: int) -> FloatArray:
 
 
 class _Events:
-    """The numbers that are kept of the lines read so far, packed, since a log may have millions of lines."""
+    """The numbers of the lines read so far, in packed arrays, because a log may have millions of lines."""
 
     def __init__(self, beams_deg: Sequence[float]) -> None:
         self.beams_deg = beams_deg
@@ -105,7 +105,7 @@ class _Events:
         self.has_scan = bytearray()
 
     def add(self, fields: list[bytes], *, cut: bool) -> None:
-        """Take in one line, split; ``cut`` says that the file ends within it."""
+        """Process one line, split into fields. ``cut`` says that the file ends within the line."""
         kind = fields[0] if fields else b""
         if kind == b"FLASER":
             self._add_scan(fields)
@@ -142,7 +142,7 @@ class _Events:
         self.has_scan.append(has_scan)
 
     def _beams_in(self, fields: list[bytes]) -> int:
-        """The line's number of beams; the first scan decides which of them are used."""
+        """Number of beams in a line. The first scan decides which beams are used."""
         text = fields[1] if len(fields) > 1 else b""
         if not text.isdigit():
             raise ValueError("FLASER is not followed by the number of beams")
@@ -155,7 +155,7 @@ class _Events:
         return count
 
     def _refuse_scan(self, fields: list[bytes], count: int) -> None:
-        """Say what is wrong with a scan that has not the right number of fields."""
+        """Raise an error that says what is wrong with a scan whose number of fields is wrong."""
         tail = fields[2 + count :]
         stamped = len(tail) in (3, 6) and not _is_number(tail[-2])
         bare = len(fields) >= 2 + count and not tail
@@ -185,7 +185,9 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
 
 
 def _as_readings(ranges: FloatArray, max_range: float) -> FloatArray:
-    """Ranges (k, n_beams) in m with all that mean "nothing seen" at ``max_range``, the unreliable at ``MIN_RANGE``."""
+    """Ranges (k, n_beams), m. ``max_range`` for readings that mean "nothing seen", ``MIN_RANGE`` for unreliable
+    ones.
+    """
     seen = np.where(ranges >= max_range, max_range, ranges)
     for unit in _SICK_UNITS:
         lowest, highest = _SICK_TOP_COUNTS[0] * unit, _SICK_TOP_COUNTS[1] * unit
@@ -195,14 +197,14 @@ def _as_readings(ranges: FloatArray, max_range: float) -> FloatArray:
 
 
 def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:
-    """The laser's pose (3,) on the robot, out of both poses (k, 3) of every scan; zeros where there is no fixed one."""
+    """Pose (3,) of the laser on the robot, from both poses (k, 3) of every scan. Zero if it is not fixed."""
     offsets = se2.between(odometry, laser)
-    # Mean angles only make sense near to each other: count them from the first one.
+    # A median of angles needs angles that are near to each other, so they are counted from the first angle.
     offsets[:, 2] = offsets[0, 2] + se2.wrap_angle(offsets[:, 2] - offsets[0, 2])
     mount = np.median(offsets, axis=0)
     if np.any(np.percentile(np.abs(offsets - mount), 90, axis=0) > _STEADY):
         return np.zeros(3)
-    # The log has six decimals; anything beyond is rounding. Adding zero turns -0.0 into 0.0.
+    # The log has six decimals, so further digits are rounding errors. Adding zero turns -0.0 into 0.0.
     return np.array([*np.round(mount[:2], 6), se2.wrap_angle(float(np.round(mount[2], 6)))]) + 0.0
 
 

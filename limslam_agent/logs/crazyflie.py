@@ -1,7 +1,7 @@
-"""Bags of a Crazyflie drone whose log blocks were recorded as plain arrays, without a message type of ROS.
+"""Reads bags of a Crazyflie drone whose log blocks were recorded as plain arrays, without a ROS message type.
 
-The topics' names spell out what is in them: ``state_ranger_qxyzw`` is the ranger's right, front, left, back and up beam
-(m) and the attitude's quaternion, ``state_xyzv`` is the position (m) by dead reckoning and the velocity.
+The names of the topics describe their content. ``state_ranger_qxyzw`` holds the right, front, left, back and up range
+(m) and the quaternion of the attitude. ``state_xyzv`` holds the position (m) by dead reckoning and the velocity.
 """
 
 import math
@@ -15,21 +15,21 @@ from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import SensorSpec
 
 RANGER, POSITION = "state_ranger_qxyzw", "state_xyzv"
-# In the order of the array; the fifth looks up.
+# In the order of the array. The fifth beam looks up.
 _BEAMS_DEG = (-90.0, 0.0, 90.0, 180.0)
 _QUATERNION = slice(5, 9)
 
 
 @dataclass(frozen=True)
 class CrazyflieTopics:
-    """Where the two arrays are."""
+    """Names of the two topics with the arrays."""
 
     ranger: str
     position: str
 
 
 def find_topics(types: Mapping[str, str]) -> CrazyflieTopics | None:
-    """The two topics of one drone among a bag's; None where there is not exactly one drone."""
+    """The two topics of a drone among the topics of a bag. None unless there is exactly one drone."""
     found = [sorted(topic for topic in types if topic.rpartition("/")[2] == name) for name in (RANGER, POSITION)]
     if [len(topics) for topics in found] != [1, 1]:
         return None
@@ -37,21 +37,21 @@ def find_topics(types: Mapping[str, str]) -> CrazyflieTopics | None:
 
 
 def beams(max_range: float) -> list[SensorSpec]:
-    """The four level beams, usable up to ``max_range`` m."""
+    """The four horizontal beams, usable up to ``max_range``, m."""
     return [beam(math.radians(degrees), max_range) for degrees in _BEAMS_DEG]
 
 
 def ranges_of(message: Any, columns: IntArray) -> FloatArray:
-    """Readings (k,), m, of some of the beams."""
+    """Readings of some beams (k,), m."""
     readings: FloatArray = message.raw[columns].astype(float)
     return readings
 
 
 def position_of(message: Any) -> Sequence[float]:
-    """Position x, y in m."""
+    """Position x, y, m."""
     return [float(message.raw[0]), float(message.raw[1])]
 
 
 def heading_of(message: Any) -> Sequence[float]:
-    """Heading in rad."""
+    """Heading, rad."""
     return [yaw_of(message.raw[_QUATERNION])]

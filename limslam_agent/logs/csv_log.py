@@ -1,4 +1,4 @@
-"""Logs as plain text: a header that names the columns, then a row for every event.
+"""Reads logs in plain text: a header that names the columns, and a row for each event.
 
 ::
 
@@ -6,8 +6,8 @@
     0.0,0.000,0.000,0.00,1.20,,1.19
     0.1,0.031,0.000,0.01,1.21,nan,1.18
 
-``t`` in s, the pose in m and rad as odometry counted it, ranges in m from the place of that pose. Nothing between two
-commas, ``nan`` and ``inf`` say that a beam saw nothing. Columns may stand apart by spaces instead, and the header may
+``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. An empty field,
+``nan`` and ``inf`` mean that a beam saw nothing. Columns may also be separated by semicolons or spaces. The header may
 be a comment with a remark in brackets.
 """
 
@@ -24,7 +24,7 @@ from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, beam, check_max_range
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
 
 NO_SCAN = b"-"
-"""Stands in all range columns, or once instead of them, where an event brought odometry alone."""
+"""Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
 
 _LEADING = ({"t", "time", "stamp"}, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
 _RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
@@ -33,12 +33,12 @@ _MOST_BEAMS = 4096
 
 
 def is_csv(path: FilePath) -> bool:
-    """Whether a text, plain or gzip, begins with such a header.
+    """Whether a text file, plain or gzip, begins with such a header.
 
     Raises
     ------
     LogError
-        If the file cannot be read or is not text.
+        If the file cannot be read or is not a text file.
     """
     for _, line in numbered_lines(path):
         names = _names(line)[0]
@@ -48,27 +48,27 @@ def is_csv(path: FilePath) -> bool:
 
 
 def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
-    """Read a text with the header ``t,x,y,theta,r_<deg>,...``, plain or gzip.
+    """Read a text file with the header ``t,x,y,theta,r_<deg>,...``, plain or gzip.
 
     Parameters
     ----------
     path
         The log.
     beams_deg
-        Directions to choose out of its beams, deg; None takes all of up to 16 beams, and six of more.
+        Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
     max_range
-        Longest reading that is used, m; a longer one is "nothing seen".
+        Longest reading that is used, m; a longer one counts as "nothing seen".
 
     Returns
     -------
     RecordedLog
-        One event a row, in the order of the file.
+        One event for each row, in the order of the file.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, its header is another one, a row has other columns than the header
-        or holds something that is not a number, or there is no row with ranges.
+        If the file cannot be read, is cut short, has another header, has a row whose columns do not match the header or
+        that holds something other than numbers, or has no row with ranges.
     """
     rows = _Rows()
     for number, line in numbered_lines(path):
@@ -85,7 +85,7 @@ def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float
 
 
 class _Rows:
-    """The header, and the numbers of the rows read so far, packed."""
+    """The header, and the numbers of the rows read so far, in packed arrays."""
 
     def __init__(self) -> None:
         self.separator: bytes | None = None
@@ -95,7 +95,7 @@ class _Rows:
         self.has_scan = bytearray()
 
     def add(self, line: bytes) -> None:
-        """Take in one line; the first that is neither blank nor a remark is the header."""
+        """Process one line. The first line that is neither blank nor a remark is the header."""
         if not self.directions:
             names, self.separator = _names(line)
             self.directions = [] if not names or _is_remark(line, names) else _directions(names)
@@ -119,9 +119,9 @@ class _Rows:
     def log(self, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
         """The rows as a log."""
         if not self.directions:
-            raise ValueError("is empty: not even a header t,x,y,theta,r_<deg>,...")
+            raise ValueError("is empty: it has no header t,x,y,theta,r_<deg>,...")
         if not any(self.has_scan):
-            raise ValueError("holds no ranges: not one row of them")
+            raise ValueError("has no row with ranges")
         beams = [beam(math.radians(degrees), max_range) for degrees in self.directions]
         chosen = choose_beams(beams, beams_deg)
         moves = np.array(self.moves).reshape(-1, len(_LEADING))
@@ -131,7 +131,7 @@ class _Rows:
 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
-    """A header's column names in lower case, and what stands between them (None for spaces)."""
+    """Column names of a header in lower case, and the separator (None for spaces)."""
     text = line.decode("utf-8-sig", "replace").strip().lstrip("#").partition("(")[0].strip().lower()
     separator = next((mark for mark in (",", ";") if mark in text), None)
     names = [name.strip() for name in text.split(separator)]
@@ -147,7 +147,7 @@ def _begins_well(names: list[str]) -> bool:
 
 
 def _directions(names: list[str]) -> list[float]:
-    """Directions (deg) of the range columns."""
+    """Directions of the range columns, deg."""
     if not _begins_well(names):
         raise ValueError(f"the header must be t,x,y,theta,r_<deg>,..., not {','.join(names)[:60]!r}")
     directions: list[float] = []
@@ -167,7 +167,7 @@ def _directions(names: list[str]) -> list[float]:
 
 
 def _direction(name: str) -> float:
-    """Direction (deg) in a column's name: ``r_-45``, ``r[-45]`` or ``r_left``."""
+    """Direction in a column's name, deg: ``r_-45``, ``r[-45]`` or ``r_left``."""
     inner = _RANGE.fullmatch(name)
     if inner is None:
         raise ValueError(f"the column {name[:40]!r} is not a range: r_<deg>")
@@ -184,7 +184,7 @@ def _direction(name: str) -> float:
 
 
 def _between(before: list[float], after: list[str]) -> list[float]:
-    """The directions that ``...`` stands for: in the steps of the two before, up to the one after."""
+    """The directions that ``...`` stands for, in the step of the two directions before, up to the direction after."""
     if len(before) < 2 or len(after) != 1:
         raise ValueError("'...' must stand between two ranges and the last one")
     step, last = before[-1] - before[-2], _direction(after[0])
@@ -195,7 +195,7 @@ def _between(before: list[float], after: list[str]) -> list[float]:
 
 
 def _reading(field: bytes) -> float:
-    """A range in m, not a number where nothing was seen."""
+    """A range, m. NaN where nothing was seen."""
     if field.lower() in _NOTHING_SEEN:
         return math.nan
     value = parse_number(field, "a range")

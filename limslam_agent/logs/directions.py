@@ -1,4 +1,4 @@
-"""Which way a sensor points, out of what somebody called it."""
+"""Finds the direction of a sensor from its name."""
 
 import math
 import re
@@ -10,7 +10,7 @@ _WAYS = {
     -90.0: ("right", "r"),
 }
 _TOWARDS = {word: degrees for degrees, words in _WAYS.items() for word in words}
-# One letter says a direction only as a name's last word: "r_l" is one, "l_laser" is none.
+# A single letter is a direction only as the last word of a name: in "r_l", but not in "l_laser".
 _VERTICAL = {"up", "down", "top", "bottom", "ground", "floor", "ceiling", "cliff", "height", "altitude", "zrange"}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+(?:\.\d+)?")
 _SIGN = r"(?:([-+])|(?<![a-z0-9.])(m|minus_?|neg_?)?)"
@@ -18,12 +18,12 @@ _DEGREES = re.compile(_SIGN + r"(\d{1,3}(?:\.\d+)?)_?deg(?![a-z])", re.IGNORECAS
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name like ``/range/front_left`` or ``tofFrontLeft``, in lower case."""
+    """The words of a name such as ``/range/front_left`` or ``tofFrontLeft``, in lower case."""
     return [word.lower() for word in _WORD.findall(name)]
 
 
 def direction_of(name: str) -> float | None:
-    """Degrees, left positive, that a name speaks of: ``front_left`` is 45, ``range_m30deg`` is -30; None if of none."""
+    """Direction in a name, deg, left positive: ``front_left`` is 45, ``range_m30deg`` is -30. None if there is none."""
     number = _DEGREES.search(name)
     if number is not None:
         return -float(number[3]) if number[1] == "-" or number[2] else float(number[3])
@@ -31,12 +31,12 @@ def direction_of(name: str) -> float | None:
     named = {_TOWARDS[word] for place, word in enumerate(words) if word in _TOWARDS and _counts(words, place)}
     x = sum(math.cos(math.radians(degrees)) for degrees in named)
     y = sum(math.sin(math.radians(degrees)) for degrees in named)
-    # Opposite words cancel out and say nothing.
+    # Opposite words cancel each other out.
     return round(math.degrees(math.atan2(y, x)), 6) if math.hypot(x, y) > 0.5 else None
 
 
 def is_vertical(name: str) -> bool:
-    """Whether a name speaks of a sensor that looks up or down, which no map of walls can use."""
+    """Whether a name describes a sensor that looks up or down, which is useless for a map of walls."""
     return bool(_VERTICAL & set(words_of(name)))
 
 

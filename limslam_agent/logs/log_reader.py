@@ -1,4 +1,4 @@
-"""Opens any log that the project can replay."""
+"""Opens a recorded log of any supported format."""
 
 from collections.abc import Sequence
 from os import fspath
@@ -21,30 +21,35 @@ def read_log(
     max_range: float | None = None,
     topics: Topics | None = None,
 ) -> RecordedLog:
-    """Read the project's own ``log.npz``, a ROS bag, a table as text, or a CARMEN log, told apart by what they are.
+    """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a CARMEN log.
 
     Parameters
     ----------
     path
-        The log; a ROS 2 bag is a folder.
+        The log. A ROS 2 bag is a folder.
     beams_deg
-        Beam angles in degrees to choose out of the log's. None takes six of a CARMEN log's, and of others all if
-        they are no more than 16. Our own log has its beams.
+        Directions of the beams to keep, deg. None keeps six beams of a CARMEN log. Of other logs None keeps all beams
+        if there are at most 16. The beams of a ``log.npz`` are fixed.
     max_range
-        Longest reading in m that is used, 3 m when None. Our own log has its limits.
+        Longest reading that is used, m. 3 m by default. The ranges of a ``log.npz`` are fixed.
     topics
-        Topics of a bag, where they are not to be found by their types.
+        Topics of a bag, if they cannot be found by their types.
+
+    Returns
+    -------
+    RecordedLog
+        One event for each row, line or scan.
 
     Raises
     ------
     LogError
-        If the file cannot be used, or fixes what was to be chosen.
+        If the file cannot be used, or a choice does not apply to its format.
     """
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
     if is_bag(path):
         return read_ros(path, beams_deg, reach, topics)
     if topics:
-        raise LogError(f"{fspath(path)}: is no ROS bag, so no topics can be chosen")
+        raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
     if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or PurePath(path).suffix == ".npz":
         if beams_deg is not None or max_range is not None:
             chosen = "beams" if beams_deg is not None else "largest range"

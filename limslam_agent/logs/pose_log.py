@@ -1,4 +1,4 @@
-"""What the readers of texts and bags share: poses and readings become a log of a sparse robot."""
+"""Shared parts of the readers of text files and bags: poses and readings become the log of a sparse robot."""
 
 import math
 from collections.abc import Sequence
@@ -10,31 +10,33 @@ from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec
 
 MIN_RANGE = 0.02
-"""Shorter readings (m) are how lasers say "no reading", or dirt on the window."""
+"""Shorter readings (m) mean "no reading" or dirt on the window of a laser."""
 
 BODY_RADIUS = 0.2
-"""Radius (m) given to a robot whose log does not tell it."""
+"""Radius (m) of a robot whose log does not hold it."""
 
 WORST_BEAM_MISMATCH_DEG = 1.0
 
 DEFAULT_BEAMS_DEG = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
-"""Chosen out of a rich sensor's beams when nobody says which."""
+"""Beams that are chosen from a sensor with many beams by default."""
 
 DEFAULT_MAX_RANGE = 3.0
-"""Longest reading (m) that is used when nobody says otherwise."""
+"""Longest reading (m) that is used by default."""
 
 SPARSE_BEAMS = 16
-"""A robot of no more beams than this is sparse already: all of them are used."""
+"""A robot with at most this many beams is already sparse. All of its beams are used."""
 
 FARTHEST = 1e9
-"""Odometry farther out than this (m) is no odometry; maps of the whole Earth have coordinates of some 1e7 m."""
+"""Largest coordinate (m) of an odometry pose. Maps of the whole Earth have coordinates of about 1e7 m."""
 
 LARGEST_STEP_BACK = 1.0
-"""Times may step back by this much (s), as when two threads write one log; more is another run, or a set clock."""
+"""Times may step back by this much (s), for example if two threads write one log. A larger step means another run or a
+clock that was set.
+"""
 
 
 def beam(angle: float, max_range: float, *, x: float = 0.0, y: float = 0.0, min_range: float = 0.0) -> SensorSpec:
-    """A log's beam: from (x, y) m towards ``angle`` rad; what is nearer than ``MIN_RANGE`` is never measured."""
+    """A beam of a log from (x, y), m, in the direction ``angle``, rad. It measures nothing below ``MIN_RANGE``."""
     return SensorSpec(x, y, float(se2.wrap_angle(angle)), max(min_range, MIN_RANGE), max_range)
 
 
@@ -44,14 +46,14 @@ def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None)
     Parameters
     ----------
     beams
-        All that the log has.
+        All beams of the log.
     beams_deg
-        Directions wanted, in degrees. None takes all beams of a sparse robot, and six of any other.
+        Wanted directions, deg. None takes all beams of a sparse robot, and six beams of another robot.
 
     Raises
     ------
     ValueError
-        If none is wanted, no beam lies within 1 degree of a direction, or one beam is nearest to two of them.
+        If no direction is given, no beam lies within 1 degree of a direction, or one beam is nearest to two directions.
     """
     if beams_deg is None:
         if len(beams) <= SPARSE_BEAMS:
@@ -66,7 +68,7 @@ def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
     Raises
     ------
     ValueError
-        As :func:`choose_beams` does.
+        As for :func:`choose_beams`.
     """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
@@ -74,7 +76,7 @@ def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
     for wanted in beams_deg:
         index = _nearest(angles, wanted)
         if index in chosen:
-            # The same reading twice would count as two measurements.
+            # A reading that is used twice would count as two measurements.
             other = beams_deg[chosen.index(index)]
             raise ValueError(f"{other:g} deg and {wanted:g} deg are the same beam, at {angles[index]:g} deg")
         chosen.append(index)
@@ -89,30 +91,30 @@ def pose_log(
     Parameters
     ----------
     beams
-        The robot's.
+        Beams of the robot.
     time
-        (n,) s.
+        (n,), s.
     odometry
-        (n, 3) m, m, rad, any number of whole turns.
+        (n, 3), m, m, rad. Headings may include full turns.
     ranges
-        (n, n_beams) m; what is not a number or past a beam's maximum is "nothing seen", what is nearer than its
-        minimum (or negative, as some drivers say it) is "something may be near".
+        (n, n_beams), m. NaN and values above a beam's maximum mean "nothing seen". Values below the beam's minimum, and
+        the negative values of some drivers, mean "something may be near".
     has_scan
-        (n,) whether ranges were measured.
+        Whether ranges were measured (n,).
 
     Returns
     -------
     RecordedLog
-        The frame of the estimate is the robot's first pose, since where odometry began counting means nothing.
+        The frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary.
 
     Raises
     ------
     ValueError
-        If a number is not finite, or the odometry jumps or is nowhere on Earth.
+        If a number is not finite, or the odometry jumps or has impossible coordinates.
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
-        raise ValueError(f"the odometry in row {row} is no pose: {', '.join(f'{v:g}' for v in odometry[row])}")
+        raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
     largest, least = np.array([b.max_range for b in beams]), np.array([b.min_range for b in beams])
     seen = np.where(np.isnan(ranges), largest, np.clip(ranges, least, largest))
     seen[~has_scan] = largest
@@ -127,12 +129,12 @@ def pose_log(
 
 
 def check_max_range(max_range: float) -> None:
-    """Refuse a largest range that makes no sense.
+    """Refuse a largest range that is not a length above ``MIN_RANGE``.
 
     Raises
     ------
     ValueError
-        If it is not a length above ``MIN_RANGE``.
+        If it is not.
     """
     if not (math.isfinite(max_range) and max_range > MIN_RANGE):
         raise ValueError(f"the largest range must be above {MIN_RANGE} m, not {max_range}")
@@ -154,7 +156,7 @@ def _nearest(angles: FloatArray, wanted: float) -> int:
 
 
 def median_spacing(time: FloatArray) -> float:
-    """Median time (s) between two events; the default period where the log is too short to tell."""
+    """Median time between two events, s. The default control period for a log that is too short."""
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     return float(np.median(steps)) if len(steps) else RobotSpec().control_period

@@ -1,4 +1,4 @@
-"""What a robot has recorded, whatever it was recorded with, and the project's own ``log.npz``."""
+"""The common form of all recorded logs, and the reader of the project's own ``log.npz``."""
 
 import gzip
 import math
@@ -20,15 +20,15 @@ FilePath: TypeAlias = str | PathLike[str]
 
 GZIP_MAGIC = b"\x1f\x8b"
 ZIP_MAGIC = b"PK\x03\x04"
-# The longest CARMEN line known is some 4 kB; without a bound, one "line" of a binary file could fill the memory.
+# The longest known CARMEN line has about 4 kB. Without a limit, one "line" of a binary file could fill the memory.
 LONGEST_LINE = 1 << 20
 
-# m between two events; a robot that is said to have gone further was not measured there.
+# m between two events. A longer motion is an error of the log.
 LONGEST_JUMP = 50.0
 
 
 class LogError(ValueError):
-    """A file cannot be used; the message is one line, ``<file>: what and where``."""
+    """A file cannot be used. The message is one line, ``<file>: what and where``."""
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.splitlines()))
@@ -36,26 +36,26 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RecordedLog:
-    """A run as the robot recorded it, one row an event, in the order of the file.
+    """A run as the robot recorded it, with one row for each event, in the order of the file.
 
     Attributes
     ----------
     robot
-        The robot that the log stands for, with the beams that were chosen.
+        Description of the robot, with the beams that were chosen.
     time
-        (n,) s, the log's own times; they may step back a little.
+        Times of the log (n,), s. They may step back a little.
     ranges
-        (n, n_beams) float32, m, a beam's maximum where nothing was seen.
+        (n, n_beams) float32, m. A beam's maximum where nothing was seen.
     has_scan
-        (n,) bool; where False the event brought odometry alone and its ranges are the maxima.
+        (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
-        (3,) m, m, rad: where the robot was at the first event, in the frame that an estimate is to be given in.
+        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate.
     odometry
-        (n, 3) m, m, rad: absolute odometry poses in a frame of their own, or None.
+        Absolute odometry poses (n, 3), m, m, rad, in a frame of their own, or None.
     wheels
-        (n, 2) m: left and right wheel travel since the event before, or None. Exactly one of the two is given.
+        Left and right wheel travel since the previous event (n, 2), m, or None. A log has either odometry or wheels.
     true_pose
-        (n, 3) m, m, rad: where the robot truly was, for scoring only, or None.
+        True poses (n, 3), m, m, rad, for scoring only, or None.
 
     Raises
     ------
@@ -96,18 +96,18 @@ class RecordedLog:
             raise ValueError(f"ranges is negative in row {_first_row(self.ranges < 0.0)}")
 
     def __len__(self) -> int:
-        """The number of events."""
+        """Number of events."""
         return self.time.size
 
     def observations(self) -> Iterator[Observation]:
-        """What the robot was told at each event, in fresh arrays.
+        """The observation of each event, in new arrays.
 
         Yields
         ------
         Observation
-            ``ranges`` (n_beams,) float32 m with ``wheels`` (2,) float32 m, or with ``odometry`` (3,) float64: the
-            motion since the event before in the robot's frame then, zeros at the first event. An event
-            without a scan has no ``ranges``.
+            ``ranges`` (n_beams,) float32, m, with ``wheels`` (2,) float32, m, or with ``odometry`` (3,) float64. The
+            odometry is the motion since the previous event in the robot's frame at that event, and zero at the first
+            event. An event without a scan has no ``ranges``.
         """
         moves = None
         if self.odometry is not None:
@@ -125,27 +125,28 @@ class RecordedLog:
 
 
 def read_npz(path: FilePath) -> RecordedLog:
-    """Read the ``log.npz`` of a run's folder, one row a step, row 0 the observation at reset.
+    """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
 
     Parameters
     ----------
     path
-        A zip of ``time`` (n,) s, ``ranges`` (n, n_beams) m, ``wheels`` (n, 2) m, ``action`` (n, 2), ``true_pose``
-        (n, 3) after each step, ``wall_seen`` (n, n_beams), ``start_pose`` (3,), and ``robot``, the text of
-        :meth:`RobotSpec.to_json`. Pickled objects are refused.
+        A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
+        ``true_pose`` (n, 3) after each step, ``wall_seen`` (n, n_beams), ``start_pose`` (3,), and ``robot``, the text
+        of :meth:`RobotSpec.to_json`. Pickled objects are refused.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short or is no such zip; if an array is missing or misshapen, or holds
-        something that is not a finite number.
+        If the file cannot be read, is cut short or is not such a zip file; if an array is missing or has a wrong shape,
+        or holds something other than finite numbers.
     """
     arrays = _load_arrays(path)
     try:
         robot = _robot_of(arrays["robot"])
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
-            raise LogError(f"is the log of {arrays['ranges'].shape[1]} robots; a map is made from the log of one")
+            robots = arrays["ranges"].shape[1]
+            raise LogError(f"is the log of {robots} robots; only the log of one robot can be replayed")
         _check("action", arrays["action"], (count, 2))
         _check("wall_seen", arrays["wall_seen"], (count, beams))
         return RecordedLog(
@@ -162,7 +163,7 @@ def read_npz(path: FilePath) -> RecordedLog:
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
-    """The first ``count`` bytes of a file, fewer if it is shorter.
+    """The first ``count`` bytes of a file. Fewer if the file is shorter.
 
     Raises
     ------
@@ -177,17 +178,17 @@ def first_bytes(path: FilePath, count: int) -> bytes:
 
 
 def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
-    """The lines of a text, plain or gzip (told by its first bytes), one at a time.
+    """The lines of a text file one at a time. A gzip file is recognised by its first bytes.
 
     Yields
     ------
     tuple
-        The line's number from 1 and its bytes with the newline, which only a last line can lack.
+        Number of the line, counted from 1, and the line's bytes with the newline, which may only be missing at the end.
 
     Raises
     ------
     LogError
-        If the file cannot be read, the gzip stream is cut or damaged, or the file is not text.
+        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
     """
     number = 0
     try:
@@ -208,12 +209,12 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
 
 
 def parse_number(field: bytes, what: str) -> float:
-    """A finite number out of a text's field.
+    """A finite number from a field of a text.
 
     Raises
     ------
     ValueError
-        If it is not one; the message begins with ``what``.
+        If the field is not a finite number. The message begins with ``what``.
     """
     text = field.decode("ascii", "replace")
     try:
@@ -226,7 +227,7 @@ def parse_number(field: bytes, what: str) -> float:
 
 
 _ARRAYS = ("time", "ranges", "wheels", "action", "true_pose", "wall_seen", "robot", "start_pose")
-# What numpy and zipfile were seen to raise, or say they raise, on files cut short or with flipped bits.
+# Errors that numpy and zipfile raise on files that are cut short or have flipped bits.
 _DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
@@ -234,7 +235,7 @@ def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise LogError(f"{fspath(path)}: is not an .npz file")
     try:
-        # Opened here, since numpy leaves its own file open when the zip turns out damaged.
+        # The file is opened here because numpy leaves its own file open if the zip is damaged.
         with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             missing = [name for name in _ARRAYS if name not in file.files]
             arrays = {name: file[name] for name in _ARRAYS if name not in missing}
@@ -261,7 +262,7 @@ def _floats(name: str, arrays: dict[str, NDArray[Any]]) -> FloatArray:
 
 
 def _check(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Refuse an array of another shape, and anything in it that is not a finite number."""
+    """Refuse an array of another shape, and numbers that are not finite."""
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, not {shape}")
     if array.dtype.kind not in "fiub":

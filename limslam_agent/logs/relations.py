@@ -1,8 +1,8 @@
-"""The error of a trajectory over relations: pairs of times between which somebody knows how the robot moved.
+"""Errors of a trajectory against relations: known motions between pairs of times.
 
-After Kuemmerle et al., "On measuring the accuracy of SLAM algorithms" (2009). It compares the
-motion between two moments, so it depends on no common frame, and an error is counted once,
-where it was made, however far the robot drives on.
+The method is from Kuemmerle et al., "On measuring the accuracy of SLAM algorithms" (2009). It compares the motion
+between two times, so no common frame is needed. An error counts once, where it was made, however far the robot drives
+on.
 """
 
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from limslam_agent.logs.recorded_log import FilePath, LogError, numbered_lines, 
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 NEAREST_WITHIN = 0.1
-"""A pose this near in time (s) stands for the moment itself."""
+"""A pose that is at most this far away in time (s) counts as the pose at that time."""
 
 OUTSIDE_BY = 1.0
-"""A relation that begins or ends further (s) outside the log than this is left out."""
+"""A relation that begins or ends farther outside of the log than this (s) is left out."""
 
 LOOP_AFTER = 60.0
-"""Relations over more time (s) than this are loops: the mean over all would hide a failure there."""
+"""Relations over more time than this (s) are loops. The mean over all relations would hide a failure there."""
 
 _FIELDS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, eq=False)
 class Relations:
-    """Known motions: from ``start_time`` to ``end_time``, both (k,) s.
+    """Known motions from ``start_time`` to ``end_time``, both (k,), s.
 
-    ``relative`` (k, 3) m, m, rad is the pose at the end as seen from the one at the start.
+    ``relative`` (k, 3), m, m, rad, is the pose at the end relative to the pose at the start.
     """
 
     start_time: FloatArray
@@ -40,18 +40,18 @@ class Relations:
 
 @dataclass(frozen=True, eq=False)
 class RelationErrors:
-    """How far a trajectory's motions are off, for the ``k`` relations within the log's time.
+    """Errors of a trajectory's motions, for the ``k`` relations within the time of the log.
 
     Attributes
     ----------
     translation
-        (k,) m, length of the error's translation.
+        Length of the translation error (k,), m.
     rotation
-        (k,) rad, size of the error's rotation, 0 to pi.
+        Size of the rotation error (k,), rad, 0 to pi.
     is_loop
-        (k,) bool, whether the relation is over more than 60 s.
+        Whether the relation is over more than 60 s (k,), bool.
     unmatched
-        Number of relations left out since they lie outside the log's time.
+        Number of relations that were left out because they lie outside of the log.
     """
 
     translation: FloatArray
@@ -61,12 +61,12 @@ class RelationErrors:
 
 
 def read_relations(path: FilePath) -> Relations:
-    """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), and comments after ``#``.
+    """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, a line has other fields than these, or there is none.
+        If the file cannot be read, is cut short, has a line with other fields, or has no relations.
     """
     rows: list[list[float]] = []
     for number, line in numbered_lines(path):
@@ -81,7 +81,7 @@ def read_relations(path: FilePath) -> Relations:
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {error}") from error
     if not rows:
-        raise LogError(f"{fspath(path)}: holds no relations")
+        raise LogError(f"{fspath(path)}: has no relations")
     table = np.array(rows)
     return Relations(table[:, 0], table[:, 1], table[:, [2, 3, 7]])
 
@@ -89,20 +89,20 @@ def read_relations(path: FilePath) -> Relations:
 def relation_errors(
     relations: Relations, time: FloatArray, poses: FloatArray, odometry: FloatArray | None = None
 ) -> RelationErrors:
-    """Compare a trajectory's motions with the known ones: e = inverse(d) * (inverse(x1) * x2).
+    """Compare a trajectory's motions with known motions: e = inverse(d) * (inverse(x1) * x2).
 
     Parameters
     ----------
     relations
-        The known motions d.
+        Known motions d.
     time
-        (n,) s, in any order.
+        (n,), s, in any order.
     poses
-        (n, 3) m, m, rad: the trajectory at these times. Its pose at another time is the nearest one within 0.1 s,
-        otherwise the one before, moved on by odometry.
+        Poses of the trajectory at these times (n, 3), m, m, rad. The pose at another time is the nearest pose within
+        0.1 s, or otherwise the previous pose, moved by odometry.
     odometry
-        (n, 3) m, m, rad: absolute odometry poses at the same times, interpolated linearly. Without it the trajectory
-        itself is interpolated.
+        Absolute odometry poses at the same times (n, 3), m, m, rad, interpolated linearly. Without odometry the
+        trajectory itself is interpolated.
     """
     first, last = time.min() - OUTSIDE_BY, time.max() + OUTSIDE_BY
     early = np.minimum(relations.start_time, relations.end_time)
@@ -122,7 +122,7 @@ def relation_errors(
 
 
 def summary(errors: RelationErrors) -> dict[str, float | int | None]:
-    """Mean and standard deviation in m and deg, over all relations and over the loops; None where there are none."""
+    """Mean and standard deviation, m and deg, over all relations and over the loops. None if there are none."""
     everything = np.ones_like(errors.is_loop)
     return {
         **_figures("", errors, everything),
@@ -132,22 +132,22 @@ def summary(errors: RelationErrors) -> dict[str, float | int | None]:
 
 
 def _poses_at(wanted: FloatArray, time: FloatArray, poses: FloatArray, moves: FloatArray) -> FloatArray:
-    """The trajectory (n, 3) at the wanted times (k,), as :func:`relation_errors` describes it."""
-    # Logs step back in time here and there.
+    """Poses of the trajectory (k, 3) at the wanted times (k,), as :func:`relation_errors` describes."""
+    # The times of a log may step back.
     order = np.argsort(time, kind="stable")
     time, poses, moves = time[order], poses[order], moves[order]
     before = np.maximum(np.searchsorted(time, wanted, side="right") - 1, 0)
     after = np.minimum(before + 1, len(time) - 1)
     nearest = np.where(np.abs(time[after] - wanted) < np.abs(time[before] - wanted), after, before)
     span = time[after] - time[before]
-    # Before the first and beyond the last event nothing is known of the motion: the pose stays.
+    # The motion before the first and after the last event is unknown, so the pose stays.
     fraction = np.clip((wanted - time[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
     moved = se2.compose(poses[before], _part_of_motion(moves[before], moves[after], fraction))
     return np.where((np.abs(time[nearest] - wanted) <= NEAREST_WITHIN)[:, None], poses[nearest], moved)
 
 
 def _part_of_motion(start: FloatArray, end: FloatArray, fraction: FloatArray) -> FloatArray:
-    """The first ``fraction`` (k,) of the ways from ``start`` to ``end`` (k, 3), seen from ``start``."""
+    """The first ``fraction`` (k,) of the motions from ``start`` to ``end`` (k, 3), relative to ``start``."""
     position = start[:, :2] + fraction[:, None] * (end[:, :2] - start[:, :2])
     heading = start[:, 2] + fraction * se2.wrap_angle(end[:, 2] - start[:, 2])
     return se2.between(start, np.column_stack((position, heading)))

@@ -1,6 +1,6 @@
-"""The door to ROS bags: ROS 1 and ROS 2 files, opened by rosbags, with every fault of theirs in one line.
+"""Opens ROS 1 and ROS 2 bags with rosbags, and turns every error of rosbags into an error of one line.
 
-rosbags is an extra (``pip install 'limslam[ros]'``) and is loaded when the first bag is opened; no ROS is needed.
+rosbags is an extra (``pip install 'limslam[ros]'``). It is imported when the first bag is opened. ROS is not needed.
 """
 
 from collections.abc import Collection, Iterator
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 METADATA = "metadata.yaml"
 
-# How the files begin, and the ending by which rosbags tells them.
+# First bytes of the files, and the suffix by which rosbags recognises them.
 _MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP": ".mcap", b"SQLite format 3": ".db3"}
 _LONGEST_MAGIC = max(map(len, _MAGIC))
 _LONGEST_REASON = 200
 
 
 @dataclass(frozen=True)
-class Told:
-    """One message: its topic, when the bag got it (s), and what it says."""
+class Message:
+    """One message: its topic, the time when the bag received it (s), and its content."""
 
     topic: str
     bag_time: float
@@ -33,7 +33,7 @@ class Told:
 
 
 def is_bag(path: FilePath) -> bool:
-    """Whether a path can only be a bag: by a file's first bytes or ending; of all logs, only ROS 2 bags are folders.
+    """Whether a path can only be a bag, by a file's first bytes or suffix. Of all logs, only ROS 2 bags are folders.
 
     Raises
     ------
@@ -50,9 +50,9 @@ class Bag:
     Attributes
     ----------
     types
-        The type of each topic, as ROS 2 writes it: ``sensor_msgs/msg/LaserScan``.
+        Type of each topic in the notation of ROS 2: ``sensor_msgs/msg/LaserScan``.
     counts
-        How many messages each topic has.
+        Number of messages of each topic.
     """
 
     def __init__(self, path: FilePath, reader: "AnyReader") -> None:
@@ -63,8 +63,8 @@ class Bag:
             self.types[connection.topic] = connection.msgtype
             self.counts[connection.topic] = self.counts.get(connection.topic, 0) + connection.msgcount
 
-    def messages(self, topics: Collection[str]) -> Iterator[Told]:
-        """The messages of some topics, in the order in which the bag got them.
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """The messages of some topics in the order in which the bag received them.
 
         Raises
         ------
@@ -82,22 +82,23 @@ class Bag:
                     return
                 connection, nanoseconds, raw = item
                 content = self._reader.deserialize(raw, connection.msgtype)
-            yield Told(connection.topic, 1e-9 * nanoseconds, content)
+            yield Message(connection.topic, 1e-9 * nanoseconds, content)
 
     def first(self, topic: str) -> Any:
-        """The first message of a topic; None if it has none."""
-        told = next(self.messages([topic]), None)
-        return None if told is None else told.content
+        """First message of a topic. None if the topic has no messages."""
+        message = next(self.messages([topic]), None)
+        return None if message is None else message.content
 
 
 @contextmanager
 def open_bag(path: FilePath) -> Iterator[Bag]:
-    """Open a ROS 1 bag, a ROS 2 bag (its folder), or a single ``.mcap`` or ``.db3`` file.
+    """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file.
 
     Raises
     ------
     LogError
-        If it is none of these, is cut short or damaged, has another ending than its content, or rosbags is missing.
+        If it is another kind of file, is cut short or damaged, has a suffix that does not match its content, or rosbags
+        is missing.
     """
     _check_ending(path)
     try:
@@ -106,7 +107,7 @@ def open_bag(path: FilePath) -> Iterator[Bag]:
     except ImportError as error:
         raise LogError(f"{fspath(path)}: bags are read with rosbags: pip install 'limslam[ros]' ({error})") from error
     with _one_line(path):
-        # Older ROS 2 bags do not say what their types look like; the standard ones have not changed since.
+        # Older ROS 2 bags do not hold the definitions of their types. The standard types have not changed since.
         reader = AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     try:
@@ -120,13 +121,13 @@ def _check_ending(path: FilePath) -> None:
     place = Path(path)
     if place.is_dir():
         if not (place / METADATA).is_file():
-            raise LogError(f"{fspath(path)}: is a folder, but no ROS 2 bag: it has no {METADATA}")
+            raise LogError(f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}")
         return
     ending = _ending_by_content(path)
     if ending is None:
-        raise LogError(f"{fspath(path)}: is no bag: it begins like neither of {', '.join(_MAGIC.values())}")
+        raise LogError(f"{fspath(path)}: is not a bag: its first bytes are not those of {', '.join(_MAGIC.values())}")
     if place.suffix != ending:
-        raise LogError(f"{fspath(path)}: is a {ending} file by its content: its name must end so")
+        raise LogError(f"{fspath(path)}: has the content of a {ending} file, so its name must end in {ending}")
 
 
 def _ending_by_content(path: FilePath) -> str | None:
@@ -136,12 +137,12 @@ def _ending_by_content(path: FilePath) -> str | None:
 
 @contextmanager
 def _one_line(path: FilePath) -> Iterator[None]:
-    """Turn whatever rosbags trips over into a refusal: on damaged files that can be anything."""
+    """Turn any error of rosbags into a LogError. A damaged file can cause errors of any type."""
     try:
         yield
     except OSError as error:
         raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # its own errors, assertions, struct's, sqlite's, the compressors'
+    except Exception as error:  # errors of rosbags, struct, sqlite or a compressor, and assertions
         its_own = type(error).__module__.startswith("rosbags") and str(error)
         reason = str(error) if its_own else f"{type(error).__name__} {error}"
         what = "cut short, damaged, or of a kind that rosbags cannot read"

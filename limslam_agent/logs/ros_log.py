@@ -1,4 +1,4 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files: ranges and odometry, brought together by time."""
+"""Reads ROS 1 bags, ROS 2 bags and MCAP files, and synchronises ranges and odometry by time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ import numpy as np
 
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, check_max_range, pose_log
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog
-from limslam_agent.logs.ros_bag import Bag, Told, open_bag
+from limslam_agent.logs.ros_bag import Bag, Message, open_bag
 from limslam_agent.logs.ros_messages import stamp_of
 from limslam_agent.logs.ros_topics import Plan, Reader, Topics, plan_for
 from limslam_env.geometry import FloatArray
 
-# What a message can do that is not what its type says.
+# Errors of a message whose content does not match its type.
 _MISSHAPEN = (ValueError, TypeError, AttributeError, IndexError, OverflowError)
 
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """What one reader took out of a bag: ``values`` (n, k) at times (n,), s, by the messages' stamps and by the bag."""
+    """The data of one reader: ``values`` (n, k) at times (n,), s, by the stamps of the messages and by the bag."""
 
     topic: str
     stamps: FloatArray
@@ -31,30 +31,32 @@ class Stream:
 def read_ros(
     path: FilePath, beams_deg: Sequence[float] | None, max_range: float, topics: Topics | None = None
 ) -> RecordedLog:
-    """Read a bag: one event for each scan, with the odometry at that time.
+    """Read a bag. Each scan becomes one event with the odometry at the time of the scan.
 
     Parameters
     ----------
     path
-        A ``.bag``, a ROS 2 bag's folder, or a single ``.mcap`` or ``.db3`` file.
+        A ``.bag``, the folder of a ROS 2 bag, or a single ``.mcap`` or ``.db3`` file.
     beams_deg
-        Directions to choose out of its beams, deg; None takes all of up to 16 beams, and six of more.
+        Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
     max_range
-        Longest reading that is used, m; a longer one is "nothing seen".
+        Longest reading that is used, m; a longer one counts as "nothing seen".
     topics
-        Topics to use; those left out are found by their types.
+        Topics to use. Topics that are not given are found by their types.
 
     Returns
     -------
     RecordedLog
-        At the times in the messages' headers, or the bag's where a header has none or the topics' clocks differ.
-        Odometry is interpolated. Sensors that measure apart are brought together at the times of the slowest.
+        The times are those of the message headers. They are those of the bag if a header has no time or the clocks of
+        the topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the
+        slowest sensor.
 
     Raises
     ------
     LogError
-        If the bag cannot be read, is cut short or damaged; if its topics do not tell what to use; if they hold
-        something that is no number where one is needed, step back in time, or do not meet in time.
+        If the bag cannot be read, is cut short or damaged; if it is unclear which topics to use; if a topic holds
+        something other than a number where one is needed, its times step back, or the times of the topics do not
+        overlap.
     """
     with open_bag(path) as bag:
         try:
@@ -71,11 +73,11 @@ def read_ros(
 def _read(bag: Bag, readers: list[Reader]) -> list[Stream]:
     rows: list[list[Any]] = [[] for _ in readers]
     times: list[list[tuple[float, float]]] = [[] for _ in readers]
-    for told in bag.messages({reader.topic for reader in readers}):
+    for message in bag.messages({reader.topic for reader in readers}):
         for reader, row, time in zip(readers, rows, times, strict=True):
-            if reader.topic == told.topic:
-                row.append(_values(reader, told, len(row)))
-                time.append((stamp_of(told.content), told.bag_time))
+            if reader.topic == message.topic:
+                row.append(_values(reader, message, len(row)))
+                time.append((stamp_of(message.content), message.bag_time))
     for reader, row in zip(readers, rows, strict=True):
         if not row:
             raise ValueError(f"the topic {reader.topic} is empty")
@@ -86,19 +88,19 @@ def _read(bag: Bag, readers: list[Reader]) -> list[Stream]:
     ]
 
 
-def _values(reader: Reader, told: Told, number: int) -> Any:
+def _values(reader: Reader, message: Message, number: int) -> Any:
     try:
-        return reader.read(told.content)
+        return reader.read(message.content)
     except _MISSHAPEN as error:
         raise ValueError(f"{reader.topic}: message {number + 1}: {error}") from error
 
 
 def _on_one_clock(streams: list[Stream]) -> list[tuple[FloatArray, FloatArray]]:
-    """Times (n,) and values (n, k) of each stream, in the order of the times."""
+    """Times (n,) and values (n, k) of each stream, sorted by time."""
     stamped = all((stream.stamps > 0.0).all() for stream in streams)
     first = max(stream.stamps.min() for stream in streams)
     last = min(stream.stamps.max() for stream in streams)
-    # Stamps of two machines, or of one that began at zero, say nothing about each other.
+    # Stamps of two machines, or of a clock that began at zero, cannot be compared.
     by_stamp = stamped and first <= last
     ordered = []
     for stream in streams:
@@ -119,7 +121,7 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
     inside = (time >= begin) & (time <= end)
     if not inside.any():
         when = f"ranges from {time[0]:.3f} to {time[-1]:.3f} s, odometry from {begin:.3f} to {end:.3f} s"
-        raise ValueError(f"ranges and odometry do not meet in time: {when}")
+        raise ValueError(f"the times of ranges and odometry do not overlap: {when}")
     time, ranges = time[inside], ranges[inside]
     heading = moves[-1][1]
     heading[:, -1] = np.unwrap(heading[:, -1])
@@ -128,10 +130,10 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
 
 
 def _together(plan: Plan, scans: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) of the slowest sensor, and all readings (n, n_beams) that belong to them.
+    """Times of the slowest sensor (n,), and all readings at these times (n, n_beams).
 
-    Of every other sensor the reading nearest in time is taken, if it is no further off than half of the
-    slowest one's period. Events at which one is missing are left out.
+    Of each other sensor the reading nearest in time is taken, at most half a period of the slowest sensor away. Events
+    without a reading of every sensor are left out.
     """
     time, _ = min(scans, key=lambda scan: len(scan[0]))
     apart = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else np.inf
@@ -141,16 +143,16 @@ def _together(plan: Plan, scans: list[tuple[FloatArray, FloatArray]]) -> tuple[F
         nearest = _nearest(times, time)
         met = np.abs(times[nearest] - time) <= apart + 1e-6
         if 2 * np.count_nonzero(met) < len(time):
-            raise ValueError(f"{reader.topic} is silent most of the time that others measure: leave it out")
+            raise ValueError(f"{reader.topic} has no messages for most of the time: leave it out")
         whole &= met
         parts.append(values[nearest])
     if not whole.any():
-        raise ValueError("the sensors never measure together")
+        raise ValueError("the sensors have no common times")
     return time[whole], np.column_stack(parts)[whole][:, plan.columns]
 
 
 def _nearest(times: FloatArray, wanted: FloatArray) -> Any:
-    """Indices (n,) of the sorted times nearest to the wanted ones."""
+    """Indices (n,) of the sorted times that are nearest to the wanted times."""
     after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(times) - 1)

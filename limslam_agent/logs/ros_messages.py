@@ -1,4 +1,4 @@
-"""What is taken out of ROS messages: poses, ranges, times, and where sensors are mounted."""
+"""Extracts poses, ranges, times and sensor mounts from ROS messages."""
 
 import math
 from collections.abc import Sequence
@@ -20,30 +20,30 @@ POSES = (
 )
 TRANSFORMS = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"}
 
-# Of a direction's length, what may point up or down before a beam is none for a map of walls.
+# Largest vertical component of a beam's unit direction. A steeper beam is not used for a map of walls.
 _STEEPEST = 0.5
-# A scan's beams may be counted anew by its driver; beyond this (deg, or half a step) a beam is another one.
+# A driver may renumber the beams. A beam that is off by more than this (deg, or half a step) is another beam.
 _BEAM_DRIFT_DEG = 1.0
 
 
 def stamp_of(message: Any) -> float:
-    """When a message says that it was measured, s; 0 if it does not say."""
+    """Time of measurement in a message's header, s. 0 if the header has none."""
     stamp = message.header.stamp
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
 def pose_of(message: Any) -> tuple[float, float, float]:
-    """The pose (m, m, rad) in an Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped.
+    """Pose (m, m, rad) in an Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped.
 
     Raises
     ------
     ValueError
-        If it is not finite, or its quaternion has no length.
+        If the pose is not finite, or its quaternion has length zero.
     """
     if hasattr(message, "transform"):
         place, turn = message.transform.translation, message.transform.rotation
     else:
-        # With a covariance the pose stands one level deeper.
+        # A pose with covariance is one level deeper.
         pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
         place, turn = pose.position, pose.orientation
     x, y = float(place.x), float(place.y)
@@ -58,7 +58,7 @@ def yaw_of(quaternion: Sequence[float]) -> float:
     Raises
     ------
     ValueError
-        If it is not finite, or has no length.
+        If the quaternion is not finite or has length zero.
     """
     rotation = rotation_of(quaternion)
     return math.atan2(rotation[1, 0], rotation[0, 0])
@@ -70,12 +70,12 @@ def rotation_of(quaternion: Sequence[float]) -> FloatArray:
     Raises
     ------
     ValueError
-        If it is not finite, or has no length.
+        If the quaternion is not finite or has length zero.
     """
     parts = [float(part) for part in quaternion]
     length = math.hypot(*parts)
     if not 1e-6 < length < 1e6:
-        raise ValueError(f"the quaternion is no rotation: {', '.join(f'{part:g}' for part in parts)}")
+        raise ValueError(f"the quaternion is not a rotation: {', '.join(f'{part:g}' for part in parts)}")
     x, y, z, w = (part / length for part in parts)
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -85,28 +85,28 @@ def rotation_of(quaternion: Sequence[float]) -> FloatArray:
 
 
 def scan_angles(message: Any) -> FloatArray:
-    """Directions (n,) in rad of a LaserScan's beams, in the laser's own frame.
+    """Directions of a LaserScan's beams (n,), rad, in the frame of the laser.
 
     Raises
     ------
     ValueError
-        If it has none, or they are not finite.
+        If the scan has no beams, or their directions are not finite.
     """
     count, first, step = len(message.ranges), float(message.angle_min), float(message.angle_increment)
     if not count:
         raise ValueError("the scan has no ranges")
     if not (math.isfinite(first) and math.isfinite(step) and (step != 0.0 or count == 1)):
-        raise ValueError(f"the scan's angles are no angles: {first:g} in steps of {step:g}")
+        raise ValueError(f"the scan's angles are invalid: {first:g} in steps of {step:g}")
     return first + step * np.arange(count, dtype=np.float64)
 
 
 def scan_readings(message: Any, angles: FloatArray) -> FloatArray:
-    """A LaserScan's ranges (k,), m, in directions (k,), rad, as the driver gives them.
+    """Ranges of a LaserScan (k,), m, in given directions (k,), rad.
 
     Raises
     ------
     ValueError
-        If the scan has no beam there (any more).
+        If the scan has no beam in one of the directions.
     """
     there = scan_angles(message)
     step = float(message.angle_increment) or 1.0
@@ -120,19 +120,19 @@ def scan_readings(message: Any, angles: FloatArray) -> FloatArray:
 
 
 def sensor_limits(least: float, largest: float, max_range: float) -> tuple[float, float]:
-    """A sensor's shortest and longest usable range (m) out of what its messages say and what is wanted.
+    """Shortest and longest usable range of a sensor, m, from its messages and from the wanted longest range.
 
-    Drivers that leave the limits out, or hold them not finite, set none.
+    Limits that a driver leaves out, or that are not finite, do not count.
     """
-    # Messages hold float32: what is said is 0.05, not 0.0500000007.
+    # Messages hold float32 numbers, so 0.0500000007 means 0.05.
     least = round(least, 6) if math.isfinite(least) and least > 0.0 else 0.0
     return least, min(max_range, round(largest, 6)) if least < largest < math.inf else max_range
 
 
 class Mounts:
-    """Where sensors are fixed on the body, as ``tf_static`` tells it.
+    """Poses of the sensors on the body, from the messages of ``tf_static``.
 
-    A frame is followed up to ``base`` where its chain comes past it, otherwise to the top of the chain.
+    A chain of frames is followed up to ``base`` if it contains ``base``, and otherwise up to its root.
     """
 
     def __init__(self, base: str | None = None) -> None:
@@ -140,12 +140,12 @@ class Mounts:
         self._parents: dict[str, tuple[str, FloatArray, FloatArray]] = {}
 
     def add(self, message: Any) -> None:
-        """Take in one TFMessage.
+        """Add one TFMessage.
 
         Raises
         ------
         ValueError
-            If a rotation is none.
+            If a rotation is invalid.
         """
         for each in message.transforms:
             shift, turn = each.transform.translation, each.transform.rotation
@@ -156,7 +156,7 @@ class Mounts:
             self._parents[_bare(each.child_frame_id)] = (_bare(each.header.frame_id), rotation, place)
 
     def find(self, frame: str) -> tuple[FloatArray, FloatArray] | None:
-        """Rotation (3, 3) and place (3,), m, of a frame on the body; None if nothing is known of it."""
+        """Rotation (3, 3) and position (3,), m, of a frame on the body. None if the frame is unknown."""
         frame, rotation, place = _bare(frame), np.eye(3), np.zeros(3)
         if frame == self._base:
             return rotation, place
@@ -171,9 +171,9 @@ class Mounts:
 
 
 def beam_on_body(mount: tuple[FloatArray, FloatArray], angle: float, limits: tuple[float, float]) -> SensorSpec | None:
-    """A beam at ``angle`` (rad) of a mounted sensor, seen from above; None if it looks up or down.
+    """A beam at ``angle`` (rad) of a mounted sensor, projected to the floor. None if the beam looks up or down.
 
-    ``limits`` are its shortest and longest range, m.
+    ``limits`` are the shortest and the longest range, m.
     """
     rotation, place = mount
     direction = rotation @ np.array([math.cos(angle), math.sin(angle), 0.0])
@@ -184,5 +184,5 @@ def beam_on_body(mount: tuple[FloatArray, FloatArray], angle: float, limits: tup
 
 
 def _bare(frame: str) -> str:
-    """ROS 1 wrote some frames with a slash in front."""
+    """A frame without the leading slash of some ROS 1 names."""
     return frame.removeprefix("/")

@@ -1,4 +1,4 @@
-"""Which topics of a bag a log is made of: found by their types, or given; and what each of them offers."""
+"""Chooses the topics of a bag that a log is made of, by their types or as given, and plans how to read them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,16 +32,17 @@ _AT_ORIGIN = (np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class Topics:
-    """Topics that somebody chose; what is left empty is found by type.
+    """Topics chosen by the user. Topics that are not given are found by their types.
 
     Attributes
     ----------
     scans
-        Of LaserScans; several are put together.
+        Topics of LaserScans. Several scans are combined.
     ranges
-        Of Ranges, each with the direction of its beam in degrees, left positive, or None if the bag shall tell.
+        Topics of Ranges, each with the direction of its beam, deg, left positive, or None if the bag holds the
+        direction.
     odometry
-        Of an Odometry or a pose.
+        Topic of an Odometry or a pose.
     """
 
     scans: tuple[str, ...] = ()
@@ -49,13 +50,13 @@ class Topics:
     odometry: str | None = None
 
     def __bool__(self) -> bool:
-        """Whether anything was chosen."""
+        """Whether any topic was chosen."""
         return bool(self.scans or self.ranges or self.odometry)
 
 
 @dataclass(frozen=True, eq=False)
 class Reader:
-    """Takes the numbers that are wanted out of each message of a topic."""
+    """Extracts the wanted numbers from each message of a topic."""
 
     topic: str
     read: Callable[[Any], Sequence[float] | FloatArray]
@@ -68,9 +69,9 @@ class Plan:
     Attributes
     ----------
     beams
-        The robot's.
+        Beams of the robot.
     scans
-        Readers of ranges; their columns side by side, in the order ``columns``, belong to the beams.
+        Readers of ranges. Their columns side by side, in the order ``columns``, belong to the beams.
     columns
         (n_beams,).
     moves
@@ -85,7 +86,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """A topic with ranges: its beams on the body, and how the readings (m) of some of them are taken from a message."""
+    """A topic with ranges: its beams on the body, and a function that reads some beams (m) from a message."""
 
     topic: str
     beams: list[SensorSpec]
@@ -98,7 +99,7 @@ def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_ra
     Raises
     ------
     ValueError
-        If there are too few or too many candidates, or a topic that was asked for is missing, empty or of another type.
+        If there are too few or too many candidates, or a requested topic is missing, empty or of another type.
     """
     if not topics and (found := crazyflie.find_topics(bag.types)) is not None:
         ranger = Sensor(found.ranger, crazyflie.beams(max_range), crazyflie.ranges_of)
@@ -134,7 +135,7 @@ def _reader(sensor: Sensor, columns: IntArray) -> Reader:
 
 
 def _sensor_topics(bag: Bag, topics: Topics) -> tuple[list[str], dict[str, float | None]]:
-    """Topics of LaserScans, and of Ranges with their directions, deg, where these are given."""
+    """Topics of LaserScans, and topics of Ranges with their directions, deg, where these are given."""
     if topics.scans or topics.ranges:
         scans = [_given(bag, topic, (LASER_SCAN,)) for topic in topics.scans]
         return scans, {_given(bag, topic, (RANGE,)): degrees for topic, degrees in topics.ranges.items()}
@@ -153,7 +154,7 @@ def _sensor_topics(bag: Bag, topics: Topics) -> tuple[list[str], dict[str, float
 def _odometry_topic(bag: Bag, given: str | None) -> str:
     if given is not None:
         return _given(bag, given, (ODOMETRY, *POSES))
-    # What is called odometry goes first: poses are often goals, or another program's estimate.
+    # Odometry messages are preferred, because poses are often goals or estimates of other programs.
     for types in ((ODOMETRY,), POSES):
         found = [topic for each in types for topic in _of_type(bag, each)]
         if len(found) > 1:
@@ -168,7 +169,7 @@ def _of_type(bag: Bag, wanted: str) -> list[str]:
 
 
 def _given(bag: Bag, topic: str, types: tuple[str, ...]) -> str:
-    """The topic's full name, if it can be used."""
+    """The full name of a topic that can be used."""
     name = topic if topic in bag.types else f"/{topic}"
     if name not in bag.types:
         raise ValueError(f"has no topic {topic}; {_contents(bag)}")
@@ -210,7 +211,7 @@ def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
 
 
 def _range_sensor(bag: Bag, topic: str, degrees: float | None, mounts: Mounts, max_range: float) -> Sensor | None:
-    """A Range's one beam; None if it looks up or down."""
+    """The single beam of a Range. None if the beam looks up or down."""
     first = bag.first(topic)
     mount = mounts.find(first.header.frame_id)
     limits = sensor_limits(float(first.min_range), float(first.max_range), max_range)
@@ -232,4 +233,4 @@ def _guess(topic: str, frame: str) -> float:
     for name in (frame, topic.rpartition("/")[2], topic):
         if (degrees := direction_of(name)) is not None:
             return degrees
-    raise ValueError(f"where {topic} points is not known: say it as --range-topics {topic}:DEGREES,...")
+    raise ValueError(f"where {topic} points is unknown: set it with --range-topics {topic}:DEGREES,...")

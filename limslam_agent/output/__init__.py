@@ -1,1 +1,1 @@
-"""Files and pictures of a finished run."""
+"""Files and pictures of runs and replays, written and read."""

@@ -1,4 +1,4 @@
-"""Files that are whole or not there at all: written beside their place, and moved there when they are done."""
+"""Atomic file writing: a file is either complete or does not exist."""
 
 import os
 import tempfile
@@ -8,20 +8,20 @@ from pathlib import Path
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """A file to write to, which takes its place at ``path`` when the context ends well, and is gone otherwise.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Write a file beside its final place, and move it to ``path`` when the context ends without an error.
 
-    Folders that are missing are made at the end.
+    Missing folders are made at the end. After an error nothing is left.
 
     Yields
     ------
     Path
-        An empty file of the same suffix, beside ``path`` or in the nearest folder above it that is there.
+        An empty file with the same suffix, beside ``path`` or in the nearest existing folder above it.
 
     Raises
     ------
     OSError
-        If nothing can be written there.
+        If the file cannot be written there.
     """
     path = path.absolute()
     folder = next(parent for parent in path.parents if parent.exists())
@@ -30,7 +30,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     beside = Path(name)
     try:
         yield beside
-        # mkstemp's files are private; results are as readable as the user's other files.
+        # mkstemp makes private files. Results get the permissions of the user's other files.
         mask = os.umask(0)
         os.umask(mask)
         beside.chmod(0o666 & ~mask)

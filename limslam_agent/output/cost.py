@@ -1,4 +1,4 @@
-"""What a run costs: wall clock and memory."""
+"""Cost of a run: wall-clock time and memory."""
 
 import resource
 import sys
@@ -9,16 +9,16 @@ from limslam_env.geometry import FloatArray
 
 
 def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[str, float]:
-    """Figures for ``cost`` in a ``result.json``.
+    """Values for ``cost`` in a ``result.json``.
 
     Parameters
     ----------
     duration
-        What passed in the run or its log, s.
+        Time that passed in the run or in its log, s.
     wall_clock
-        What passed outside, s.
+        Time that the computation took, s.
     **step_ms
-        For each named part of a step what it cost (n,), ms.
+        Time that each named part of a step took (n,), ms.
     """
     parts = {
         f"{name}_ms_{label}": float(np.percentile(values, share))

@@ -1,4 +1,4 @@
-"""map.png: the map beside the truth, as one would print it."""
+"""Draws ``map.png``: the map beside the truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,25 +21,26 @@ _DASHES = (0, (4, 2))
 
 @dataclass(frozen=True, eq=False)
 class MapPicture:
-    """What a picture of a map shows. All arrays are in the world frame, m.
+    """Content of a picture of a map. All arrays are in the world frame, m.
 
     Attributes
     ----------
     title
-        Written above it.
+        Title above the picture.
     segments
         Walls of the map (N, 4).
     estimated
-        Believed positions (n, 2); of several robots a list of them.
+        Estimated positions (n, 2). For several robots a list of arrays.
     odometry
-        Positions by odometry alone, from the same start: as ``estimated``, or an empty list if they are unknown.
+        Positions by odometry alone from the same start, in the form of ``estimated``. An empty list if they are
+        unknown.
     true_edges, true_path
-        The truth (k, 4), and as ``estimated``, where it is known.
+        True walls (k, 4), and true positions in the form of ``estimated``. None if they are unknown.
 
     Raises
     ------
     ValueError
-        If there is no path, or not one of each robot of a kind that is there.
+        If there is no estimated path, or the numbers of paths differ.
     """
 
     title: str
@@ -54,11 +55,11 @@ class MapPicture:
             raise ValueError("a picture of a map needs the path of a robot")
         for name, paths in (("odometry", self.odometries), ("true", self.true_paths)):
             if paths and len(paths) != len(self.estimates):
-                raise ValueError(f"{len(self.estimates)} estimated paths go with {len(paths)} {name} ones")
+                raise ValueError(f"{len(self.estimates)} estimated paths do not go with {len(paths)} {name} paths")
 
     @property
     def estimates(self) -> list[FloatArray]:
-        """Believed positions (n, 2) of each robot."""
+        """Estimated positions (n, 2) of each robot."""
         return _listed(self.estimated)
 
     @property
@@ -73,7 +74,7 @@ class MapPicture:
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:
-    """Draw a map as a PNG file."""
+    """Draw a map into a PNG file."""
     low, high = _extent(picture)
     width, height = np.maximum(high - low, 0.5)
     scale = min(7.2 / width, 7.6 / height)
@@ -89,7 +90,7 @@ def draw_map(path: Path, picture: MapPicture) -> None:
 
 
 def paint_map(axes: Axes, picture: MapPicture) -> None:
-    """Paint truth, paths, walls and a scale, without title and legend."""
+    """Draw truth, paths, walls and a scale bar into axes, without title and legend."""
     low, high = _extent(picture)
     if picture.true_edges is not None:
         edges = picture.true_edges.reshape(-1, 2, 2)
@@ -102,14 +103,16 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
 
 
 def path_colours(robots: int) -> list[tuple[str, str]]:
-    """For each robot the colours of its estimated path and of its odometry: of several one for both, as in a video."""
+    """Colours of each robot's estimated path and odometry. A single robot has two colours, each of several robots has
+    one.
+    """
     if robots == 1:
         return [(ESTIMATED_PATH, ODOMETRY_PATH)]
     return [(hexadecimal(robot_colour(number)),) * 2 for number in range(robots)]
 
 
 def legend(picture: MapPicture) -> list[Line2D]:
-    """What is what."""
+    """The entries of the legend."""
     robots = len(picture.estimates)
     several, (estimated, odometry) = robots > 1, path_colours(robots)[0]
     handles = [
@@ -149,7 +152,7 @@ def _draw_walls(axes: Axes, segments: FloatArray) -> None:
 
 
 def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    """A bar of a round length, below the map on the left."""
+    """Draw a scale bar of a round length below the map on the left."""
     span = float(high[0] - low[0])
     length = max(size for size in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if size <= max(0.25 * span, 0.1))
     left, bottom = low + 0.015 * span
@@ -166,7 +169,7 @@ def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
     points = np.vstack([picture.segments.reshape(-1, 2), *paths, *edges])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.04 * float((high - low).max()) + 0.05
-    # The scale bar gets a strip of its own below.
+    # The strip below the map is for the scale bar.
     return low - np.array([margin, 2.2 * margin]), high + margin
 
 

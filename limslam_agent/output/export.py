@@ -1,4 +1,4 @@
-"""Files out: trajectories, maps, and a run's folder that is whole or not there at all."""
+"""Writes trajectories, maps and the folder of a run, which is either complete or does not exist."""
 
 import json
 import os
@@ -19,17 +19,17 @@ RESULT_FILE = "result.json"
 
 
 class OutputError(ValueError):
-    """A folder that results cannot be written to. The message says which and why."""
+    """Results cannot be written to a folder. The message says which folder and why."""
 
 
 @contextmanager
 def new_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """A folder to write to, which takes its place at ``target`` only when all has been written.
+    """A folder to write to, which is moved to ``target`` only when everything has been written.
 
     Parameters
     ----------
     target
-        Where the results shall be. An empty folder may be there.
+        Final place of the results. An empty folder may exist there.
     force
         Replace the results of an earlier run there.
 
@@ -41,7 +41,7 @@ def new_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If something else is there, or nothing can be written there.
+        If something else is there, or the folder cannot be written.
     """
     target = target.absolute()
     _check_target(target, force=force)
@@ -53,7 +53,7 @@ def new_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
         raise OutputError(f"{target}: cannot be written: {error.strerror or error}") from error
     try:
         yield beside
-        # mkdtemp's folders are private; results are as readable as the user's other files.
+        # mkdtemp makes private folders. Results get the permissions of the user's other files.
         mask = os.umask(0)
         os.umask(mask)
         beside.chmod(0o777 & ~mask)
@@ -70,9 +70,9 @@ def _check_target(target: Path, *, force: bool) -> None:
         if not any(target.iterdir()):
             return
         if not (target / RESULT_FILE).is_file():
-            raise OutputError(f"{target}: is not empty and holds no run's results")
+            raise OutputError(f"{target}: is not empty and does not hold the results of a run")
         if not force:
-            raise OutputError(f"{target}: holds the results of a run already; --force replaces them")
+            raise OutputError(f"{target}: already holds the results of a run; --force replaces them")
     elif target.exists() or target.is_symlink():
         raise OutputError(f"{target}: is not a folder")
 
@@ -85,7 +85,7 @@ def _put_in_place(beside: Path, target: Path) -> None:
     target.rename(old)
     try:
         beside.rename(target)
-    except BaseException:  # an interrupt as well must not cost the old results
+    except BaseException:  # an interrupt must not destroy the old results, either
         old.rename(target)
         raise
     finally:
@@ -102,12 +102,12 @@ def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON as people read it. Not-a-numbers are errors here: ``null`` is for what does not apply."""
+    """Write readable JSON. NaN and infinity are errors. Values that do not apply are ``null``."""
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
-    """What ``map.json`` holds, in the world frame, m and rad."""
+    """The content of ``map.json`` in the world frame, m and rad."""
     return {
         "frame": "world",
         "segments": [[round(float(value), 6) for value in mark.ends.ravel()] for mark in landmarks],
@@ -125,8 +125,8 @@ def map_content(landmarks: list[Landmark]) -> dict[str, Any]:
 
 
 def write_grid(folder: Path, grid: GridView) -> None:
-    """Write ``map.pgm`` and ``map.yaml`` as ROS's map_server reads them."""
-    # A log without a scan leaves an empty grid, which no picture can be.
+    """Write ``map.pgm`` and ``map.yaml`` in the format of ROS's map_server."""
+    # A log without a scan leaves an empty grid. A picture needs at least one pixel.
     values = grid.values if grid.values.size else np.zeros((1, 1))
     pixels = np.where(values > 0, 254, np.where(values < 0, 0, 205)).astype(np.uint8)[::-1]
     header = f"P5\n{pixels.shape[1]} {pixels.shape[0]}\n255\n".encode()

@@ -1,4 +1,4 @@
-"""The folder of a finished run or replay, read back."""
+"""Reads the folder of a finished run or replay."""
 
 import json
 import math
@@ -17,27 +17,27 @@ RESULT, MAP, LOG, PICTURE = "result.json", "map.json", "log.npz", "map.png"
 
 
 class FolderError(ValueError):
-    """A folder that is no finished run, or a file in it that cannot be read; the message says which and why."""
+    """A folder is not a finished run, or a file in it cannot be read. The message says which and why."""
 
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """What a folder holds.
+    """The content of a folder.
 
     Attributes
     ----------
     folder
-        Where it was read from.
+        The folder.
     result
-        The content of ``result.json``.
+        Content of ``result.json``.
     segments
         Walls of the map (k, 4), m.
     time
         (n,), s.
     estimated
-        Believed poses of each robot (n, 3), m and rad.
+        Estimated poses of each robot (n, 3), m and rad.
     odometry, true
-        The same by odometry alone, and in truth; empty where that is not known.
+        Poses by odometry alone and true poses of each robot. Empty where they are unknown.
     """
 
     folder: Path
@@ -50,17 +50,17 @@ class FinishedRun:
 
     @property
     def is_replay(self) -> bool:
-        """Whether it is the replay of a log, not a run in a simulated world."""
+        """Whether the folder holds the replay of a log, not a run in a simulated world."""
         return "log" in self.config
 
     @property
     def config(self) -> dict[str, Any]:
-        """What was run."""
+        """The settings of the run."""
         return dict(_part(self.result, "config"))
 
     @property
     def title(self) -> str:
-        """What was run, in a few words."""
+        """The settings of the run in a few words."""
         config = self.config
         agent = _part(config, "agent")
         preset = config.get("preset") or agent.get("preset", "")
@@ -85,12 +85,12 @@ def read_run(folder: Path) -> FinishedRun:
     Raises
     ------
     FolderError
-        If there is no such folder, or one of its files is missing, damaged or does not fit the others.
+        If the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
     """
     if not folder.is_dir():
         raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
     if not (folder / RESULT).is_file():
-        raise FolderError(f"{folder}: holds no finished run: there is no {RESULT}")
+        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}")
     result = _read_json(folder / RESULT)
     segments = _segments(folder / MAP)
     estimated = _trajectories(folder, "est")
@@ -100,7 +100,7 @@ def read_run(folder: Path) -> FinishedRun:
     time = estimated[0][:, 0]
     for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry)):
         if tables and (len(tables) != len(estimated) or any(len(table) != len(time) for table in tables)):
-            raise FolderError(f"{folder}: the trajectories ({kind}) are not of the same robots and moments")
+            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
     poses, true_poses, by_odometry = ([table[:, 1:] for table in tables] for tables in (estimated, true, odometry))
     if not by_odometry and (folder / LOG).is_file():
         by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
@@ -108,12 +108,12 @@ def read_run(folder: Path) -> FinishedRun:
 
 
 def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
-    """How far positions of poses (n, 3) lie from those of others, (n,), m."""
+    """Distance between the positions of poses (n, 3) and reference poses (n, 3), (n,), m."""
     return np.hypot(poses[:, 0] - reference[:, 0], poses[:, 1] - reference[:, 1])
 
 
 def heading_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
-    """By how much headings of poses (n, 3) differ from those of others, (n,), rad, with its sign."""
+    """Difference of the headings of poses (n, 3) and reference poses (n, 3), (n,), rad, with its sign."""
     return np.asarray(wrap_angle(poses[:, 2] - reference[:, 2]))
 
 
@@ -121,11 +121,11 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FolderError(f"{path}: is no JSON: {error}") from error
+        raise FolderError(f"{path}: is not JSON: {error}") from error
     except OSError as error:
         raise FolderError(f"{path}: cannot be read: {error.strerror or error}") from error
     if not isinstance(content, dict):
-        raise FolderError(f"{path}: does not hold what a run writes")
+        raise FolderError(f"{path}: does not hold the content that a run writes")
     return content
 
 
@@ -146,7 +146,7 @@ def _segments(path: Path) -> FloatArray:
 
 
 def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
-    """The trajectory of one robot, or those of several, as tables (n, 4) of time and pose; none if there is no file."""
+    """Tables (n, 4) of time and pose for each robot. Empty if there is no file."""
     single = folder / f"trajectory_{kind}.tum"
     if single.is_file():
         return [_read_tum(single)]
@@ -157,7 +157,7 @@ def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
 
 
 def _read_tum(path: Path) -> FloatArray:
-    """Lines ``t x y z qx qy qz qw`` as a table (n, 4) of time, x, y and heading; the motion is in the plane."""
+    """Lines ``t x y z qx qy qz qw`` as a table (n, 4) of time, x, y and heading."""
     rows: list[list[float]] = []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -181,12 +181,12 @@ def _read_tum(path: Path) -> FloatArray:
 
 
 def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatArray]) -> list[FloatArray]:
-    """Where wheel travel alone would have taken the robots, from where ``poses`` begin."""
+    """Poses (n, 3) of each robot by wheel travel alone, from the first of its ``poses``."""
     axle = _part(_part(result, "config"), "robot").get("axle")
     if not isinstance(axle, int | float) or not axle > 0.0:
         return []
     try:
-        # numpy would leave a file open that turns out to be none of its own.
+        # The file is opened here because numpy leaves a file open that it cannot read.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as log:
             wheels = np.asarray(log["wheels"], dtype=float) if "wheels" in log else None
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
@@ -195,7 +195,7 @@ def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatA
         return []
     wheels = wheels[:, None] if wheels.ndim == 2 else wheels
     if wheels.shape != (len(poses[0]), len(poses), 2) or not np.isfinite(wheels).all():
-        raise FolderError(f"{path}: its wheel travel does not go with the trajectories")
+        raise FolderError(f"{path}: its wheel travel does not fit the trajectories")
     return [_driven(wheels[:, number], float(axle), start[0]) for number, start in enumerate(poses)]
 
 

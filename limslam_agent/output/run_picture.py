@@ -1,4 +1,4 @@
-"""A finished run on one sheet: its map, and how its errors grew."""
+"""Draws a finished run on one sheet: its map, and its errors over time."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -12,7 +12,7 @@ from limslam_agent.output.finished_run import FinishedRun, heading_error, positi
 from limslam_env.geometry import FloatArray
 
 SIZE = (12.0, 6.8)
-"""Of the sheet, inches."""
+"""Size of the sheet, inches."""
 
 _Style: TypeAlias = str | tuple[float, tuple[float, ...]]
 _DASHES: _Style = (0, (4, 2))
@@ -24,13 +24,13 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
     Parameters
     ----------
     figure
-        Drawn into.
+        The figure.
     run
-        What is drawn.
+        The run.
     lines
-        The run in words.
+        Text about the run, line by line.
     true_edges
-        The world's walls (k, 4), m, where they are known.
+        Walls of the world (k, 4), m. None if they are unknown.
     """
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
     picture = MapPicture(
@@ -54,7 +54,7 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
 
 
 def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
-    """Errors against the truth; without it, how far the estimate has gone from odometry."""
+    """Plot the errors against the truth. Without truth, plot the distance of the estimate from odometry."""
     reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
     colours = path_colours(len(run.estimated))
     time = run.time - run.time[0]
@@ -84,6 +84,6 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
 
 
 def _without_jumps(degrees: FloatArray) -> FloatArray:
-    """Angles with a gap where they pass 180 degrees, so that no line is drawn across."""
+    """Angles with a gap where they pass 180 degrees, so that no line is drawn across the plot."""
     jumps = np.abs(np.diff(degrees, prepend=degrees[:1])) > 180.0
     return np.where(jumps, np.nan, degrees)

@@ -1,4 +1,4 @@
-"""What a video is painted with: colours, and words set in a typeface that can be read when it is small."""
+"""Colours and text for pictures and videos, in a typeface that is readable at small sizes."""
 
 import functools
 import math
@@ -15,7 +15,7 @@ Image: TypeAlias = NDArray[np.uint8]
 Colour: TypeAlias = tuple[int, int, int]
 Anchor = Literal["left", "centre", "right"]
 
-# The colours of the pictures of the simulation, so that both halves of a video look alike.
+# These are the colours of the simulator's pictures, so that both halves of a video look alike.
 PAPER, UNKNOWN, FREE, OCCUPIED = (250, 250, 249), (222, 227, 233), (252, 248, 238), (167, 174, 186)
 WALL, FRONTIER, GLOW = (205, 48, 66), (20, 150, 140), (240, 170, 30)
 INK, TEXT, FAINT, RULE = (36, 43, 55), (86, 94, 108), (150, 157, 168), (208, 213, 220)
@@ -27,33 +27,33 @@ PALETTE = (
     PAPER, UNKNOWN, FREE, OCCUPIED, WALL, FRONTIER, GLOW, INK, TEXT, FAINT, RULE, LEFT, RIGHT, BEAM,
     *PEAKS, *ROBOTS, *HEAT,
 )  # fmt: skip
-"""All of them, for formats that can hold only so many."""
+"""All colours, for formats with a limited number of colours."""
 
 
 def robot_colour(number: int) -> Colour:
-    """The colour of a robot; more robots than colours begin anew."""
+    """Colour of a robot. The colours repeat if there are more robots than colours."""
     return ROBOTS[number % len(ROBOTS)]
 
 
 def side_colour(side: str) -> Colour:
-    """The colour of a buffer, ``"left"`` or ``"right"``."""
+    """Colour of a scan buffer, ``"left"`` or ``"right"``."""
     return LEFT if side == "left" else RIGHT
 
 
 def mixed(first: Colour, second: Colour, share: float) -> Colour:
-    """A colour between two; ``share`` is that of the second."""
+    """A mixture of two colours. ``share`` is the share of the second colour."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, second, strict=True))
     return red, green, blue
 
 
 def hexadecimal(colour: Colour) -> str:
-    """A colour as Matplotlib takes it."""
+    """A colour in the notation of Matplotlib."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 @functools.lru_cache(maxsize=2048)
 def width_of(words: str, size: int, *, bold: bool = False) -> int:
-    """Width of a line of words, in pixels."""
+    """Width of a line of text, pixels."""
     return math.ceil(_font(size, bold).getlength(words))
 
 
@@ -67,20 +67,20 @@ def write(
     bold: bool = False,
     anchor: Anchor = "left",
 ) -> None:
-    """Write a line of words into an RGB image; what lies outside is cut off.
+    """Write a line of text into an RGB image. Text outside of the image is cut off.
 
     Parameters
     ----------
     image
-        (height, width, 3), written to.
+        (height, width, 3), changed in place.
     words
-        One line.
+        One line of text.
     place
         Pixel (x, y) of the line's left end, middle or right end, on the base line.
     size
-        Of the letters, in pixels.
+        Size of the letters, pixels.
     colour, bold, anchor
-        How they look, and which point ``place`` is.
+        Appearance of the text, and which point of the line ``place`` is.
     """
     mask, above = _mask(words, size, bold)
     height, width = mask.shape
@@ -95,23 +95,23 @@ def write(
 
 
 def blended(pixels: Image, colour: Colour, cover: Image) -> Image:
-    """Pixels (..., 3) under a colour; ``cover`` (..., 1) is its strength, 0 to 255."""
+    """Pixels (..., 3) blended with a colour. ``cover`` (..., 1) is the strength of the colour, 0 to 255."""
     old = pixels.astype(np.int16)
     step = (np.array(colour, dtype=np.int16) - old).astype(np.int32) * cover
-    # A multiplication and a shift are faster than a division by 255.
+    # One multiplication and one shift are faster than a division by 255.
     return np.asarray(old + ((step * 257 + 32768) >> 16), dtype=np.uint8)
 
 
 @functools.lru_cache(maxsize=32)
 def plain(width: int, height: int, colour: Colour = PAPER) -> Image:
-    """A plain sheet (height, width, 3); not to be written to."""
+    """A sheet (height, width, 3) of one colour. Read-only."""
     sheet = np.full((height, width, 3), colour, dtype=np.uint8)
     sheet.setflags(write=False)
     return sheet
 
 
 def fitted(words: str, size: int, width: int) -> str:
-    """The words, or as many as fit into a width in pixels, with an ellipsis."""
+    """The text, shortened with an ellipsis if it does not fit into a width in pixels."""
     if width_of(words, size) <= width:
         return words
     while words and width_of(words + "…", size) > width:
@@ -121,7 +121,7 @@ def fitted(words: str, size: int, width: int) -> str:
 
 @functools.lru_cache(maxsize=32)
 def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
-    # Matplotlib brings its typeface along; OpenCV has none that is worth the name.
+    # Matplotlib ships this typeface. The typefaces of OpenCV are hard to read at small sizes.
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     path = Path(mpl.get_data_path()) / "fonts" / "ttf" / name
     return ImageFont.truetype(str(path), size, layout_engine=ImageFont.Layout.BASIC)
@@ -129,7 +129,7 @@ def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
 
 @functools.lru_cache(maxsize=2048)
 def _mask(words: str, size: int, bold: bool) -> tuple[Image, int]:
-    """How much of each pixel the words cover, 0 to 255, and how many rows lie above the base line."""
+    """Share of each pixel that the text covers, 0 to 255, and the number of rows above the base line."""
     font = _font(size, bold)
     above, below = font.getmetrics()
     sheet = Pictures.new("L", (width_of(words, size, bold=bold) + 2, above + below))

@@ -1,12 +1,12 @@
-"""A finished run or replay in a few lines, as the command line prints it."""
+"""A finished run or replay in a few lines of text, for the command line."""
 
 from collections.abc import Mapping
 from typing import Any
 
 
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:
-    """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``; what is missing is left out."""
-    lines = [f"stopped     {metrics.get('stop_reason', 'nobody knows why')}"]
+    """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``. Missing values are left out."""
+    lines = [f"stopped     {metrics.get('stop_reason', 'for an unknown reason')}"]
     if _has(metrics, "exploration_time_s", "path_m"):
         lines.append(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
     if _has(metrics, "coverage_true", "collisions"):
@@ -27,7 +27,7 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
 
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
-    """Lines about a replay, from the ``metrics`` of its ``result.json``; what is missing is left out."""
+    """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _errors(metrics)
     for prefix, words in (("", "estimate"), ("odometry_", "odometry, corrected"), ("raw_odometry_", "odometry, raw")):
         if _has(metrics, f"{prefix}relation_error_m", f"{prefix}relation_error_deg"):
@@ -52,5 +52,5 @@ def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:
 
 
 def _has(numbers: Mapping[str, Any], *names: str) -> bool:
-    """Whether all of them are there, and numbers: a file may have been written by another version, or by hand."""
+    """Whether all names have numbers. The file may come from another version, or from an editor."""
     return all(isinstance(numbers.get(name), int | float) for name in names)

@@ -1,1 +1,1 @@
-"""Policies: from what the robot believes to its wheel speeds."""
+"""Policies: from the belief of a robot to the speeds of its wheels."""

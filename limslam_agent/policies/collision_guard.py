@@ -1,4 +1,7 @@
-"""What the beams saw in the last seconds keeps the body off: between six beams there is room for a corner."""
+"""A guard that slows the wheels down before the body touches anything that the beams saw in the last seconds.
+
+A few beams leave gaps, and a corner fits between two of them. The guard therefore remembers recent readings.
+"""
 
 import math
 
@@ -8,21 +11,27 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
-# Steps for which a place is remembered, and a beam that was too near to measure one.
-_MEMORY, _TOUCH = 40, 3
-# Such a beam's thing is taken to be at this share of its least range.
-_TOUCHING = 0.4
-_LOOK_AHEAD = 0.3
-_MARGIN = 0.025
-# A point deeper inside the body was never there: noise, or the pose has been corrected since.
-_GHOST = 0.02
-_SHARES = (1.0, 0.5, 0.25)
+# Number of steps for which a measured point is remembered, and a point of a beam that reads its minimum range.
+MEMORY, TOUCH = 40, 3
+# A beam at its minimum range is assumed to have hit something at this share of the minimum range.
+TOUCHING = 0.4
+LOOK_AHEAD = 0.3  # s
+MARGIN = 0.025  # m
+# A point that lies deeper (m) inside the body is wrong: it is noise, or the pose has been corrected since.
+GHOST = 0.02
+SHARES = (1.0, 0.5, 0.25)
 
 
-class Bumper:
-    """Slows wheels down that would take the body too near to something seen of late.
+class CollisionGuard:
+    """Reduces the forward speed when the body would come too close to a recently measured point.
 
-    It works by what the pose changed by since, not by the map, which may be wrong.
+    The guard places points by the change of the estimated pose since they were measured. It does not use the map, which
+    may be wrong.
+
+    Parameters
+    ----------
+    robot
+        Body and beams.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
@@ -30,28 +39,32 @@ class Bumper:
         self._seen: list[FloatArray] = []
         self._touched: list[FloatArray] = []
 
-    def note(self, pose: FloatArray, ranges: FloatArray) -> None:
-        """Take in readings (n_beams,), m, from a believed pose (3,)."""
+    def add_readings(self, pose: FloatArray, ranges: FloatArray) -> None:
+        """Remember the readings (n_beams,), m, that were taken at an estimated pose (3,)."""
         robot = self._robot
         reading, near = np.where(np.isfinite(ranges), ranges, robot.max_ranges), robot.too_near
         hit, touched = (reading > near) & (reading < robot.too_far), reading <= near
-        ends = robot.beam_origins + np.where(touched, _TOUCHING * near, reading)[:, None] * robot.beam_directions
+        ends = robot.beam_origins + np.where(touched, TOUCHING * near, reading)[:, None] * robot.beam_directions
         points = transform_points(pose, ends)
-        self._seen = [*self._seen[1 - _MEMORY :], points[hit]]
-        self._touched = [*self._touched[1 - _TOUCH :], points[touched]]
+        self._seen = [*self._seen[1 - MEMORY :], points[hit]]
+        self._touched = [*self._touched[1 - TOUCH :], points[touched]]
 
-    def soften(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Wheel speeds (2,), fractions of the maximum: the turn as it is, and no more speed than there is room for."""
+    def limit_speed(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
+        """Reduce wheel speeds (2,), fractions of the maximum, until the next 0.3 s are free of contact.
+
+        The rate of turn stays the same. The forward speed is scaled by 1, 1/2, 1/4 or 0, whichever is the largest that
+        keeps the body away from all remembered points.
+        """
         robot = self._robot
         left, right = wheels * robot.max_wheel_speed
         speed, turn = 0.5 * (left + right), (right - left) / robot.axle
         points = np.vstack(self._seen + self._touched) - pose[:2]
         before = np.hypot(*points.T)
-        points, before = points[before > robot.radius - _GHOST], before[before > robot.radius - _GHOST]
-        heading = float(pose[2]) + 0.5 * turn * _LOOK_AHEAD
-        way = speed * _LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
-        least = np.minimum(before, robot.radius + _MARGIN)
-        for share in _SHARES:
+        points, before = points[before > robot.radius - GHOST], before[before > robot.radius - GHOST]
+        heading = float(pose[2]) + 0.5 * turn * LOOK_AHEAD
+        way = speed * LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
+        least = np.minimum(before, robot.radius + MARGIN)
+        for share in SHARES:
             if (np.hypot(*(points - share * way).T) >= least).all():
                 return np.asarray(wheels - (1.0 - share) * wheels.mean())
         return np.asarray(wheels - wheels.mean())

@@ -1,4 +1,4 @@
-"""From a point to steer for to wheel speeds, with the front beams watching."""
+"""Steering: from a target point to wheel speeds, with a look at the front beams."""
 
 import math
 
@@ -19,10 +19,10 @@ _TURN_GAIN = 2.5
 def steer(
     pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, config: PolicyConfig, cruise: float
 ) -> FloatArray:
-    """Wheel speeds (2,), fractions of the maximum, towards a point (2,), m, at ``cruise`` m/s or less.
+    """Wheel speeds (2,), fractions of the maximum, that drive towards a point (2,), m, at ``cruise`` m/s or less.
 
-    Far off its heading the robot turns where it stands; else it drives, more slowly the less
-    room the beams show ahead.
+    If the heading is off by more than 40 degrees, the robot turns on the spot. Otherwise it drives, and slows down when
+    the front beams show little free distance.
     """
     error = bearing_of(pose, target)
     if abs(error) > _TURN_IN_PLACE:
@@ -33,12 +33,12 @@ def steer(
 
 
 def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
-    """Wheel speeds (2,) on the spot for a robot that has ``error`` (rad) left to turn, counter-clockwise."""
+    """Wheel speeds (2,) that turn the robot on the spot by ``error`` (rad), positive counter-clockwise."""
     return wheel_speeds(0.0, _turn_rate(error, config), robot)
 
 
 def bearing_of(pose: FloatArray, place: FloatArray) -> float:
-    """Where a place (2,), m, lies as seen from a pose (3,), rad from ahead."""
+    """Direction from a pose (3,) to a place (2,), m, as an angle from straight ahead, rad."""
     offset = place - pose[:2]
     return wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
 
@@ -48,9 +48,9 @@ def _turn_rate(error: float, config: PolicyConfig) -> float:
 
 
 def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
-    """How far (m) the body could drive straight on before the nearest point that a front beam sees.
+    """Distance (m) that the body can drive straight ahead before it meets the nearest point seen by a front beam.
 
-    A beam that gives no number is left out; when none of the front ones gives any, there is no room.
+    A beam without a finite reading is ignored. If all front beams are without a finite reading, the distance is zero.
     """
     angles = robot.beam_angles
     ahead = np.abs(wrap_angle(angles)) <= _FRONT
@@ -68,9 +68,9 @@ def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
 
 
 def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray:
-    """Left and right wheel (2,) as fractions of the maximum, for m/s and rad/s.
+    """Left and right wheel speed (2,) as fractions of the maximum, from a speed (m/s) and a rate of turn (rad/s).
 
-    Where both cannot be had the turn is kept and the speed gives way.
+    If the wheels cannot do both, the rate of turn is kept and the speed is reduced.
     """
     turn = float(np.clip(0.5 * turn_rate * robot.axle, -robot.max_wheel_speed, robot.max_wheel_speed))
     room = robot.max_wheel_speed - abs(turn)
@@ -79,7 +79,7 @@ def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray
 
 
 def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple[int, float]:
-    """The beam that the least turn points at a place (2,), m, and that turn, rad."""
+    """The beam that needs the smallest turn to point at a place (2,), m, and that turn, rad."""
     offset = place - pose[:2]
     errors = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]) - robot.beam_angles)
     beam = int(np.argmin(np.abs(errors)))
@@ -87,7 +87,7 @@ def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple
 
 
 def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
-    """Wheel speeds (2,) straight back if the map shows ground that is free there, else zero."""
+    """Wheel speeds (2,) that drive straight back, or zero where the map does not show free ground behind."""
     heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
     behind = robot.radius + np.arange(1, 4)[:, None] * 0.05
     places = np.vstack(

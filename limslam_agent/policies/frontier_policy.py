@@ -1,31 +1,32 @@
-"""Exploration: to the frontier of least cost, until none is left or the rest cannot be had."""
+"""Frontier exploration: drive to the frontier of least cost until no frontier is left or reachable."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
-from limslam_agent.policies.belief import NO_PLAN, Belief
-from limslam_agent.policies.collision_guard import Bumper
+from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
 from limslam_agent.policies.goal_memory import GoalMemory
-from limslam_agent.policies.right_of_way import Manners
+from limslam_agent.policies.policy import NO_PLAN
+from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.targets import Target, is_walled_in, islands, next_target, open_frontier
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 _ARRIVED = 0.08
 _POINTED = math.radians(4.0)
-# Wheel speeds that sum to less than this hardly move the robot.
+# The robot counts as standing when its wheel speeds sum to less than this.
 _CREEP = 0.05
-# It is progress when the way has grown shorter by so much, m, or the map larger by so many cells.
+# Progress means that the path is shorter by this distance, m, or that the map has this many more cells.
 _AHEAD, _NEW_CELLS = 0.05, 2
 _MOST_NAMED = 3
-# Times that a robot that seems walled in looks round before it believes it.
+# Number of full turns that a robot makes before it accepts that it is walled in.
 _MOST_ROUNDS = 3
 
 _FROM_AFAR, _FROM_NEAR, _ALL_THE_WAY = range(3)
@@ -33,10 +34,10 @@ _FROM_AFAR, _FROM_NEAR, _ALL_THE_WAY = range(3)
 
 @dataclass
 class _Pursuit:
-    """A target, and how the robot gets on with it.
+    """A target, and the progress towards it.
 
-    ``boldness`` says how near to go, ``left`` is the least way to go so far, m, and ``standing`` counts the steps
-    without motion.
+    ``boldness`` is how near the robot goes, ``left`` is the shortest remaining distance so far, m, and ``standing`` is
+    the number of steps without motion.
     """
 
     target: Target
@@ -46,26 +47,26 @@ class _Pursuit:
 
 
 class FrontierPolicy:
-    """Drive to the frontier of least cost until there is none left (step 8 of the method).
+    """Drives to the frontier of least cost until there is none left (step 8 of the method).
 
-    A frontier is looked at with the nearest beam from where it should be seen, and if that shows nothing, from nearer.
-    One that the robot cannot get to is set aside for a while, and tried again up to twice. Frontiers that no
-    way leads to are looked at from the nearest place: the wall between may be a mistake of the
-    map. A pursuit ends when it makes no progress, so exploring ends too.
+    The robot first looks at a frontier with the nearest beam from a distance. If that shows nothing, the robot goes
+    nearer. A frontier that the robot cannot reach is set aside for a while and tried again up to twice. The robot looks
+    at an unreachable frontier from the nearest place, because the wall between may be an error of the map. A pursuit
+    ends when it makes no progress, so exploration always ends.
 
     Parameters
     ----------
     robot, config
-        Body and speeds.
+        Body and settings.
     index
-        The robot's place in its team; of two that meet, the one of the higher index waits.
+        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
 
     Attributes
     ----------
     stop_reason
-        Why there is nothing left to do, in words; None while there is.
+        Why there is nothing left to explore, in words. None while the policy is active.
     plan
-        The way to the present goal (k, 2), m.
+        Path to the present goal (k, 2), m.
     """
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0) -> None:
@@ -74,27 +75,27 @@ class FrontierPolicy:
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
         self._memory = GoalMemory(config.aside_steps)
-        self._bumper = Bumper(robot)
-        self._manners = Manners(index, 5.0 * robot.radius, config.patience)
+        self._collision_guard = CollisionGuard(robot)
+        self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
         self._step = self._until_plan = self._backing = self._turning = self._rounds = 0
-        # Steps without progress towards any goal, and the most cells that the map had.
+        # Number of steps without progress towards any goal, and largest number of known cells so far.
         self._idle = self._known = 0
 
     @property
     def goal(self) -> FloatArray | None:
-        """The present goal (2,), m, or None."""
+        """Present goal (2,), m, or None."""
         return None if self._pursuit is None else self._pursuit.target.goal
 
     def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) towards the present goal; zero when done."""
+        """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
         self._step += 1
         if self.stop_reason is not None:
             return np.zeros(2)
-        self._bumper.note(belief.pose, belief.ranges)
-        return self._bumper.soften(belief.pose, self._wheels(belief))
+        self._collision_guard.add_readings(belief.pose, belief.ranges)
+        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        """Where the plan leads, before a last look at what is near."""
+        """Wheel speeds (2,) of the plan, before the collision guard limits them."""
         if self._backing > 0:
             self._backing -= 1
             return back_off(belief.pose, belief.grid, self._robot, self._config)
@@ -104,7 +105,7 @@ class FrontierPolicy:
         if self._turning > 0:
             self._turning -= 1
             return wheel_speeds(0.0, self._config.turn_rate, self._robot)
-        if self._pursuit is None or self._manners.waits(belief.pose, belief.other_poses):
+        if self._pursuit is None or self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
         return self._follow(belief, self._pursuit)
 
@@ -129,7 +130,7 @@ class FrontierPolicy:
         return next_target(belief, ignored, self.goal, self._robot, self._config)
 
     def _take_up(self, grid: GridView, target: Target) -> None:
-        """Go on with the old target's frontier, or begin with another one."""
+        """Keep to the old target's frontier, or begin with another one."""
         old = self._pursuit
         if old is not None and np.hypot(*(old.target.goal - target.goal)) < self._config.view_distance:
             old.target = target
@@ -139,7 +140,7 @@ class FrontierPolicy:
         self.plan = self._cut(grid, target, old.boldness)
 
     def _cut(self, grid: GridView, target: Target, boldness: int) -> FloatArray:
-        """The way (k, 2) up to where its end is looked at from."""
+        """The path (k, 2) up to the place from which the robot looks at its end."""
         if not target.is_reachable or boldness == _ALL_THE_WAY:
             return target.path
         if boldness == _FROM_AFAR:
@@ -149,7 +150,9 @@ class FrontierPolicy:
         return target.path[: int(np.flatnonzero(has_room)[-1]) + 1] if has_room.any() else target.path[:1]
 
     def _view_distance(self, grid: GridView, target: Target) -> float:
-        """How far from its end the way may be left, m: a small frontier is looked at from where nothing hides it."""
+        """Distance (m) from the end of the path at which the robot may look. A small frontier must not be hidden from
+        there.
+        """
         near, far = self._config.view_distance, self._config.far_view_distance
         if len(target.group) > self._config.small_frontier or far <= near:
             return near
@@ -171,7 +174,7 @@ class FrontierPolicy:
         return action
 
     def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
-        """Whether the robot has stood in front of something, or got no nearer and saw nothing new, for too long."""
+        """Whether the robot has stood still for too long, or has come no nearer and seen nothing new for too long."""
         known = int(np.count_nonzero(grid.values))
         is_nearer = left < pursuit.left - _AHEAD and math.isfinite(pursuit.left)
         self._idle = 0 if is_nearer or known > self._known + _NEW_CELLS else self._idle + 1
@@ -183,7 +186,7 @@ class FrontierPolicy:
         return pursuit.standing > self._config.patience or self._idle > 3 * self._config.patience
 
     def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
-        """Point a beam at the target from where it should be seen, and draw the conclusion."""
+        """Point a beam at the target and decide from the reading what the target is."""
         aim = pursuit.target.aim
         beam, error = nearest_beam(belief.pose, aim, self._robot)
         self._idle += 1
@@ -195,7 +198,7 @@ class FrontierPolicy:
         if not pursuit.target.is_reachable:
             self._set_aside(pursuit)
         elif is_wall or pursuit.boldness == _ALL_THE_WAY:
-            # From far off the beam may have met a wall beside the way on.
+            # From a distance the beam may have hit a wall beside the opening.
             self._memory.settle(pursuit.target.goal, is_near=distance < 1.5 * self._config.view_distance)
             self._drop()
         elif pursuit.boldness == _FROM_AFAR:
@@ -206,7 +209,7 @@ class FrontierPolicy:
         return np.zeros(2)
 
     def _set_aside(self, pursuit: _Pursuit) -> None:
-        """Leave a goal alone: for a while, or for good if no way leads there."""
+        """Leave a goal alone: for a while, or for good if it is unreachable."""
         if pursuit.target.is_reachable:
             self._memory.set_aside(pursuit.target.goal, self._step)
         else:
@@ -233,7 +236,9 @@ class FrontierPolicy:
 
 
 def cut_short(path: FloatArray, distance: float) -> FloatArray:
-    """A path (k, 2) without its last ``distance`` (m): from there its end can be seen. One place at least."""
+    """A path (k, 2) without its last ``distance`` (m), so that the robot stops where it can see the end. Keeps one
+    point.
+    """
     lengths = np.hypot(*np.diff(path, axis=0).T)
     to_go = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
     return path[: max(int(np.count_nonzero(to_go >= distance)), 1)]

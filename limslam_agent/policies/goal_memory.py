@@ -1,4 +1,4 @@
-"""What became of the goals that were tried: settled for good, or set aside for a while."""
+"""A memory of the goals that were tried: some are settled for good, some are set aside for a while."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,9 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray
 
 MOST_TRIES = 3
-"""A goal that was set aside this often is given up."""
+"""A goal that was set aside this many times is given up."""
 
-# Goals as near as this, m, are one goal, and one place.
+# Goals closer than the first distance (m) count as one goal, and closer than the second as one place.
 _SAME_PLACE, _SAME_CELL = 0.25, 0.05
 _FAR_AWAY_TIME = 1 << 60
 
@@ -24,12 +24,12 @@ class _Aside:
 
 
 class GoalMemory:
-    """Frontiers that are not to be gone to, now or ever again.
+    """Remembers which frontiers the robot must not drive to, for a while or for good.
 
     Parameters
     ----------
     wait
-        Steps for which a goal is left alone after the first try; after each further one it is twice as long.
+        Number of steps for which a goal is set aside after the first try. Each further try doubles this number.
     """
 
     def __init__(self, wait: int) -> None:
@@ -39,45 +39,45 @@ class GoalMemory:
         self._aside: list[_Aside] = []
 
     def settle(self, place: FloatArray, *, is_near: bool = True) -> None:
-        """All that the beams can tell about a place (2,), m, is known; from near by, of the cells beside it too."""
+        """Mark a place (2,), m, as fully observed. If it was observed from near, the adjacent cells are marked, too."""
         (self._settled if is_near else self._seen).append(place)
 
     def set_aside(self, place: FloatArray, step: int) -> None:
-        """It did not work out this time; the goal (2,), m, is left alone for a while."""
+        """Leave a goal (2,), m, alone for a while because the robot failed to reach it."""
         tries = self.tries_at(place) + 1
         until = step + (self._wait << (tries - 1)) if tries < MOST_TRIES else _FAR_AWAY_TIME
-        # Beside another try it counts as one more, but both places are left alone.
+        # A try close to an earlier one counts as one more try, but both places are set aside.
         self._aside = [each for each in self._aside if np.hypot(*(each.place - place)) > _SAME_CELL]
         self._aside.append(_Aside(place, until, tries))
 
     def give_up(self, places: FloatArray) -> None:
-        """Never go to these places (n, 2), m, again."""
+        """Never drive to these places (n, 2), m, again."""
         self._aside += [_Aside(place, _FAR_AWAY_TIME, MOST_TRIES) for place in places]
 
     def tries_at(self, place: FloatArray) -> int:
-        """How often a goal here (2,), m, was set aside."""
+        """Number of times that a goal near this place (2,), m, was set aside."""
         near = [each.tries for each in self._aside if np.hypot(*(each.place - place)) < _SAME_PLACE]
         return max(near, default=0)
 
     def release(self) -> bool:
-        """Let all be tried again that were not tried too often. Whether there are any."""
+        """Allow all goals again that were not given up. Returns whether there are any."""
         waiting = [aside for aside in self._aside if 0 < aside.until < _FAR_AWAY_TIME]
         for aside in waiting:
             aside.until = 0
         return bool(waiting)
 
     def settled_cells(self, grid: GridView) -> BoolArray:
-        """Cells (rows, columns) of settled places and those beside them."""
+        """Cells (rows, columns) of settled places, and the cells adjacent to them."""
         return _around(grid, self._settled) | _around(grid, self._seen, 0)
 
     def ignored_cells(self, grid: GridView, step: int) -> BoolArray:
-        """Cells (rows, columns) that no goal is to lie in at this step."""
+        """Cells (rows, columns) in which no goal may lie at this step."""
         aside = [each.place for each in self._aside if each.until > step]
         return _around(grid, self._settled + aside) | _around(grid, self._seen, 0)
 
 
 def _around(grid: GridView, places: list[FloatArray], width: int = 1) -> BoolArray:
-    """The cells (rows, columns) of some places, and those up to ``width`` cells beside them."""
+    """Cells (rows, columns) of places, and the cells up to ``width`` cells away from them."""
     mask = np.zeros(grid.values.shape, dtype=np.uint8)
     if places:
         cells = grid.cells(np.array(places))

@@ -1,4 +1,4 @@
-"""How robots of a team stay out of each other's way: apart in their goals, round each other, and one gives way."""
+"""Rules that keep the robots of a team apart: separate goals, detours, and right of way."""
 
 import math
 
@@ -13,22 +13,23 @@ _PART_WEIGHT = 2.0
 _IN_THE_WAY = math.radians(70.0)
 
 
-def parting(grid: GridView, pose: FloatArray, other_poses: FloatArray, other_goals: FloatArray) -> FloatArray:
-    """What to add to the cost (rows, columns), m, of going somewhere, so that robots part.
+def separation_cost(grid: GridView, pose: FloatArray, other_poses: FloatArray, other_goals: FloatArray) -> FloatArray:
+    """Additional cost (rows, columns), m, of each cell as a goal, which makes the robots of a team separate.
 
-    Where another robot goes to or stands within 2.5 m, and where another one is nearer than this one at ``pose`` (3,).
+    The cost is high within 2.5 m of another robot or of its goal, and where another robot is closer than this one,
+    which is at ``pose`` (3,).
     """
-    toll = np.zeros(grid.values.shape)
+    cost = np.zeros(grid.values.shape)
     for place in np.vstack((other_poses[:, :2], other_goals)):
-        toll += _PART_WEIGHT * np.clip(_PART_WITHIN - _away(grid, place), 0.0, None)
+        cost += _PART_WEIGHT * np.clip(_PART_WITHIN - _away(grid, place), 0.0, None)
     own = _away(grid, pose)
     for place in other_poses:
-        toll += np.clip(own - _away(grid, place), 0.0, None)
-    return toll
+        cost += np.clip(own - _away(grid, place), 0.0, None)
+    return cost
 
 
-def taken_cells(grid: GridView, other_poses: FloatArray, distance: float) -> BoolArray:
-    """Cells (rows, columns) whose centres are nearer than ``distance`` (m) to another robot's."""
+def cells_near_robots(grid: GridView, other_poses: FloatArray, distance: float) -> BoolArray:
+    """Cells (rows, columns) whose centres are closer than ``distance`` (m) to another robot."""
     taken = np.zeros(grid.values.shape, dtype=bool)
     for place in other_poses:
         taken |= _away(grid, place) < distance
@@ -36,7 +37,7 @@ def taken_cells(grid: GridView, other_poses: FloatArray, distance: float) -> Boo
 
 
 def _away(grid: GridView, place: FloatArray) -> FloatArray:
-    """How far the cells' centres (rows, columns) lie from a place, of which x and y come first, m."""
+    """Distance (rows, columns), m, from each cell's centre to a place, whose first two numbers are x and y."""
     rows, columns = grid.values.shape
     y, x = np.ogrid[0:rows, 0:columns]
     return np.asarray(
@@ -44,17 +45,17 @@ def _away(grid: GridView, place: FloatArray) -> FloatArray:
     )
 
 
-class Manners:
-    """Whether to wait for another robot. Of two the one of the higher index does, for a time.
+class RightOfWay:
+    """Decides whether to wait for another robot. Of two robots, the one with the higher index waits for a limited time.
 
     Parameters
     ----------
     index
         This robot's place in its team.
     distance
-        Between centres, m, within which another robot is in the way.
+        Distance between centres, m, below which another robot blocks the way.
     patience
-        Steps to wait at most, and to go on for before waiting again.
+        Largest number of steps to wait, and number of steps to drive before waiting again.
     """
 
     def __init__(self, index: int, distance: float, patience: int) -> None:
@@ -62,7 +63,9 @@ class Manners:
         self._count = 0
 
     def waits(self, pose: FloatArray, other_poses: FloatArray) -> bool:
-        """Whether to stand still at ``pose`` (3,) for this step, given all other robots' poses (m, 3) in order."""
+        """Whether to stand still for this step at ``pose`` (3,). ``other_poses`` (m, 3) are all other robots in
+        order.
+        """
         if self._count < 0:
             self._count += 1
             return False

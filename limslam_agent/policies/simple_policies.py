@@ -1,29 +1,31 @@
-"""Policies without a planner: laps, along a wall, and at random."""
+"""Policies without a planner: laps of a known loop, wall following, and a random walk."""
 
 import math
 from typing import Literal
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.belief import NO_PLAN, Belief
-from limslam_agent.policies.collision_guard import Bumper
+from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import free_ahead, steer, turn_by, wheel_speeds
+from limslam_agent.policies.policy import NO_PLAN
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
 _ARRIVED = 0.08
-# Wheel speeds that sum to less than this hardly move the robot; it waits so many steps before it gives up.
+# The robot counts as standing when its wheel speeds sum to less than this. It stops after this many such steps.
 _CREEP = 0.05
 _PATIENCE = 40
-# The map has grown when it has so many more cells.
+# The map has grown when it has this many more known cells.
 _NEW_CELLS = 5
-# Beams that see a wall beside the robot, rad from ahead; what is farther across than _LOST, m, is another wall.
+# Beams between these angles (rad from ahead) see a wall beside the robot. A wall farther away than _LOST (m) does not
+# count.
 _SIDE = math.radians(30.0), math.radians(120.0)
 _LOST = 0.8
-# Rate of turn for an error across, rad/s per metre, and the largest one.
+# Rate of turn per metre of sideways error, rad/s per m, and its largest value, rad/s.
 _GAIN, _SHARPEST = 4.0, 1.0
 _LITTLE_ROOM = 0.1
 _MEAN_RUN = 2.0
@@ -31,16 +33,16 @@ _FACING = math.radians(8.0)
 
 
 class Laps:
-    """Drive round a closed tour a number of times, by the believed pose.
+    """Drives a number of laps of a closed loop, by the estimated pose.
 
     Parameters
     ----------
     robot, config
-        Body and speeds.
+        Body and settings.
     corners
-        Of the tour (k, 2), m, in driving order.
+        Corners of the loop (k, 2), m, in driving order.
     laps
-        How many times.
+        Number of laps.
     """
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, corners: FloatArray, laps: int) -> None:
@@ -53,7 +55,7 @@ class Laps:
         self.plan: FloatArray = corners
 
     def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) towards the next corner; zero after the last."""
+        """Wheel speeds (2,) towards the next corner. Zero after the last one."""
         if self._next is None:
             nearest = int(np.argmin(np.linalg.norm(self._corners - belief.pose[:2], axis=1)))
             self._next = (nearest + 1) % len(self._corners)
@@ -74,40 +76,40 @@ class Laps:
         return action
 
 
-class Wanderer:
-    """Drives by what the beams show, until the map has not grown by anything worth mentioning for a while.
+class ReactivePolicy:
+    """Base class of policies that react to the readings and stop when the map has not grown for a while.
 
     Parameters
     ----------
     robot, config
-        Body and speeds.
+        Body and settings.
     patience
-        Time without anything new after which it stops, s.
+        Time without new cells after which the policy stops, s.
     where
-        Nothing new was seen there.
+        Where nothing new was seen, for the stop reason.
     """
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, patience: float, where: str) -> None:
         self._robot, self._config = robot, config
-        self._bumper = Bumper(robot)
+        self._collision_guard = CollisionGuard(robot)
         self._patience, self._where = patience, where
         self._known = self._since = 0
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
 
     def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,); zero when there was nothing new for too long."""
-        if self.stop_reason is None and self._is_old_news(belief.grid):
+        """Wheel speeds (2,). Zero after the policy has stopped."""
+        if self.stop_reason is None and self._has_seen_nothing_new(belief.grid):
             self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
         if self.stop_reason is not None:
             return np.zeros(2)
-        self._bumper.note(belief.pose, belief.ranges)
-        return self._bumper.soften(belief.pose, self._wheels(belief))
+        self._collision_guard.add_readings(belief.pose, belief.ranges)
+        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
     def _wheels(self, belief: Belief) -> FloatArray:
         raise NotImplementedError
 
-    def _is_old_news(self, grid: GridView) -> bool:
+    def _has_seen_nothing_new(self, grid: GridView) -> bool:
         known = int(np.count_nonzero(grid.values))
         self._since += 1
         if known > self._known + _NEW_CELLS:
@@ -115,27 +117,27 @@ class Wanderer:
         return self._since > math.ceil(self._patience / self._robot.control_period)
 
 
-class WallFollower(Wanderer):
-    """Keep a wall on one side, as far as these beams allow, until there is nothing new to see.
+class WallFollower(ReactivePolicy):
+    """Keeps a wall on one side of the robot until there is nothing new to see.
 
-    It goes round rooms, and round whatever stands alone where it first meets a wall. It needs no map but to know when
-    to stop.
+    The robot drives around a room, or around a free-standing obstacle if that is the first wall that it meets. The
+    policy uses the map only to decide when to stop.
 
     Parameters
     ----------
     robot, config
-        Body and speeds.
+        Body and settings.
     side
-        Where to keep the wall, ``"left"`` or ``"right"``.
+        Side of the robot on which the wall is kept, ``"left"`` or ``"right"``.
     distance
-        Between the wall and the rim, m.
+        Distance between the wall and the rim of the robot, m.
     patience
-        Time without anything new after which it stops, s.
+        Time without new cells after which the policy stops, s.
 
     Raises
     ------
     ValueError
-        If the side is neither.
+        If the side is neither ``"left"`` nor ``"right"``.
     """
 
     def __init__(
@@ -150,11 +152,11 @@ class WallFollower(Wanderer):
             raise ValueError(f"a wall is followed on the left or the right side, not {side!r}")
         super().__init__(robot, config, patience, "along the wall")
         self._distance, self._toward = distance, 1.0 if side == "left" else -1.0
-        # How far it has turned after a wall that it lost, rad; nothing to turn after before the first one.
+        # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed yet.
         self._turned = 2.0 * math.pi
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        """Along the wall."""
+        """Wheel speeds (2,) along the wall."""
         ranges = belief.ranges
         robot, config = self._robot, self._config
         room = free_ahead(ranges, robot) - config.stop_distance
@@ -169,13 +171,15 @@ class WallFollower(Wanderer):
             return wheel_speeds(speed, self._toward * turn, robot)
         if self._turned > 1.5 * math.pi:
             return wheel_speeds(speed, 0.0, robot)
-        # The wall has ended: round its end, as far as another wall can be.
+        # The wall has ended: drive around its end until another wall must appear.
         turn = speed / (self._distance + robot.radius)
         self._turned += turn * robot.control_period
         return wheel_speeds(speed, self._toward * turn, robot)
 
     def _clearance(self, ranges: FloatArray) -> float:
-        """Distance (m) between the rim and what the beams of this side see, sideways; infinite if that is nothing."""
+        """Sideways distance (m) between the rim and the wall that the beams of this side see. Infinite if they see no
+        wall.
+        """
         robot = self._robot
         angles = self._toward * robot.beam_angles
         beside = (angles > _SIDE[0]) & (angles < _SIDE[1]) & np.isfinite(ranges) & (ranges < robot.too_far)
@@ -184,17 +188,17 @@ class WallFollower(Wanderer):
         return float(across.min()) - robot.radius if across.size else math.inf
 
 
-class RandomPolicy(Wanderer):
-    """Drive straight on, and turn by chance: in front of a wall, and after a while anyway.
+class RandomPolicy(ReactivePolicy):
+    """Drives straight ahead and turns at random: in front of a wall, and otherwise after a random time.
 
     Parameters
     ----------
     robot, config
-        Body and speeds.
+        Body and settings.
     seed
-        Of the numbers drawn, or a generator.
+        Seed of the random numbers, or a generator.
     patience
-        Time without anything new after which it stops, s.
+        Time without new cells after which the policy stops, s.
     """
 
     def __init__(
@@ -206,7 +210,7 @@ class RandomPolicy(Wanderer):
         self._until_turn = 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        """A walk that bounces off the walls."""
+        """Wheel speeds (2,) of a random walk that bounces off the walls."""
         robot, config = self._robot, self._config
         yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - config.stop_distance
         self._until_turn -= 1

@@ -1,50 +1,50 @@
-"""Which frontier to go to next, by what way, and from where to look at one that no way leads to."""
+"""Choice of the next frontier, of the path to it, and of a place from which to look at an unreachable one."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_of
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, routes, wall_distance
-from limslam_agent.policies.belief import Belief
-from limslam_agent.policies.right_of_way import parting, taken_cells
+from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
-# Unknown regions of fewer cells hide no obstacle.
+# Unknown regions of fewer cells cannot hide an obstacle.
 _POCKET = 3
-# A metre of wall or unknown between a place and what is to be looked at counts as so many metres of way.
+# One metre of wall or unknown cells between a place and its target costs as much as this many metres of path.
 _BETWEEN = 3.0
-# Cells around the old goal in which its frontier is looked for again.
+# Number of cells around the old goal within which its frontier is searched again.
 _KEPT = 2
-# Another frontier has to cost less than this share of the old one to be worth a change of mind.
+# The goal changes only if another frontier costs less than this share of the present one.
 _WORTH = 0.5
 _SPACING = 0.05
-# Free regions of fewer cells that no way leads to are mistakes of the map.
+# Unreachable free regions of fewer cells are errors of the map.
 _ISLAND = 15
-# Cells of the smallest frontier that no way leads to and that is looked at all the same.
+# Number of cells of the smallest unreachable frontier that the robot still looks at.
 _WORTH_A_LOOK = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A frontier to go to.
+    """A frontier to drive to.
 
     Attributes
     ----------
     goal
-        The middle of its nearest cell (2,), m.
+        Centre of the frontier's nearest cell (2,), m.
     aim
-        The middle of what is unknown beside that cell (2,), m.
+        Centre of the unknown cells adjacent to that cell (2,), m.
     group
         All cells of the frontier (n, 2), m.
     path
-        The way there (k, 2), m; for a frontier that no way leads to, to the place nearest to it.
+        Path to the frontier (k, 2), m. If the frontier is unreachable, the path ends at the nearest reachable place.
     is_reachable
-        Whether the way leads all the way.
+        Whether the path ends at the frontier.
     """
 
     goal: FloatArray
@@ -55,14 +55,17 @@ class Target:
 
 
 def open_frontier(grid: GridView, size: int, ignored: BoolArray, robot: RobotSpec) -> BoolArray:
-    """Frontier cells (rows, columns) in groups of ``size`` that may lead on: gaps that the robot cannot pass do not."""
-    # Two cells may be a passage: walls take more room on the grid than they have.
+    """Frontier cells (rows, columns) in groups of at least ``size``, without gaps that the robot cannot pass."""
+    # Two cells may be a passage, because walls look thicker on the grid than they are.
     close_gaps = grid.cell < 2.0 * robot.radius
     return frontier_cells(grid, size, ignored, close_gaps=close_gaps, pocket=_POCKET)
 
 
 def islands(grid: GridView, pose: FloatArray) -> BoolArray:
-    """Small free regions (rows, columns) without the robot, at a pose (3,): specks of a map that does not fit."""
+    """Small free regions (rows, columns) that do not contain the robot, which is at a pose (3,).
+
+    Such regions are errors of a map that does not fit together.
+    """
     labels, _ = ndimage.label(grid.free, structure=np.ones((3, 3), dtype=int))
     small = np.bincount(labels.ravel()) < _ISLAND
     row, column = grid.cells(pose[None, :2])[0]
@@ -72,7 +75,7 @@ def islands(grid: GridView, pose: FloatArray) -> BoolArray:
 
 
 def is_walled_in(grid: GridView, pose: FloatArray) -> bool:
-    """Whether most of the free ground is cut off from the robot at a pose (3,), though it came from there."""
+    """Whether most of the free ground is cut off from a pose (3,), although the robot came from there."""
     row, column = grid.cells(pose[None, :2])[0]
     labels, _ = ndimage.label(grid.free)
     if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
@@ -85,9 +88,25 @@ def is_walled_in(grid: GridView, pose: FloatArray) -> bool:
 def next_target(
     belief: Belief, ignored: BoolArray, old_goal: FloatArray | None, robot: RobotSpec, config: PolicyConfig
 ) -> Target | None:
-    """The frontier of least cost, or the old one while it can be had: changing one's mind costs time.
+    """The frontier of least cost, or the old one while it exists, because a change of goal costs time.
 
-    Small frontiers come after large ones, and those that no way leads to come last.
+    Small frontiers are chosen after large ones. Unreachable frontiers are chosen last.
+
+    Parameters
+    ----------
+    belief
+        What the robot believes.
+    ignored
+        Cells (rows, columns) in which no goal may lie.
+    old_goal
+        The present goal (2,), m, or None.
+    robot, config
+        Body and settings.
+
+    Returns
+    -------
+    target
+        None if there is no frontier left.
     """
     ways: list[Routes] = []
     for size in (config.min_frontier, config.min_last_frontier):
@@ -95,7 +114,7 @@ def next_target(
         for wanted in (_beside(belief.grid, cells, old_goal), cells):
             if not wanted.any():
                 continue
-            # A search that found nothing went everywhere, so one is enough.
+            # A search without a result has covered the whole grid, so one search is enough.
             ways = ways or _ways(belief, wanted, robot, config)
             found = _cheapest(belief, ways, wanted, cells)
             if found is not None:
@@ -106,21 +125,25 @@ def next_target(
 
 
 def _ways(belief: Belief, wanted: BoolArray, robot: RobotSpec, config: PolicyConfig) -> list[Routes]:
-    """Ways to the nearest of some cells or, with other robots about, to all: first round them, then as if through."""
+    """Paths to the nearest of some cells. In a team: paths to all cells, around the other robots and then through
+    them.
+    """
     grid, start, radius = belief.grid, belief.pose[:2], robot.radius + config.margin
     if not len(belief.other_poses):
         return [routes(grid, start, radius, config.clearance, targets=wanted)]
-    taken = taken_cells(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
+    taken = cells_near_robots(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
     return [routes(grid, start, radius, config.clearance, closed=closed) for closed in (taken, None)]
 
 
 def _cheapest(
     belief: Belief, ways: list[Routes], wanted: BoolArray, cells: BoolArray
 ) -> tuple[IntArray, Routes] | None:
-    """The cell (2,) of least cost among those wanted, or one of all that costs far less, and the ways to it."""
-    toll = parting(belief.grid, belief.pose, belief.other_poses, belief.other_goals)
+    """The wanted cell (2,) of least cost, or any cell that costs far less, and the paths to it. None if there is no
+    path.
+    """
+    separation = separation_cost(belief.grid, belief.pose, belief.other_poses, belief.other_goals)
     for each in ways:
-        found = _least(each, each.cost + toll, wanted, cells)
+        found = _least(each, each.cost + separation, wanted, cells)
         if found is not None:
             return found
     return None
@@ -136,7 +159,7 @@ def _least(ways: Routes, cost: FloatArray, wanted: BoolArray, cells: BoolArray) 
 
 
 def _beside(grid: GridView, cells: BoolArray, goal: FloatArray | None) -> BoolArray:
-    """Those of the cells (rows, columns) that lie around a goal."""
+    """Those of the cells (rows, columns) that lie near a goal."""
     near = np.zeros_like(cells)
     if goal is not None:
         row, column = grid.cells(goal[None])[0]
@@ -156,7 +179,7 @@ def _reachable(grid: GridView, cells: BoolArray, cell: IntArray, ways: Routes) -
 def _unreachable(
     belief: Belief, ways: Routes, cells: BoolArray, old_goal: FloatArray | None, robot: RobotSpec
 ) -> Target | None:
-    """What lies behind a wall, and the way to the place from which to look at that wall."""
+    """An unreachable frontier, with a path to the place from which the robot can look at it."""
     grid = belief.grid
     there = np.isfinite(ways.cost)
     room = there & (wall_distance(grid) >= robot.radius)
@@ -175,7 +198,7 @@ def _unreachable(
 
 
 def _aim(grid: GridView, cell: IntArray) -> FloatArray:
-    """The middle (2,), m, of the unknown cells beside a cell (2,)."""
+    """Centre (2,), m, of the unknown cells that are adjacent to a cell (2,)."""
     row, column = (int(index) for index in cell)
     unknown = np.pad(grid.unknown, 1, constant_values=True)
     beside = [(row + down, column + right) for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0))]

@@ -1,7 +1,7 @@
-"""The constant bias of a log's odometry, out of motions that somebody has measured on a calibration run.
+"""The constant bias of a log's odometry, estimated from known motions.
 
-Odometry of a real robot errs the same way all the time: one wheel is a little larger, and a metre is not quite one.
-By how much can be seen from a short run whose true motions are known (as relations), and holds for the rest.
+The odometry of a real robot has constant errors: one wheel is larger than the other, and the wheels differ from their
+nominal size. The errors are estimated from a short run with known motions (relations), and hold for later runs.
 """
 
 import math
@@ -30,7 +30,7 @@ _LARGEST_SCALE = 2.0
 
 @dataclass(frozen=True)
 class OdometryBias:
-    """What odometry is wrong by all the time.
+    """The constant errors of odometry.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class OdometryBias:
     distance_scale
         True distance over reported distance.
     turn_std, scale_std
-        Their standard deviations, as the assumed noise has it.
+        Their standard deviations under the assumed noise.
     relations
-        How many relations they are made of.
+        Number of relations that they were estimated from.
     driven
-        How far odometry went in these, m.
+        Distance driven in these relations by odometry, m.
     """
 
     turn_per_metre: float
@@ -117,7 +117,7 @@ def select(relations: Relations, chosen: BoolArray) -> Relations:
 
 
 class _Path:
-    """Odometry along time: sums that can be asked for at any moment."""
+    """Sums of odometry over time, interpolated at any time."""
 
     def __init__(self, time: FloatArray, odometry: FloatArray) -> None:
         # Logs step back in time here and there.

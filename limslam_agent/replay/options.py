@@ -1,11 +1,11 @@
-"""What the options of ``limslam replay`` say, read and checked, and the calibration that they may ask for."""
+"""The options of ``limslam replay``, read and checked, and the calibration of the odometry that they start."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from limslam_agent.config.presets import AgentConfig, OdometryConfig, SelfCalibrationConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, OdometryConfig, preset, self_calibrating
 from limslam_agent.logs.directions import direction_of
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
@@ -33,15 +33,22 @@ def numbers(option: str, text: str, count: int | None = None, low: float = -1e6)
     return values
 
 
-def odometry_config(noise: str | None, bias: str | None) -> OdometryConfig:
+def odometry_config(noise: str | None, bias: str | None, odometry: OdometryConfig | None = None) -> OdometryConfig:
     """The settings in ``--odometry-noise`` and ``--odometry-bias``.
+
+    Parameters
+    ----------
+    noise, bias
+        The options' texts; None changes nothing.
+    odometry
+        The settings that are changed; the defaults when None.
 
     Raises
     ------
     ValueError
         If one of them is not what it should be.
     """
-    odometry = OdometryConfig()
+    odometry = odometry or OdometryConfig()
     if noise is not None:
         along, per_metre, per_radian = numbers("--odometry-noise", noise, 3, low=0.0)
         odometry = replace(
@@ -58,24 +65,31 @@ def odometry_config(noise: str | None, bias: str | None) -> OdometryConfig:
     return odometry
 
 
-def replay_config(
-    name: str, noise: float, odometry_noise: str | None, odometry_bias: str | None, *, self_calibrate: bool
-) -> AgentConfig:
-    """The settings of a preset with what ``--noise``, ``--odometry-...`` and ``--self-calibrate`` say.
+def replay_config(name: str, noise: float, odometry_noise: str | None, odometry_bias: str | None) -> AgentConfig:
+    """The settings of a preset with what ``--noise``, ``--odometry-noise`` and ``--odometry-bias`` say.
 
     Raises
     ------
     ValueError
-        If one of them is not what it should be, or the preset's estimator cannot calibrate by itself.
+        If one of them is not what it should be.
     """
     config = preset(name, NominalNoise(noise))
-    if self_calibrate and config.estimator != "consistent":
+    return replace(config, odometry=odometry_config(odometry_noise, odometry_bias))
+
+
+def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
+    """The settings with what ``--self-calibrate`` says.
+
+    Raises
+    ------
+    ValueError
+        If the preset's estimator cannot calibrate by itself.
+    """
+    if isinstance(config.estimator, ConsistentConfig):
+        return self_calibrating(config, enabled=enabled)
+    if enabled:
         raise ValueError("--self-calibrate goes with --preset consistent")
-    return replace(
-        config,
-        odometry=odometry_config(odometry_noise, odometry_bias),
-        self_calibration=SelfCalibrationConfig(enabled=self_calibrate),
-    )
+    return config
 
 
 def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) -> Topics:
@@ -92,14 +106,14 @@ def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) ->
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A bias estimated from the log itself or from another one.
+    """A bias of the odometry, estimated from the log itself or from another log.
 
     Attributes
     ----------
     bias
-        What odometry is wrong by.
+        The estimated bias.
     begin, end
-        The stretch of the log that it was estimated on, s; both None where that was another log.
+        The part of the log that the bias was estimated from, s; both None if that was another log.
     """
 
     bias: OdometryBias
@@ -107,11 +121,11 @@ class Calibration:
     end: float | None
 
     def applied_to(self, odometry: OdometryConfig) -> OdometryConfig:
-        """Settings that take the bias off."""
+        """Settings that correct the bias."""
         return replace(odometry, turn_bias=self.bias.turn_per_metre, distance_scale=self.bias.distance_scale)
 
     def held_out(self, relations: Relations) -> Relations:
-        """The relations that can be scored: not those within the stretch that the bias comes from."""
+        """The relations that can be scored: those outside of the part that the bias was estimated from."""
         if self.begin is None or self.end is None:
             return relations
         return select(relations, ~within(relations, self.begin, self.end))
@@ -130,7 +144,7 @@ class Calibration:
 
     @property
     def words(self) -> str:
-        """For the screen."""
+        """A line for the terminal."""
         bias = self.bias
         turn = f"{math.degrees(bias.turn_per_metre):.3f} +- {math.degrees(bias.turn_std):.3f} deg/m"
         scale = f"scale {bias.distance_scale:.4f} +- {bias.scale_std:.4f}"
@@ -139,7 +153,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CalibrationRun:
-    """What ``--calibrate``, ``--calibrate-until`` and ``--calibrate-log`` say.
+    """The options ``--calibrate``, ``--calibrate-until`` and ``--calibrate-log``.
 
     Attributes
     ----------
@@ -164,7 +178,7 @@ class CalibrationRun:
     def estimate(
         self, recorded: RecordedLog, odometry: OdometryConfig, read: Callable[[Path], RecordedLog]
     ) -> Calibration | None:
-        """Calibrate, if that was asked for.
+        """Estimate the bias, if ``--calibrate`` was given.
 
         ``read`` opens another log in the way in which ``recorded`` was opened.
 

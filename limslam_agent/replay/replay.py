@@ -1,4 +1,4 @@
-"""A recorded log through the mapping half of the agent, scored and written down."""
+"""Maps from a recorded log, scores the result, and writes it to a folder."""
 
 import math
 import time
@@ -10,37 +10,38 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
+from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Factors, motion_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCalibration:
-    """What the filter has found the odometry to be wrong by.
+    """The systematic errors of the odometry that the filter has estimated during a replay.
 
     Attributes
     ----------
     factors, covariance
-        Of wheels and axle, and their covariance (3, 3).
+        Errors of wheels and axle, and their covariance (3, 3).
     axle
-        That the robot was said to have, m.
+        Axle of the robot's description, m.
     """
 
-    factors: Factors
+    factors: OdometryCalibration
     covariance: FloatArray
     axle: float
 
     @property
     def figures(self) -> dict[str, float]:
-        """For ``result.json``: the turn that odometry misses a metre, the size of the wheels, each with its std."""
+        """Values for ``result.json``: missing turn per metre, size of the wheels and of the axle, with standard
+        deviations.
+        """
         turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
         values = np.array(self.factors)
         return {
@@ -54,7 +55,7 @@ class SelfCalibration:
 
     @property
     def words(self) -> str:
-        """For the screen."""
+        """One line for the screen."""
         figures = self.figures
         turn, scale = (
             (figures[f"self_calibration_{name}"], figures[f"self_calibration_{std}"])
@@ -65,26 +66,26 @@ class SelfCalibration:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What came of a log: a pose for every event of it.
+    """The result of a replay, with a pose for every event of the log.
 
     Attributes
     ----------
     log
-        What was replayed.
+        The log that was replayed.
     config
-        The settings.
+        Settings.
     estimated, odometry
-        Poses (n, 3): the belief, and odometry alone, corrected for its known bias.
+        Poses (n, 3): the estimate, and odometry alone, corrected for its known bias.
     covariances
-        Of the believed poses (n, 3, 3).
+        Covariances of the estimated poses (n, 3, 3).
     landmarks, segments, grid
         The map.
     refused_readings
-        How many readings were not finite.
+        Number of readings that were not finite.
     self_calibration
-        What the odometry was found to be wrong by; None where that was not asked for.
+        Systematic odometry errors that the filter has estimated. None if this was not asked for.
     slam_ms, wall_clock
-        (n,) cost of each event, ms, and of all of it, s.
+        Cost of the SLAM for each event (n,), ms, and of the whole replay, s.
     """
 
     log: RecordedLog
@@ -102,27 +103,29 @@ class Replay:
 
 
 def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], None] | None = None) -> Replay:
-    """Map from a log, event by event, as if it were happening.
+    """Map from a log, event by event, as if the robot were driving now.
 
-    ``progress`` is told how many events are done.
+    Parameters
+    ----------
+    log
+        The log.
+    config
+        Settings.
+    progress
+        Called after each event with the number of events that are done.
     """
-    slam = LineSlam(log.robot, config, log.start_pose)
-    grid = OccupancyGrid(config.grid)
-    count = len(log)
+    mapper = Mapper(log.robot, config, log.start_pose)
+    slam, count = mapper.slam, len(log)
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
-    by_odometry, begin = log.start_pose, time.perf_counter()
+    begin = time.perf_counter()
     for number, observation in enumerate(log.observations()):
-        before = time.perf_counter()
-        slam.step(observation)
-        slam_ms[number] = 1e3 * (time.perf_counter() - before)
-        grid.update(slam.pose, log.robot, slam.ranges, slam.measured)
-        increment = motion_of(observation, log.robot, config.noise, config.odometry).increment
-        by_odometry = compose(by_odometry, increment)
-        estimated[number], odometry[number], covariances[number] = slam.pose, by_odometry, slam.covariance
+        mapper.step(observation)
+        slam_ms[number] = mapper.slam_ms
+        estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], slam.covariance
         if progress is not None:
             progress(number + 1)
-    slam.finish()
+    mapper.finish()
     return Replay(
         log=log,
         config=config,
@@ -131,16 +134,18 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         covariances=covariances,
         landmarks=slam.landmarks,
         segments=slam.segments,
-        grid=grid.view,
+        grid=mapper.grid,
         refused_readings=slam.refused_readings,
-        self_calibration=slam.factors and SelfCalibration(*slam.factors, log.robot.axle),
+        self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
-    """Errors over known relative poses, of the estimate, of odometry corrected, and of odometry as recorded."""
+    """Errors of relative poses against known ones: of the estimate, of corrected odometry, and of odometry as
+    recorded.
+    """
     log = replay.log
     trajectories = {"": replay.estimated, "odometry_": replay.odometry}
     if log.odometry is not None:
@@ -157,7 +162,18 @@ def write_replay(
 ) -> None:
     """Write trajectory, map, picture and result of a replay into a folder.
 
-    ``source`` names the ``log`` and the ``relations`` that it was made from.
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    replay
+        What is written.
+    source
+        Names of the files that the replay used, such as ``log`` and ``relations``.
+    scores
+        Metrics of the trajectory.
+    versions
+        Versions of the libraries.
     """
     from limslam_agent.output.drawing import MapPicture, draw_map
 

@@ -1,4 +1,4 @@
-"""Anything that can act, behind one protocol: from all robots' observations to all robots' actions."""
+"""One interface for anything that can act: from the observations of all robots to the actions of all robots."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
@@ -12,21 +12,23 @@ Actions = Mapping[str, Any]
 
 
 class Driver(Protocol):
-    """Who drives the robots of an episode.
+    """Drives the robots of an episode.
 
     Attributes
     ----------
-    knows_its_end
-        Whether it says itself when it is done.
-    believer
-        Who has a ``snapshot()`` of what is believed; None if nobody does.
+    can_stop
+        Whether the driver itself says when it is done.
+    snapshot_source
+        Object with a ``snapshot()`` of what is believed, or None if there is no such object.
     """
 
-    knows_its_end: bool
-    believer: Any
+    can_stop: bool
+    snapshot_source: Any
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
-        """Begin again at known poses (3,), m, m, rad, of the robots by their names."""
+        """Start again. ``start_poses`` are known poses (3,) of the robots by their names: x (m), y (m), heading
+        (rad).
+        """
         ...
 
     def act(self, observations: Observations) -> Actions:
@@ -40,40 +42,42 @@ class Driver(Protocol):
 
     @property
     def stop_reason(self) -> str | None:
-        """Why there is nothing left to do, where that is known."""
+        """Why there is nothing left to do, in words. None if that is unknown."""
         ...
 
 
 def driver_of(actor: Any, *, is_team: bool) -> Driver:
-    """Who can drive as ``actor`` does: the robots of a team, or the only one.
+    """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
     Raises
     ------
     ValueError
-        If it cannot act.
+        If ``actor`` cannot act.
     """
     if isinstance(actor, Mapping):
         if not is_team:
             raise ValueError("a dict of actors is for parallel environments; here one actor drives one robot")
-        return _Each({name: driver_of(part, is_team=False) for name, part in actor.items()})
+        return _ActorPerRobot({name: driver_of(part, is_team=False) for name, part in actor.items()})
     if isinstance(actor, type):
-        raise ValueError(f"{actor.__name__} is a class and cannot act: give an object of it")  # noqa: TRY004 (a value)
+        raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
     if callable(getattr(actor, "act", None)):
-        return _One(actor, actor.act, is_team=is_team)
+        return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
-        return _Model(actor)
+        return _ModelActor(actor)
     if callable(actor):
-        return _One(actor, actor, is_team=is_team)
-    raise ValueError(f"{type(actor).__name__} cannot act: it has no act, no predict, and is no function")
+        return _SingleActor(actor, actor, is_team=is_team)
+    raise ValueError(f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable")
 
 
-class _One:
-    """One actor for all: of a team it is told everything at once, and a single robot's is told what that one sees."""
+class _SingleActor:
+    """One actor for all robots. In a team it answers all observations at once. Otherwise it answers those of one
+    robot.
+    """
 
     def __init__(self, actor: Any, answer: Callable[[Any], Any], *, is_team: bool) -> None:
         self._actor, self._answer, self._is_team = actor, answer, is_team
-        self.knows_its_end = hasattr(actor, "done")
-        self.believer = actor if callable(getattr(actor, "snapshot", None)) else None
+        self.can_stop = hasattr(actor, "done")
+        self.snapshot_source = actor if callable(getattr(actor, "snapshot", None)) else None
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
         reset = getattr(self._actor, "reset", None)
@@ -98,10 +102,10 @@ class _One:
         return getattr(self._actor, "stop_reason", None)
 
 
-class _Model:
-    """A model as Stable-Baselines3 has them; what a recurrent one remembers is kept for each robot."""
+class _ModelActor:
+    """A model in the style of Stable-Baselines3. The state of a recurrent model is kept for each robot."""
 
-    knows_its_end, believer, done, stop_reason = False, None, False, None
+    can_stop, snapshot_source, done, stop_reason = False, None, False, None
 
     def __init__(self, model: Any) -> None:
         self._model = model
@@ -115,21 +119,21 @@ class _Model:
         return {name: self._predicted(name, observation) for name, observation in observations.items()}
 
     def _predicted(self, name: str, observation: Any) -> Any:
-        # Models without a memory need not know the argument.
+        # Models without a recurrent state need not accept these arguments.
         state = self._states.get(name)
         memory = {} if state is None else {"state": state, "episode_start": np.zeros(1, dtype=bool)}
         action, self._states[name] = self._model.predict(observation, deterministic=True, **memory)
         return action
 
 
-class _Each:
-    """An actor for each robot."""
+class _ActorPerRobot:
+    """A separate actor for each robot."""
 
-    believer = None
+    snapshot_source = None
 
     def __init__(self, drivers: Mapping[str, Driver]) -> None:
         self._drivers = drivers
-        self.knows_its_end = all(driver.knows_its_end for driver in drivers.values())
+        self.can_stop = all(driver.can_stop for driver in drivers.values())
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
         if set(self._drivers) != set(start_poses):

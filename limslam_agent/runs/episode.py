@@ -1,31 +1,29 @@
-"""One run: the agent, or a team, in the simulated world, recorded.
+"""One run of an agent or a team in the simulator, recorded step by step.
 
-Here, and nowhere else, the mind meets the world; it is handed the observations alone, and what
-is true goes to the record.
+Agent and simulator meet only in this module. The agent gets the observations and nothing else. The truth goes into the
+record of the run.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.slam.core.diagnostics import Closure
-from limslam_agent.slam.core.motion import motion_of
-from limslam_agent.runs.oracle import Pilot, TruePose, check_policy, needs_loop, policies_for
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
-from limslam_env.envs.adapter import MAX_ROBOTS
-from limslam_env.config import NoiseConfig
-from limslam_env.simulation.coverage import CoverageGrid
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose
-from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.bounds.offline_optimum import require_gtsam
+from limslam_env.config import NoiseConfig
+from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 from limslam_env.worlds.world import World, WorldError
 
@@ -35,43 +33,47 @@ OUT_OF_TIME = "time: the run's longest time is over"
 
 @dataclass(frozen=True)
 class RunConfig:
-    """What is run.
+    """Settings of a run.
 
     Attributes
     ----------
     world
         Name, file or world.
     noise
-        Standard deviation of the ranges, m; the agent is told it.
+        Standard deviation of the range noise, m. The agent is told this value.
     preset
-        The agent's settings.
+        Name of the agent's settings.
     seed
-        Of all noise.
+        Seed of all random numbers.
     max_time
         Longest simulated time, s.
     laps
-        Drive round the world's loop this often instead of exploring; 0 explores. With the policy ``tour``, how often
-        the tour is driven.
+        Number of laps of the world's loop to drive instead of exploring. 0 explores. With the policy ``tour``, the
+        number of times that the tour is driven.
     robot
         Body and beams of each robot.
     robots
-        How many there are, 1 to 8.
+        Number of robots, 1 to 8.
     ablation
-        A part of the method that is left out; None leaves out nothing.
+        Part of the method that is switched off. None switches off nothing.
     policy
-        Who drives: ``frontier`` explores, ``frontier_fast`` does so at top speed, ``learned`` is a trained network,
-        ``wall_follower`` and ``random`` are there to compare with. ``learned_true_pose`` has its map drawn by the true
-        pose. A pilot that
-        knows the true map and pose, to which the estimators listen, drives ``tour``, round the world's loop or where
-        it has none past all that can be seen and back, and ``oracle``, past everything as soon as possible.
+        Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
+        network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
+        ``random`` are simple baselines. ``tour`` and ``oracle`` know the true map and the true pose, while the
+        estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
+        and back, and ``oracle`` drives past everything as fast as possible.
     limit
-        Score it against the offline optimum of its log too, which needs gtsam.
+        Whether to also compare the run with the offline optimum of its log, which needs gtsam.
+    settings
+        The agent's settings before the ablation. The preset's settings by default.
+    true_noise
+        The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
     Raises
     ------
     ValueError
-        If a number is out of bounds, there is no such preset or policy, they do not go together, the world cannot
-        be used or has no loop to drive laps on, or gtsam is missing for the limit.
+        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, the world
+        cannot be used or has no loop to drive laps on, or gtsam is missing for the offline optimum.
     """
 
     world: WorldSource = "env1"
@@ -85,6 +87,8 @@ class RunConfig:
     ablation: str | None = None
     policy: str = "frontier"
     limit: bool = False
+    settings: AgentConfig | None = None
+    true_noise: NoiseConfig = field(default_factory=NoiseConfig)
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -106,41 +110,45 @@ class RunConfig:
 
     @property
     def agent(self) -> AgentConfig:
-        """What the agent is told."""
-        config = preset(self.preset, NominalNoise(self.noise))
+        """The agent's settings, with the noise that the agent is told."""
+        config = self.settings or preset(self.preset, NominalNoise(self.noise))
         return config if self.ablation is None else ablated(config, self.ablation)
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """A run as it was recorded: a row a step, row 0 the moment of the reset.
+    """The record of a run, with one row for each step. Row 0 is the moment of the reset.
 
     Attributes
     ----------
     config, world
-        What was run, and where.
+        Settings and world of the run.
     time
         (t,), s.
     ranges, wheels
-        (t, n, n_beams) and (t, n, 2): the observations of the n robots.
+        Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m.
     actions
-        (t, n, 2): the answer to each observation; it leads to the next row.
+        Answer to each observation (t, n, 2). The action of a row leads to the next row.
     true, estimated, odometry
-        Poses (t, n, 3): the truth, the belief, and odometry alone.
+        Poses (t, n, 3): the truth, the estimate, and odometry alone.
     covariances
-        Of the believed poses (t, n, 3, 3).
+        Covariances of the estimated poses (t, n, 3, 3).
     wall_seen
-        (t, n, n_beams), what each beam truly hit.
+        What each beam truly hit (t, n, n_beams).
     dropped
-        (t, n, n_beams), which beams were left out because they may have hit another robot.
+        Beams that were ignored because they may have hit another robot (t, n, n_beams).
     coverage, contact
-        (t,) by all robots together, and (t, n), the truth.
-    associations, closures, snapshot, coverage_grid
-        What became of observed lines, the loops closed, what is believed at the end, and the cells that count.
+        True coverage by all robots together (t,), and whether each robot touches something (t, n).
+    associations, closures
+        The association of each observed line, and the loops that were closed.
+    snapshot
+        What is believed at the end.
+    coverage_grid
+        The cells that count for coverage.
     stop_reason, is_finished
-        Why the run ended, and whether the mind said so itself.
+        Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
-        (t,), (t,) and one number: what mapping and exploring cost a step, ms, and the whole loop, s.
+        Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
     """
 
     config: RunConfig
@@ -169,12 +177,12 @@ class Episode:
 
 
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
-"""Told of team, env, simulated time (s) and true coverage (0 to 1) at each step, after the team has decided."""
+"""Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One step of a run, of all robots."""
+    """One step of a run, with all robots."""
 
     time: float
     coverage: float
@@ -196,22 +204,23 @@ def run_episode(
     on_association: Callable[[AssociationRecord], None] | None = None,
     render_mode: str | None = None,
 ) -> Episode:
-    """Let the robots loose, and record what happens.
+    """Run the robots and record what happens.
 
     Parameters
     ----------
     config
-        What is run.
+        Settings of the run.
     watch
-        Told of each step.
+        Called at each step.
     on_association
-        Told what became of each observed line.
+        Called with the association of each observed line.
     render_mode
-        Of the environment, for those who want pictures of the truth.
+        Render mode of the environment, for pictures of the truth.
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
-        world, num_robots=config.robots, robot=config.robot, noise=NoiseConfig(sensor_noise=config.noise),
+        world, num_robots=config.robots, robot=config.robot,
+        noise=replace(config.true_noise, sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
     policies = policies_for(
@@ -220,37 +229,45 @@ def run_episode(
     team = LimSlamTeam(config.robot, config.agent, config.robots, policies)
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
-    def note(record: AssociationRecord) -> None:
+    def note_association(record: AssociationRecord) -> None:
         associations.append(record)
         if on_association is not None:
             on_association(record)
 
-    rows = _drive(config, env, team, note, watch)
+    rows = _drive(config, env, team, note_association, watch)
     return Episode(
         config=config,
         world=world,
-        time=np.array([row.time for row in rows]),
-        ranges=np.array([[seen["ranges"] for seen in row.observations] for row in rows]),
-        wheels=np.array([[seen["wheels"] for seen in row.observations] for row in rows]),
-        actions=np.array([row.actions for row in rows]),
-        true=np.array([[info["pose"] for info in row.infos] for row in rows]),
-        estimated=np.array([row.estimated for row in rows]),
-        odometry=np.array([row.odometry for row in rows]),
-        covariances=np.array([row.covariances for row in rows]),
-        wall_seen=np.array([[info["wall_seen"] for info in row.infos] for row in rows]),
-        dropped=np.array([row.dropped for row in rows]),
-        coverage=np.array([row.coverage for row in rows]),
-        contact=np.array([[info["collision"] for info in row.infos] for row in rows]),
         associations=associations,
         closures=list(team.slam.closures),
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=team.stop_reason or OUT_OF_TIME,
         is_finished=team.done,
-        slam_ms=np.array([row.slam_ms for row in rows]),
-        decide_ms=np.array([row.decide_ms for row in rows]),
         wall_clock=time.perf_counter() - clock,
+        **_columns(rows),
     )
+
+
+def _columns(rows: list[_Row]) -> dict[str, Any]:
+    """The rows of a run as arrays, by their names in :class:`Episode`."""
+    columns: dict[str, list[Any]] = {
+        "time": [row.time for row in rows],
+        "ranges": [[seen["ranges"] for seen in row.observations] for row in rows],
+        "wheels": [[seen["wheels"] for seen in row.observations] for row in rows],
+        "actions": [row.actions for row in rows],
+        "true": [[info["pose"] for info in row.infos] for row in rows],
+        "estimated": [row.estimated for row in rows],
+        "odometry": [row.odometry for row in rows],
+        "covariances": [row.covariances for row in rows],
+        "wall_seen": [[info["wall_seen"] for info in row.infos] for row in rows],
+        "dropped": [row.dropped for row in rows],
+        "coverage": [row.coverage for row in rows],
+        "contact": [[info["collision"] for info in row.infos] for row in rows],
+        "slam_ms": [row.slam_ms for row in rows],
+        "decide_ms": [row.decide_ms for row in rows],
+    }
+    return {name: np.array(column) for name, column in columns.items()}
 
 
 def _drive(
@@ -260,32 +277,26 @@ def _drive(
     on_association: Callable[[AssociationRecord], None],
     watch: Watcher | None,
 ) -> list[_Row]:
-    told, infos = env.reset(seed=config.seed)
-    odometry = np.array([infos[name]["pose"] for name in team.names])
-    team.reset(odometry, config.seed)
+    observed, infos = env.reset(seed=config.seed)
+    team.reset(np.array([infos[name]["pose"] for name in team.names]), config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
-    agent = config.agent
     max_steps = round(config.max_time / config.robot.control_period)
     while True:
-        observations = [told[name] for name in team.names]
+        observations = [observed[name] for name in team.names]
         truth = infos[team.names[0]]
         for policy in team.policies:
-            if isinstance(policy, Pilot | TruePose):
-                policy.look(env, truth["pose"], truth["coverage"])
+            if isinstance(policy, Oracle | TruePoseExplorer):
+                policy.observe_truth(env, truth["pose"], truth["coverage"])
         begin = time.perf_counter()
         team.observe(observations)
-        between = time.perf_counter()
         actions = team.decide()
-        end = time.perf_counter()
-        odometry = np.array(
-            [_moved(pose, seen, config.robot, agent) for pose, seen in zip(odometry, observations, strict=True)]
-        )  # fmt: skip
+        elapsed_ms, slam_ms = 1e3 * (time.perf_counter() - begin), team.mapper.slam_ms
         rows.append(
             _Row(
                 truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
-                team.slam.poses, team.slam.covariances, odometry, [front.dropped for front in team.slam.robots],
-                1e3 * (between - begin), 1e3 * (end - between),
+                team.slam.poses, team.slam.covariances, team.mapper.odometry,
+                [front.dropped for front in team.slam.robots], slam_ms, elapsed_ms - slam_ms,
             )
         )  # fmt: skip
         if watch is not None:
@@ -293,9 +304,4 @@ def _drive(
         if team.done or len(rows) > max_steps:
             team.finish()
             return rows
-        told, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
-
-
-def _moved(pose: FloatArray, observation: Observation, robot: RobotSpec, agent: AgentConfig) -> FloatArray:
-    """Where odometry alone puts a robot."""
-    return compose(pose, motion_of(observation, robot, agent.noise, agent.odometry).increment)
+        observed, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))

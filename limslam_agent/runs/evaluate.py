@@ -1,4 +1,4 @@
-"""Score anything that can act by the metrics of ``limslam run``."""
+"""Scores anything that can act by the metrics of ``limslam run``."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -11,13 +11,10 @@ from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.runs.actors import Actions, Driver, driver_of
-from limslam_agent.config.presets import AgentConfig
 from limslam_agent.runs.episode import OUT_OF_TIME
-from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
-from limslam_env.envs.adapter import Staged
+from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.geometry import FloatArray, no_rows
-from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
 Result = dict[str, Any]
@@ -37,46 +34,46 @@ def evaluate(
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> list[Result]:
-    """Let an actor explore, once for each seed, and score it as the agent that comes with this package is scored.
+    """Let an actor explore once for each seed, and score it with the metrics that score the agent of this package.
 
     Parameters
     ----------
     actor
-        Who drives: anything with ``act(observation)``, a Stable-Baselines3 model or another with
-        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. Its ``reset(start_pose, seed)``
-        is called before each episode, if it has one. In a parallel environment an actor answers a dict of all robots'
-        observations by a dict of their actions; a dict of actors, by the robots' names, has each answer for its own,
-        and a model with ``predict`` answers for each robot in turn.
+        Anything with ``act(observation)``, a model of Stable-Baselines3 or another object with ``predict(observation,
+        deterministic=True) -> (action, state)``, or a callable. If the actor has a ``reset(start_pose, seed)``, it is
+        called before each episode. In a parallel environment an actor answers a dict of all robots' observations with a
+        dict of their actions. In a dict of actors by robot names, each actor answers for its own robot. A model with
+        ``predict`` answers for each robot in turn.
     env_id
-        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo one (``limslam/Env1-v0``) for several robots.
+        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
-        One episode each.
+        One episode is driven for each seed.
     max_time
         Longest simulated time of an episode, s.
     wrap
-        Makes the environment that the actor sees out of the bare one.
+        Wraps the bare environment into the one that the actor sees.
     **arguments
-        Of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is None, unless given,
-        for actors that say themselves when they are ``done``, and 0.99 for others: they have to be stopped.
+        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is None by
+        default for an actor that says itself when it is ``done``, and 0.99 for other actors, which have to be stopped.
 
     Returns
     -------
     results
         For each seed the metrics of the drive: ``coverage_true``, ``time_to_50_s`` and so on, ``exploration_time_s``,
-        ``collisions``, ``path_m`` and ``stop_reason``. Of an actor with a ``snapshot()`` (`LimSlamAgent`,
-        `LimSlamTeam`) those of its trajectory and map, too.
+        ``collisions``, ``path_m`` and ``stop_reason``. For an actor whose ``snapshot()`` is that of `LimSlamAgent` or
+        `LimSlamTeam`, also the metrics of its trajectory and map.
 
     Raises
     ------
     ValueError
-        If there is no such environment, the actor cannot act in it, or what it answers is no action.
+        If the environment does not exist, or the actor cannot act in it, or an answer of the actor is not an action.
     """
     if not max_time > 0.0:
         raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
     is_team = env_id.startswith(_TEAMS)
     driver = driver_of(actor, is_team=is_team)
     robot = arguments.get("robot") or RobotSpec()
-    goal = {"coverage_goal": None} if driver.knows_its_end else {}
+    goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
@@ -88,8 +85,8 @@ def evaluate(
 def medians(results: Sequence[Result]) -> dict[str, float | None]:
     """The median of each metric over several episodes.
 
-    A time that was never reached counts as later than all others; where half of them were not, the median is None.
-    Of other metrics the episodes that do not have them are left out.
+    A time that was never reached counts as later than all others. If half of the times were not reached, the median is
+    None. For other metrics, episodes without the metric are ignored.
     """
     columns: dict[str, list[float]] = {}
     for result in results:
@@ -105,7 +102,9 @@ def medians(results: Sequence[Result]) -> dict[str, float | None]:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One step of all n robots: true and believed poses (n, 3), covariances (n, 3, 3); empty where none are known."""
+    """One step of all n robots: odometry and estimated poses (n, 3), covariances (n, 3, 3). Empty where they are
+    unknown.
+    """
 
     infos: list[dict[str, Any]]
     odometry: FloatArray
@@ -114,21 +113,21 @@ class _Row:
 
 
 class _Robots:
-    """One environment or the other, with all robots by their names."""
+    """A single-robot or a parallel environment, with all robots by their names."""
 
     def __init__(self, env: Any, *, is_team: bool) -> None:
         self._env, self._is_team = env, is_team
 
     def reset(self, seed: int) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """What the robots observe, and what is true."""
+        """Observations and true infos of the robots."""
         observation, info = self._env.reset(seed=seed)
         return (observation, info) if self._is_team else ({_ALONE: observation}, {_ALONE: info})
 
     def step(self, actions: Actions) -> tuple[dict[str, Any], dict[str, dict[str, Any]], bool, bool]:
-        """The same, and whether the episode is over, and whether its time is."""
+        """Observations and infos, whether the episode has terminated, and whether it was truncated."""
         if self._is_team:
-            told, _, over, late, infos = self._env.step(dict(actions))
-            return told, infos, all(over.values()), all(late.values())
+            observations, _, over, late, infos = self._env.step(dict(actions))
+            return observations, infos, all(over.values()), all(late.values())
         observation, _, is_over, is_late, info = self._env.step(actions[_ALONE])
         return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
 
@@ -143,40 +142,39 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
         raise ValueError(f"there is no environment {env_id!r}") from error
     except gym.error.Error as error:
         raise ValueError(str(error)) from error
-    if not isinstance(env.unwrapped, Staged):
+    if not isinstance(env.unwrapped, SimulationEnv):
         env.close()
-        raise ValueError(f"{env_id!r} is no environment of LimSLAM")  # noqa: TRY004 (a wrong value)
+        raise ValueError(f"{env_id!r} is not a LimSLAM environment")  # noqa: TRY004 (a wrong value)
     return env
 
 
-def _scored(driver: Driver, robots: _Robots, stage: Staged, seed: int) -> Result:
-    """One episode, scored."""
+def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) -> Result:
+    """Drive one episode and score it."""
     rows, stop_reason = _drive(driver, robots, seed)
     time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))
     true, contact = (np.array([[info[name] for info in row.infos] for row in rows]) for name in ("pose", "collision"))
     scores: Result = drive_scores(time, coverage, true, contact, has_explored=stop_reason is not None)
-    if driver.believer is not None:
+    if driver.snapshot_source is not None:
         estimated, covariances = np.array([row.estimated for row in rows]), np.array([row.covariances for row in rows])
-        odometry, snapshot = np.array([row.odometry for row in rows]), driver.believer.snapshot()
+        odometry, snapshot = np.array([row.odometry for row in rows]), driver.snapshot_source.snapshot()
         scores |= team_scores(true, estimated, odometry, covariances)
         scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
     return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
 
 
 def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str | None]:
-    """The rows of an episode, and why it was over; None if its time was."""
-    told, infos = robots.reset(seed)
+    """The rows of an episode and its stop reason, which is None if the time ran out."""
+    observations, infos = robots.reset(seed)
     _begin(driver, infos, seed)
-    odometry = np.array([info["pose"] for info in infos.values()])
     rows, is_over, is_late = list[_Row](), False, False
     while True:
-        # The last observation is for the estimate alone.
-        actions = driver.act(told)
-        rows.append(_row(driver.believer, told, infos, rows[-1].odometry if rows else odometry))
+        # The last observation only updates the estimate; its action is not executed.
+        actions = driver.act(observations)
+        rows.append(_row(driver.snapshot_source, infos))
         if is_over or is_late or driver.done:
             break
-        told, infos, is_over, is_late = robots.step(actions)
-    finish = getattr(driver.believer, "finish", None)
+        observations, infos, is_over, is_late = robots.step(actions)
+    finish = getattr(driver.snapshot_source, "finish", None)
     if callable(finish):
         finish()
     if driver.done:
@@ -187,17 +185,12 @@ def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str 
 def _begin(driver: Driver, infos: dict[str, dict[str, Any]], seed: int) -> None:
     driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
     if driver.done:
-        raise ValueError(f"the actor was done before seed {seed} began: a policy that it was given serves for one run")
+        raise ValueError(f"the actor was done before seed {seed} began: a policy serves for one run only")
 
 
-def _row(believer: Any, told: dict[str, Any], infos: dict[str, dict[str, Any]], odometry: FloatArray) -> _Row:
+def _row(snapshot_source: Any, infos: dict[str, dict[str, Any]]) -> _Row:
     truth = list(infos.values())
-    if believer is None:
-        return _Row(truth, odometry, no_rows(3), no_rows(9))
-    config, snapshot = getattr(believer, "config", None) or AgentConfig(), believer.snapshot()
-    robot = getattr(believer, "robot", None) or RobotSpec()
-    moved = [
-        compose(pose, motion_of(observation, robot, config.noise, config.odometry).increment)
-        for pose, observation in zip(odometry, told.values(), strict=True)
-    ]
-    return _Row(truth, np.array(moved), snapshot.poses, snapshot.covariances)
+    if snapshot_source is None:
+        return _Row(truth, no_rows(3), no_rows(3), no_rows(9))
+    snapshot = snapshot_source.snapshot()
+    return _Row(truth, snapshot.odometry, snapshot.poses, snapshot.covariances)

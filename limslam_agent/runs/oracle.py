@@ -1,7 +1,7 @@
-"""Who drives a run: the policies by their names, and a pilot that knows map and pose.
+"""The policies of a run by their names, and oracles that know the true map and the true pose.
 
-A pilot is no part of any agent: it may see what is true, so that all estimators can listen to one and the same drive,
-and so that explorers can be measured by one that has nothing to find out.
+An oracle is not part of the agent. It lets all estimators listen to the same drive, and it gives a limit that explorers
+can be compared with.
 """
 
 import math
@@ -10,44 +10,48 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.policies.belief import NO_PLAN, Belief
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.controller import bearing_of, wheel_speeds
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
 from limslam_agent.policies.learned.network import load_network
-from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.policies import FrontierPolicy, Laps, Policy, RandomPolicy, WallFollower
+from limslam_agent.policies.policy import NO_PLAN, Policy
+from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
+from limslam_env.bounds.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
+from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
-from limslam_env.bounds.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
 from limslam_env.worlds.world import World
 
 POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "learned", "learned_true_pose", "tour", "oracle")
 
-_PILOTED = ("tour", "oracle", "learned_true_pose")
-_ARRIVED = 0.003  # m: less than a way's distance from the walls
-_MOST_TOURS = 4  # that the oracle plans, should a drive not show what the plan had promised
+_PRIVILEGED = ("tour", "oracle", "learned_true_pose")
+_ARRIVED = 0.003  # m, smaller than the distance between a tour and the walls
+_MOST_TOURS = 4  # largest number of tours that the oracle plans, in case a drive misses cells of its plan
 
 Planner = Callable[[FloatArray, BoolArray | None], FloatArray]
-"""From the true pose (3,) and, but at the start, the cells seen so far to waypoints (k, 2), m; none: nothing to do."""
+"""Plans waypoints (k, 2), m, from the true pose (3,) and the cells seen so far (None at the start). Empty if there are
+none.
+"""
 
 
-class Pilot:
-    """Drives a planned tour by the true pose, whatever is measured or believed.
+class Oracle:
+    """Drives a planned tour by the true pose. What is measured or believed plays no role.
 
-    On the spot it turns towards each waypoint, then it drives there straight.
+    The robot turns on the spot towards each waypoint and then drives straight.
 
     Parameters
     ----------
     robot, speeds
-        Body, and how fast it goes.
+        Body, and the speeds of driving and turning.
     planner
-        Asked for waypoints at the start and whenever they have been passed, as often as ``tours``.
+        Called for waypoints at the start and whenever all waypoints have been passed, at most ``tours`` times.
     tours
-        How often it may be asked.
+        Largest number of calls of the planner.
     goal
-        Share of the coverable cells at which the drive is over; None drives the whole tour.
+        Share of the coverable cells at which the drive is over. None drives the whole tour.
     """
 
     def __init__(
@@ -58,8 +62,8 @@ class Pilot:
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
 
-    def look(self, env: LimSlamParallelEnv, pose: FloatArray, coverage: float) -> None:
-        """Take in the truth of this step: the pose (3,), m and rad, and the share covered."""
+    def observe_truth(self, env: LimSlamParallelEnv, pose: FloatArray, coverage: float) -> None:
+        """Take the truth of this step: the pose (3,), m and rad, and the coverage (0 to 1)."""
         self._pose = pose
         if self._goal is not None and coverage >= self._goal:
             self.stop_reason, self.plan = f"{self._goal:.0%} of what can be seen was seen", NO_PLAN
@@ -73,13 +77,13 @@ class Pilot:
             self._pass_waypoints()
 
     def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) towards the next waypoint; what is believed is not asked."""
+        """Wheel speeds (2,) towards the next waypoint. The belief is ignored."""
         del belief
         if self.stop_reason is not None:
             return np.zeros(2)
         period, (drive, turn) = self._robot.control_period, self._speeds
         error, distance = bearing_of(self._pose, self.plan[0]), self._distance()
-        # What one step can turn, it turns while driving; more than that, on the spot.
+        # An error that one step can correct is corrected while driving. A larger error is corrected on the spot.
         speed = min(drive, distance / period) if abs(error) <= turn * period else 0.0
         return wheel_speeds(speed, float(np.clip(error / period, -turn, turn)), self._robot)
 
@@ -91,17 +95,18 @@ class Pilot:
             self.plan = self.plan[1:]
 
 
-class TruePose:
-    """The learned explorer on a map that is drawn by the true pose: what better estimating could give it at most.
+class TruePoseExplorer:
+    """The learned policy on a map that is drawn from the true pose: an upper limit of what better pose estimates could
+    give.
 
-    The readings have their noise. Weights are those that were learned on the true pose.
+    The readings keep their noise. The weights were trained with the true pose.
 
     Parameters
     ----------
     robot, config
         Body, and the settings of grid and policy.
     seed
-        Of the numbers drawn.
+        Seed of the random numbers.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, seed: int = 0) -> None:
@@ -110,13 +115,13 @@ class TruePose:
         self.plan: FloatArray = NO_PLAN
         self.stop_reason: str | None = None
 
-    def look(self, env: LimSlamParallelEnv, pose: FloatArray, coverage: float) -> None:
-        """Take in the true pose (3,), m and rad."""
+    def observe_truth(self, env: LimSlamParallelEnv, pose: FloatArray, coverage: float) -> None:
+        """Take the true pose (3,), m and rad."""
         del env, coverage
         self._pose = np.array(pose)
 
     def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,); of what is believed, only the readings are asked."""
+        """Wheel speeds (2,). Of the belief, only the readings are used."""
         self._grid.update(self._pose, self._robot, belief.ranges, np.ones(len(belief.ranges), dtype=bool))
         wheels = self._explorer.act(replace(belief, pose=self._pose, grid=self._grid.view))
         self.stop_reason = self._explorer.stop_reason
@@ -124,24 +129,24 @@ class TruePose:
 
 
 def check_policy(policy: str, laps: int, robots: int) -> None:
-    """Make sure that there is such a policy, and that it can do what is asked.
+    """Check that the policy exists and can do what the other settings ask for.
 
     Raises
     ------
     ValueError
-        If not.
+        If it does not exist or cannot.
     """
     if policy not in POLICIES:
         raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
     if laps and policy not in {"frontier", "tour"}:
-        raise ValueError(f"laps are driven by the belief, or with the policy tour by the truth, not by {policy!r}")
-    if robots > 1 and (laps or policy in _PILOTED):
+        raise ValueError(f"laps go with the policies frontier and tour, not with {policy!r}")
+    if robots > 1 and (laps or policy in _PRIVILEGED):
         what = "laps are" if laps else f"the policy {policy!r} is"
         raise ValueError(f"{what} for one robot: several would meet on the loop")
 
 
 def needs_loop(policy: str, laps: int) -> bool:
-    """Whether it can only be driven in a world with a loop."""
+    """Whether the run needs a world with a loop."""
     return laps > 0 and policy == "frontier"
 
 
@@ -153,16 +158,16 @@ def explores(policy: str, laps: int) -> bool:
 def policies_for(
     policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, robots: int, laps: int, seed: int
 ) -> list[Policy] | None:
-    """A policy for each robot; None for the frontier explorers that a team makes itself."""
+    """A policy for each robot. None for the frontier policies, which a team makes itself."""
     if policy == "frontier":
         return [Laps(robot, config.policy, world.loop, laps)] if laps else None
-    if policy in _PILOTED:
-        return [_pilot_for(policy, robot, config, world, laps=laps, seed=seed)]
+    if policy in _PRIVILEGED:
+        return [_privileged_policy(policy, robot, config, world, laps=laps, seed=seed)]
     return [_policy_for(policy, robot, config.policy, number, seed) for number in range(robots)]
 
 
 def _policy_for(policy: str, robot: RobotSpec, config: PolicyConfig, number: int, seed: int) -> Policy:
-    """A policy that acts on what is believed."""
+    """A policy that acts on the belief."""
     if policy == "frontier_fast":
         return FrontierPolicy(robot, replace(config, speed=robot.max_wheel_speed), number)
     if policy == "wall_follower":
@@ -171,18 +176,20 @@ def _policy_for(policy: str, robot: RobotSpec, config: PolicyConfig, number: int
     return kind(robot, config, seed=np.random.default_rng([seed, number]))
 
 
-def _pilot_for(policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, laps: int, seed: int) -> Policy:
-    """Whoever knows the truth."""
+def _privileged_policy(
+    policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, laps: int, seed: int
+) -> Policy:
+    """A policy that knows the truth."""
     if policy == "learned_true_pose":
-        return TruePose(robot, config, seed)
+        return TruePoseExplorer(robot, config, seed)
     if policy == "oracle":
-        return Pilot(robot, top_speeds(robot), _oracle(world, robot), _MOST_TOURS, GOAL)
-    # The speeds of laps, and never those of a preset: all estimators are to listen to the same drive.
+        return Oracle(robot, top_speeds(robot), _coverage_planner(world, robot), _MOST_TOURS, GOAL)
+    # The speeds do not depend on the preset, so that all estimators listen to the same drive.
     speeds = Speeds(PolicyConfig().lap_speed, PolicyConfig().turn_rate)
-    return Pilot(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
+    return Oracle(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
 
 
-def _oracle(world: World, robot: RobotSpec) -> Planner:
+def _coverage_planner(world: World, robot: RobotSpec) -> Planner:
     def plan(pose: FloatArray, seen: BoolArray | None) -> FloatArray:
         return coverage_tour(world, robot, pose, seen=seen)
 

@@ -1,4 +1,4 @@
-"""Filming a run: at each step that is due, a picture of the truth beside one of what is believed."""
+"""Films a run: each frame shows a picture of the truth beside a picture of the belief."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, HoughView, hough_view
-from limslam_agent.runs.episode import RunConfig
-from limslam_agent.video.film import FPS, Film
 from limslam_agent.grid.frontier import frontier_cells
+from limslam_agent.runs.episode import RunConfig
 from limslam_agent.slam.slam import AssociationRecord, Extraction, LineSlam
 from limslam_agent.team import LimSlamTeam
+from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, HoughView, hough_view
+from limslam_agent.video.film import FPS, Film
 from limslam_agent.video.video import VideoWriter
-from limslam_env.geometry import FloatArray
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats.loading import load_world
 
 
@@ -24,7 +24,7 @@ class Recorder:
     Parameters
     ----------
     film
-        What the pictures go to.
+        Gets the pictures.
     """
 
     def __init__(self, film: Film) -> None:
@@ -37,11 +37,11 @@ class Recorder:
         self._words = ""
 
     def on_association(self, record: AssociationRecord) -> None:
-        """Take note of what became of an observed line."""
+        """Note the association of an observed line."""
         self._events.append(Event("new" if record.is_new else "again", record.landmark + 1, robot=record.robot))
 
     def watch(self, team: LimSlamTeam, env: LimSlamParallelEnv, time: float, coverage: float) -> None:
-        """Take note of a step, and film it when a picture is due."""
+        """Note a step, and add a frame to the film when one is due."""
         if not self._paths:
             self._paths = [[] for _ in team.names]
         for path, pose in zip(self._paths, team.slam.poses, strict=True):
@@ -54,21 +54,21 @@ class Recorder:
                 self._film.add(truth, self._frame(team, time), coverage)
 
     def finish(self) -> None:
-        """Let the film end with the reason why the run did."""
+        """End the film with the reason why the run ended."""
         self._film.finish(self._words)
 
     def _look(self, slam: LineSlam) -> None:
         for closure in slam.closures[self._closures :]:
             self._events.append(Event("loop", closure.younger + 1, closure.older + 1))
         self._closures = len(slam.closures)
-        last, config = slam.last_extraction, slam.config
+        last, hough = slam.last_extraction, slam.config.estimator.hough
         if last is None or last is self._extraction or last.side == "none":
             return
         self._extraction = last
         self._hough = hough_view(
             last.points, last.lines, last.ends, last.pose, time=last.step * slam.robot.control_period,
-            side=last.side, robot=last.robot, r_step=max(config.hough.r_step, 3.0 * config.range_std),
-            threshold=config.hough.min_votes,
+            side=last.side, robot=last.robot, r_step=max(hough.r_step, 3.0 * slam.config.range_std),
+            threshold=hough.min_votes,
         )  # fmt: skip
 
     def _frame(self, team: LimSlamTeam, time: float) -> BeliefFrame:
@@ -99,17 +99,21 @@ class Recorder:
 
 
 def _buffers(slam: LineSlam) -> list[BufferView]:
-    return [BufferView(each.robot, each.side, each.points, each.enough) for each in slam.waiting if each.side != "none"]
+    return [
+        BufferView(each.robot, each.side, each.points, each.enough)
+        for each in slam.pending_points
+        if each.side != "none"
+    ]
 
 
 @contextmanager
 def filming(path: Path, config: RunConfig, title: str, *, force: bool = False) -> Iterator[Recorder]:
-    """A recorder for one run; the file appears when the context ends well.
+    """A recorder for one run. The file appears when the context ends without an error.
 
     Raises
     ------
     ValueError
-        If no such video can be written.
+        If such a video cannot be written.
     """
     corners = load_world(config.world).edges.reshape(-1, 2)
     with VideoWriter(path, FPS, force=force) as writer:

@@ -1,6 +1,6 @@
-"""What a run was worth: its metrics and its cost, and the folder that keeps them.
+"""The results of a run: metrics, cost, and the folder that keeps them.
 
-The estimate meets the truth here, after the run is over.
+The estimate is compared with the truth only here, after the run is over.
 """
 
 import math
@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.output.export import map_content, write_grid, write_json, write_tum
+from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.team import Snapshot
+from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
 from limslam_env.metrics.association import (
     AssociationEvent,
@@ -25,9 +28,6 @@ from limslam_env.metrics.association import (
     dropped_beam_metrics,
 )
 from limslam_env.simulation.coverage import CELL, CoverageGrid
-from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import RobotSpec
-from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_limit
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World
 
@@ -35,7 +35,9 @@ from limslam_env.worlds.world import World
 def trajectory_scores(
     true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
 ) -> dict[str, float | None]:
-    """Errors of an estimated trajectory (n, 3) with covariances (n, 3, 3), and of odometry alone beside them."""
+    """Errors of an estimated trajectory (n, 3) with covariances (n, 3, 3), and of odometry (n, 3), against the truth
+    (n, 3).
+    """
     by_odometry = metrics.trajectory_metrics(true, odometry)
     return {
         **metrics.trajectory_metrics(true, estimated),
@@ -45,14 +47,14 @@ def trajectory_scores(
 
 
 def score(episode: Episode) -> dict[str, Any]:
-    """The metrics of a run, by their names in ``docs/metrics.md``; of several robots the means over them."""
+    """Metrics of a run by their names in ``docs/metrics.md``. For several robots, means over the robots."""
     config = episode.config
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     trajectory = team_scores(episode.true, episode.estimated, episode.odometry, episode.covariances)
     has_explored = episode.is_finished and explores(config.policy, config.laps)
     return {
         **trajectory,
-        **(limit_scores(episode, trajectory["ate_m"]) if config.limit else {}),
+        **(offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}),
         **map_scores(
             episode.world, config.robot, episode.coverage_grid, episode.snapshot, episode.true, episode.estimated
         ),
@@ -67,7 +69,7 @@ def score(episode: Episode) -> dict[str, Any]:
 def team_scores(
     true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
 ) -> dict[str, float | None]:
-    """Means over n robots of :func:`trajectory_scores`, from poses (t, n, 3) and covariances (t, n, 3, 3)."""
+    """Means of :func:`trajectory_scores` over n robots, from poses (t, n, 3) and covariances (t, n, 3, 3)."""
     numbers = range(true.shape[1])
     return mean_scores(
         [
@@ -80,7 +82,17 @@ def team_scores(
 def drive_scores(
     time: FloatArray, coverage: FloatArray, true: FloatArray, contact: BoolArray, *, has_explored: bool
 ) -> dict[str, float | None]:
-    """What needs no estimate: of times (t,), s, covered shares (t,), true poses (t, n, 3) and contacts (t, n)."""
+    """Metrics that need no estimate.
+
+    Parameters
+    ----------
+    time, coverage
+        Times (t,), s, and true coverage (t,), 0 to 1.
+    true, contact
+        True poses (t, n, 3), and whether each robot touches something (t, n).
+    has_explored
+        Whether the agent itself has ended an exploration.
+    """
     return {
         "path_m": float(np.mean([metrics.path_length(poses) for poses in true.swapaxes(0, 1)])),
         "coverage_true": float(coverage[-1]),
@@ -93,9 +105,9 @@ def drive_scores(
 def map_scores(
     world: World, robot: RobotSpec, covered: CoverageGrid, snapshot: Snapshot, true: FloatArray, estimated: FloatArray
 ) -> dict[str, float | None]:
-    """What the map of a snapshot is worth; true and estimated poses (t, n, 3) align it."""
+    """Metrics of a snapshot's map. True and estimated poses (t, n, 3) align the map with the world."""
     segments, grid = snapshot.segments, snapshot.grid
-    # All robots draw one map, and one motion aligns it.
+    # All robots share one map, so one rigid motion aligns it.
     alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
     claimed = grid.centres(np.argwhere(grid.free))
@@ -107,15 +119,15 @@ def map_scores(
     }
 
 
-def limit_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
-    """What the offline optimum errs by, m, and how many times as much an estimate with the error ``ate`` (m) does.
+def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
+    """Error of the offline optimum, m, and the ratio of an estimate's error ``ate`` (m) to it.
 
-    None where there is no optimum: no wall was read, or the solution did not come to rest.
+    Both are None if there is no optimum: no wall was read, or the solver did not converge.
     """
     agent, true = episode.config.agent, episode.true
     nothing: dict[str, float | None] = {"limit_ate_m": None, "ate_over_limit": None}
     try:
-        limit = solve_limit(
+        limit = solve_optimum(
             episode.config.robot, true, episode.wheels, episode.ranges, episode.wall_seen,
             range_std=agent.noise.range_std, wheel_variance=agent.noise.wheel_variance, contact=episode.contact,
         )  # fmt: skip
@@ -129,7 +141,7 @@ def limit_scores(episode: Episode, ate: float | None) -> dict[str, float | None]
 
 
 def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
-    """Means of several robots' scores; None where one has none."""
+    """Means of several robots' scores. A mean is None if one robot has no value."""
     columns = {name: [scores[name] for scores in each] for name in each[0]}
     return {
         name: None
@@ -140,13 +152,13 @@ def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
 
 
 def cost(episode: Episode) -> dict[str, float]:
-    """What a run cost, never part of a comparison for identity."""
+    """Cost of a run. It is never part of a comparison of results."""
     duration = float(episode.time[-1])
     return run_cost(duration, episode.wall_clock, slam=episode.slam_ms, explore=episode.decide_ms)
 
 
 def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
-    """Write a run's folder, and give back what its ``result.json`` holds."""
+    """Write a run's folder and return the content of its ``result.json``."""
     config = episode.config
     _write_log(folder / "log.npz", episode)
     for number in range(config.robots):
@@ -185,7 +197,7 @@ def _write_log(path: Path, episode: Episode) -> None:
 
 
 def title_of(config: RunConfig) -> str:
-    """What was run, in a line."""
+    """The settings of a run in one line."""
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
     policy = f", {config.policy.replace('_', ' ')}" if config.policy != "frontier" else ""
@@ -211,13 +223,13 @@ def _joined(poses: FloatArray) -> FloatArray:
 
 
 def versions() -> dict[str, str]:
-    """Versions of all that a result depends on."""
+    """Versions of everything that a result depends on."""
     packages = ("limslam", "gymnasium", "pymunk", "numpy", "scipy", "numba", "filterpy", "opencv-python-headless")
     return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
 
 
 def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
-    """JSON knows no infinity: a NEES that no covariance allows is written as null."""
+    """The scores with None for numbers that are not finite, because JSON cannot hold them."""
     return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
 
 

@@ -1,16 +1,17 @@
-"""LineSlam: where the robots are and where the walls are, from a few beams and odometry."""
+"""LineSlam: estimates the poses of robots, and the walls around them, from a few beams and odometry."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Factors, Motion, motion_of, resized
+from limslam_agent.slam.core.motion import Motion, OdometryCalibration, calibrated, motion_of
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.published.published import PublishedEstimator
 from limslam_env.geometry import BoolArray, FloatArray
@@ -20,16 +21,16 @@ __all__ = ["AssociationRecord", "Extraction", "LineSlam"]
 
 
 class LineSlam:
-    """The mapping half of the agent, for one robot or for several that share a map.
+    """SLAM with line landmarks, for one robot or for several robots that share a map.
 
     Parameters
     ----------
     robot
         Body and beams of each robot.
     config
-        Settings of every stage; they say which estimator is used.
+        Settings of every stage, and which estimator is used.
     start_pose
-        Where the robot begins (3,), m, m, rad: the origin of the map unless it is told. Of several robots (n, 3).
+        Start pose of the robot (3,), m, m, rad, by default the origin of the map; of several robots (n, 3).
 
     Attributes
     ----------
@@ -41,20 +42,19 @@ class LineSlam:
         self.robot, self.config = robot, config
         start = np.atleast_2d(np.zeros(3) if start_pose is None else start_pose)
         self.robots = [FrontEnd(robot) for _ in start]
-        estimator = ConsistentEstimator if config.estimator == "consistent" else PublishedEstimator
-        self._estimator: Estimator = estimator(robot, config, start)
+        self._estimator = _estimator_of(robot, config, start)
 
     def step(self, *observations: Observation) -> None:
-        """Take in one observation of each robot: predict, leave out beams on teammates, and use the others.
+        """Process one observation of each robot: predict, drop beams that may have hit teammates, and use the others.
 
         Raises
         ------
         ValueError
-            If an observation has the wrong shape or reports no motion, or there is not one for each robot.
+            If an observation has the wrong shape or reports no motion, or their number is not that of the robots.
         """
         if len(observations) != len(self.robots):
             raise ValueError(f"{len(observations)} observations for {len(self.robots)} robots")
-        # Nothing is taken in before all of it can be.
+        # All observations are checked before any state changes.
         for front, observation in zip(self.robots, observations, strict=True):
             front.check(observation)
         motions = [self._motion(number, seen) for number, seen in enumerate(observations)]
@@ -67,17 +67,17 @@ class LineSlam:
             self._estimator.measure(number, self.robots[number], motion)
 
     def finish(self) -> None:
-        """Use the points that still wait: nothing more will come."""
+        """Use all pending readings at the end of a run."""
         self._estimator.finish(self.robots)
 
     @property
     def pose(self) -> FloatArray:
-        """The believed pose of the first robot (3,), m, m, rad."""
+        """Estimated pose of the first robot (3,), m, m, rad."""
         return np.asarray(self.poses[0])
 
     @property
     def poses(self) -> FloatArray:
-        """The believed poses of all robots (n, 3)."""
+        """Estimated poses of all robots (n, 3), m, m, rad."""
         return self._estimator.poses
 
     @property
@@ -97,27 +97,27 @@ class LineSlam:
 
     @property
     def landmarks(self) -> list[Landmark]:
-        """The walls of the map with all that is known of them."""
+        """The walls of the map as landmarks, with covariances."""
         return self._estimator.landmarks
 
     @property
     def all_landmarks(self) -> list[Landmark]:
-        """The walls of the map, and those that are provisional, by number."""
+        """All landmarks, provisional ones included, by number."""
         return self._estimator.all_landmarks
 
     @property
     def closures(self) -> list[Closure]:
-        """Pairs of landmarks that were taken for one wall, in order."""
+        """Pairs of landmarks that were found to be one wall, in order."""
         return self._estimator.closures
 
     @property
     def last_extraction(self) -> Extraction | None:
-        """What was found in the latest scan; None before the first."""
+        """The lines of the latest scan; None before the first."""
         return self._estimator.last_extraction
 
     @property
     def on_association(self) -> Callable[[AssociationRecord], None] | None:
-        """Told what became of each observed line, for those who keep a record."""
+        """Called with the association of each observed line, if set."""
         return self._estimator.on_association
 
     @on_association.setter
@@ -125,14 +125,14 @@ class LineSlam:
         self._estimator.on_association = listener
 
     @property
-    def waiting(self) -> list[Waiting]:
-        """Points that wait to become lines."""
-        return self._estimator.waiting(self.robots)
+    def pending_points(self) -> list[PendingPoints]:
+        """Points from which no line has been extracted yet, by robot and side."""
+        return self._estimator.pending_points(self.robots)
 
     @property
-    def factors(self) -> tuple[Factors, FloatArray] | None:
-        """What the first robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
-        return self._estimator.factors(0)
+    def odometry_calibration(self) -> tuple[OdometryCalibration, FloatArray] | None:
+        """The first robot's odometry calibration and its covariance (3, 3); None if it is not estimated."""
+        return self._estimator.odometry_calibration(0)
 
     @property
     def ranges(self) -> FloatArray:
@@ -146,13 +146,13 @@ class LineSlam:
 
     @property
     def refused_readings(self) -> int:
-        """How many readings were not finite, since the start."""
+        """Number of readings since the start that were not finite."""
         return sum(front.refused_readings for front in self.robots)
 
     def _motion(self, number: int, observation: Observation) -> Motion:
         motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
-        known = self._estimator.factors(number)
-        return resized(motion, self.robot.axle, known[0]) if known else motion
+        known = self._estimator.odometry_calibration(number)
+        return calibrated(motion, self.robot.axle, known[0]) if known else motion
 
     def _drop_beams_on_robots(self) -> None:
         poses, covariance = self._estimator.poses, self._estimator.joint_covariance
@@ -163,3 +163,11 @@ class LineSlam:
                     number, ranges, poses, covariance, self.robot, self.config.range_std, self.config.team
                 )
             )  # fmt: skip
+
+
+def _estimator_of(robot: RobotSpec, config: AgentConfig, start: FloatArray) -> Estimator:
+    """The estimator that the settings choose by their type, for robots at start poses (n, 3)."""
+    settings, std = config.estimator, config.range_std
+    if isinstance(settings, PublishedConfig):
+        return PublishedEstimator(robot, settings, std, start)
+    return ConsistentEstimator(robot, settings, std, start)

@@ -1,1 +1,1 @@
-"""The film of a run: the truth beside the belief."""
+"""Video of a run: the truth beside the belief, with captions that explain the method."""

@@ -1,4 +1,4 @@
-"""What an agent believes at one moment of a video, as plain arrays in the world frame."""
+"""The content of one video frame: what an agent believes at one moment, as plain arrays in the world frame."""
 
 import math
 from collections.abc import Sequence
@@ -11,24 +11,25 @@ from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
 
-# A buffer that was carried past all bounds has no picture that could be looked at.
+# Limit for buffers whose points have been moved very far apart by odometry.
 _MOST_R_BINS = 240
 
 
 @dataclass(frozen=True)
 class Event:
-    """What became of an observed line.
+    """The association of an observed line, or a loop closure.
 
     Attributes
     ----------
     kind
-        ``"new"``: it became a wall; ``"again"``: a known wall was seen again; ``"loop"``: two walls are one.
+        ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same
+        wall.
     wall
-        Number of that wall.
+        Number of the wall.
     other
-        The older wall that ``wall`` is the same as, where a loop was closed.
+        For a loop, number of the older wall that is the same as ``wall``.
     robot
-        Who saw it; a loop is nobody's.
+        Robot that saw the line. A loop belongs to no robot.
     """
 
     kind: Literal["new", "again", "loop"]
@@ -38,14 +39,14 @@ class Event:
 
     @property
     def words(self) -> str:
-        """A few words for a list."""
+        """A short text for a list."""
         if self.kind == "loop":
             return f"loop closed: {self.wall} = {self.other}"
         return f"new wall {self.wall}" if self.kind == "new" else f"wall {self.wall} seen again"
 
     @property
     def walls(self) -> tuple[int, ...]:
-        """Numbers of the walls that it is about."""
+        """Numbers of the walls that the event is about."""
         return (self.wall,) if self.other is None else (self.wall, self.other)
 
 
@@ -56,11 +57,11 @@ class BufferView:
     Attributes
     ----------
     robot, side
-        Whose it is.
+        Robot and side that the buffer belongs to.
     points
-        (p, 2), m, in the world.
+        (p, 2), m, in the world frame.
     size
-        How many points fill it.
+        Number of points that fill the buffer.
     """
 
     robot: int
@@ -71,27 +72,27 @@ class BufferView:
 
 @dataclass(frozen=True, eq=False)
 class HoughView:
-    """The last extraction of lines.
+    """The latest extraction of lines.
 
     Attributes
     ----------
     time
-        When it was, s.
+        Time of the extraction, s.
     robot, side
-        Whose buffer it was.
+        Robot and side of the buffer.
     points
-        What voted (p, 2), m, in the world.
+        The points that voted (p, 2), m, in the world frame.
     votes
-        (r bins, theta bins): votes for each line, r from the middle of the points and increasing, theta
-        from 0 to pi in the robot's frame.
+        Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
+        the row. theta goes from 0 to pi in the robot's frame.
     r_reach
-        r of the bins runs from minus to plus this, m.
+        The bins of r go from minus this value to plus this value, m.
     peaks
-        The lines that won (k, 2): r (m) and theta (rad) on those axes.
+        The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``.
     segments
-        The same lines (k, 4), m, in the world, as far as their points reach.
+        The extracted lines (k, 4), m, in the world frame, cut to the extent of their points.
     threshold
-        How many votes a line needs.
+        Least number of votes of a line.
     """
 
     time: float
@@ -107,12 +108,12 @@ class HoughView:
 
 @dataclass(frozen=True, eq=False)
 class BeliefFrame:
-    """What is believed at one moment. Arrays are in the world frame, m and rad; there are n robots and k walls.
+    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots and k walls.
 
     Attributes
     ----------
     time
-        Simulated, s.
+        Simulated time, s.
     poses, covariances
         (n, 3) and (n, 3, 3).
     segments
@@ -120,29 +121,29 @@ class BeliefFrame:
     lines, line_covariances
         (r, theta) of each wall (k, 2), and its covariance (k, 2, 2).
     numbers
-        What the walls are called in ``events`` (k,); 1, 2, ... if left out.
+        Numbers of the walls in ``events`` (k,). 1, 2, ... by default.
     unsure
-        Numbers of the walls that have been seen too seldom to count; they are drawn thinner.
+        Numbers of provisional walls, which were seen too few times. They are drawn thinner.
     grid_low, grid_cell, grid_values
-        The occupancy grid as in ``occupancy.GridView``: lower left corner (2,), side of a cell, and values
-        (rows, columns), positive for free, negative for occupied, 0 for unknown.
+        Occupancy grid as in ``occupancy.GridView``: lower left corner (2,), side of a cell, and values (rows, columns),
+        positive for free, negative for occupied, 0 for unknown.
     frontier
         Centres of the frontier cells (m, 2).
     plans, goals
-        For each robot the way it means to go (p, 2), and where to (2,) or None.
+        Each robot's planned path (p, 2) and its goal (2,) or None.
     paths
-        For each robot the positions it believes to have been at (q, 2).
+        Positions (q, 2) of each robot so far, as it estimated them.
     buffers
-        Two of each robot.
+        Scan buffers, two for each robot.
     hough
-        The last extraction; None before the first.
+        The latest extraction of lines. None before the first.
     events
-        What has happened since the frame before.
+        Events since the previous frame.
 
     Raises
     ------
     ValueError
-        If the arrays of poses or walls are not equally many.
+        If the numbers of poses and covariances, or of walls and their properties, differ.
     """
 
     time: float
@@ -178,11 +179,12 @@ class BeliefFrame:
 
 
 def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> FloatArray:
-    """Outlines (k, 2 samples, 2), m, of where the walls may be, so many standard deviations to each side.
+    """Outlines (k, 2 samples, 2), m, of the regions that contain the walls, ``sigmas`` standard deviations to each
+    side.
 
-    A line that is moved by (dr, dtheta) moves by dr - s dtheta across itself at the distance s along it from the
-    foot of the origin's perpendicular, so its variance there is P_rr - 2 s P_rt + s^2 P_tt: narrow where the wall
-    was seen, wider beyond, like a bow tie.
+    A change (dr, dtheta) of a line moves its points by dr - s dtheta across the line, where s is the distance along the
+    line from the foot of the origin's perpendicular. The variance there is P_rr - 2 s P_rt + s^2 P_tt. The band is
+    narrow where the wall was seen and wider beyond.
     """
     lines, covariances = frame.lines, frame.line_covariances
     share = np.linspace(0.0, 1.0, samples)[None, :, None]
@@ -190,7 +192,7 @@ def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> Flo
     places = ends[:, :1] * (1.0 - share) + ends[:, 1:] * share
     along = np.einsum("ksd,kd->ks", places, direction(lines))
     p_rr, p_rt, p_tt = (covariances[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    # Rounding can make a variance of nothing negative.
+    # Rounding errors can make a variance of zero negative.
     half_width = sigmas * np.sqrt(np.maximum(p_rr - 2.0 * along * p_rt + along**2 * p_tt, 0.0))
     across = half_width[..., None] * normal(lines)[:, None]
     return np.concatenate((places + across, (places - across)[:, ::-1]), axis=1)
@@ -209,24 +211,24 @@ def hough_view(
     theta_bins: int = 90,
     threshold: int = 0,
 ) -> HoughView:
-    """What an extraction of lines looks like.
+    """The view of an extraction of lines.
 
     Parameters
     ----------
     points
-        The buffer (p, 2), m, in the robot's frame.
+        Points of the buffer (p, 2), m, in the robot's frame.
     lines, ends
-        The lines that won, (r, theta) in the robot's frame (k, 2), and their end points (k, 2, 2), m.
+        Extracted lines, (r, theta) in the robot's frame (k, 2), and their end points (k, 2, 2), m.
     pose
-        Where the robot believed to be (3,).
+        Estimated pose of the robot (3,).
     time, side, robot, threshold
         As in :class:`HoughView`.
     r_step
-        Width of a bin of r, m: that of the estimator shows what it saw.
+        Width of a bin of r, m. The width that the estimator uses shows the votes that the estimator saw.
     theta_bins
-        Bins of theta from 0 to pi.
+        Number of bins of theta from 0 to pi.
     """
-    # The estimator counts votes about the middle of the points, where r and theta hardly interact.
+    # The estimator counts votes about the mean of the points, where r and theta are nearly independent.
     centre = points.mean(axis=0) if len(points) else np.zeros(2)
     votes, reach = hough_image(points - centre, r_step, theta_bins)
     shifted = lines - np.column_stack((normal(lines) @ centre, np.zeros(len(lines))))
@@ -237,7 +239,7 @@ def hough_view(
 
 
 def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) -> tuple[IntArray, float]:
-    """How many points (p, 2), m, lie on each line (r, theta), with theta from 0 to pi and r from -reach to reach.
+    """Number of points (p, 2), m, on each line (r, theta), with theta from 0 to pi and r from -reach to reach.
 
     Returns
     -------
@@ -248,7 +250,7 @@ def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) 
     """
     farthest = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
     step = max(r_step, 2.0 * farthest / _MOST_R_BINS)
-    # An odd number of bins: the one in the middle lies about r = 0, where a wall through all points has its votes.
+    # The number of bins is odd. The middle bin is centred at r = 0, where a wall through all points gets its votes.
     half = math.ceil(farthest / step)
     theta = (np.arange(theta_bins) + 0.5) * (math.pi / theta_bins)
     r = points @ np.vstack((np.cos(theta), np.sin(theta)))
@@ -259,6 +261,6 @@ def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) 
 
 
 def _upper_half(lines: FloatArray) -> FloatArray:
-    """The same lines (k, 2) with theta in [0, pi), as the votes have it; r may be negative."""
+    """The same lines (k, 2) with theta in [0, pi), as in the votes. r may be negative."""
     turns = np.floor(lines[:, 1] / math.pi)
     return np.column_stack((np.where(turns % 2 == 0, lines[:, 0], -lines[:, 0]), lines[:, 1] - turns * math.pi))

@@ -1,4 +1,4 @@
-"""The small panels of a video: the Hough votes, the buffers, what has happened, the stages and the legend."""
+"""The small panels of a video: Hough votes, scan buffers, list of events, stages of the method, and legend."""
 
 import functools
 import math
@@ -36,10 +36,10 @@ from limslam_agent.output.style import (
 from limslam_agent.video.belief_frame import BufferView, HoughView
 
 STAGES = ("predict", "collect", "find lines", "associate", "correct or add", "close loops", "explore")
-"""The method, in the order in which a step goes through it."""
+"""Stages of the method in the order of a step."""
 
-_ROW = 19  # pixels from one line of small words to the next
-_SCALE_WIDTH, _SCALE_HEIGHT = 46, 34  # room of the heat map's axes
+_ROW = 19  # pixels from one line of small text to the next
+_SCALE_WIDTH, _SCALE_HEIGHT = 46, 34  # space for the heat map's axes, pixels
 _RAMP = np.array(HEAT, dtype=float)
 
 
@@ -50,23 +50,23 @@ def blank(width: int, height: int) -> Image:
 
 @functools.lru_cache(maxsize=2)
 def draw_hough(hough: HoughView | None, width: int, height: int, *, several: bool = False) -> Image:
-    """The votes of the last extraction as a heat map, theta to the right and r upwards, the peaks ringed.
+    """The votes of the latest extraction as a heat map, theta to the right and r upwards, with rings around the peaks.
 
     Parameters
     ----------
     hough
         None draws empty axes.
     width, height
-        Of the panel, pixels.
+        Size of the panel, pixels.
     several
-        Whether the robot has to be named.
+        Whether there are several robots, so that the panel has to name one.
     """
     panel = blank(width, height)
     write(panel, "Hough votes of the last scan", (0, 13), 13, INK, bold=True)
     if hough is not None:
         who = f"robot {hough.robot + 1}, {hough.side}" if several else f"{hough.side} buffer"
-        told = f"{who}: {len(hough.points)} points, {_count(len(hough.peaks), 'line')}"
-        write(panel, fitted(told, 12, width), (0, 31), 12)
+        text = f"{who}: {len(hough.points)} points, {_count(len(hough.peaks), 'line')}"
+        write(panel, fitted(text, 12, width), (0, 31), 12)
     left, top, right, bottom = _SCALE_WIDTH, 40, width - 6, height - _SCALE_HEIGHT
     area = panel[top:bottom, left:right]
     if hough is not None:
@@ -79,7 +79,7 @@ def draw_hough(hough: HoughView | None, width: int, height: int, *, several: boo
 
 def _heat_map(hough: HoughView, width: int, height: int) -> Image:
     most = max(int(hough.votes.max()), 1) if hough.votes.size else 1
-    # A square root lifts the curves of single points out of the paper.
+    # The square root makes the curves of single points visible.
     share = np.sqrt(hough.votes[::-1] / most)
     place = share * (len(_RAMP) - 1)
     below = np.minimum(place.astype(int), len(_RAMP) - 2)
@@ -92,7 +92,7 @@ def _ring_peaks(area: Image, hough: HoughView) -> None:
     height, width = area.shape[:2]
     for number, (r, theta) in enumerate(hough.peaks):
         x, y = theta / math.pi * width, (0.5 - 0.5 * r / hough.r_reach) * height
-        # Near 0 and 180 degrees a line has two places; the ring is drawn where it is whole.
+        # A line near 0 or 180 degrees appears at both edges. The ring is moved so that all of it is visible.
         centre = (round(16 * float(np.clip(x, 6, width - 7))), round(16 * float(np.clip(y, 6, height - 7))))
         cv2.circle(area, centre, 16 * 9, INK, 4, cv2.LINE_AA, 4)
         cv2.circle(area, centre, 16 * 9, PEAKS[number % len(PEAKS)], 2, cv2.LINE_AA, 4)
@@ -109,9 +109,9 @@ def _draw_axes(panel: Image, box: tuple[int, int, int, int], reach: float) -> No
         y = round(0.5 * (top + bottom) - 0.5 * (bottom - top) * r / reach)
         cv2.line(panel, (left - 4, y), (left - 2, y), FAINT, 1)
         write(panel, f"{r:g}", (left - 7, y + 4), 11, TEXT, anchor="right")
-    write(panel, "theta, the direction of its normal", ((left + right) // 2, bottom + 31), 11, TEXT, anchor="centre")
+    write(panel, "theta, direction of the normal", ((left + right) // 2, bottom + 31), 11, TEXT, anchor="centre")
     upright = blank(bottom - top, 14)
-    words = "r, the line's distance, m"
+    words = "r, distance of the line, m"
     write(
         upright,
         words if width_of(words, 11) < bottom - top else "r, m",
@@ -124,14 +124,14 @@ def _draw_axes(panel: Image, box: tuple[int, int, int, int], reach: float) -> No
 
 
 def buffers_height(robots: int) -> int:
-    """Height of the panel of the buffers, pixels."""
+    """Height of the panel with the scan buffers, pixels."""
     return 24 + 19 * max(robots, 2)
 
 
 def draw_buffers(buffers: Sequence[BufferView], width: int, height: int) -> Image:
-    """How full the buffers are: a bar each, one below the other; of several robots one row a robot."""
+    """How full the buffers are, as bars one below the other. For several robots one row per robot."""
     panel = blank(width, height)
-    write(panel, "Points in the buffers", (0, 13), 13, INK, bold=True)
+    write(panel, "Points in the scan buffers", (0, 13), 13, INK, bold=True)
     robots = sorted({buffer.robot for buffer in buffers})
     row = min(19, (height - 24) // max(len(robots), 2))
     if len(robots) <= 1:
@@ -158,9 +158,9 @@ def _draw_bar(panel: Image, buffer: BufferView, x: int, y: int, width: int) -> N
 
 
 def draw_log(lines: Sequence[tuple[float, str, str]], width: int, height: int) -> Image:
-    """What has happened, the latest on top: rows of time (s), kind and words."""
+    """The list of events, with the latest on top: rows of time (s), kind and text."""
     panel = blank(width, height)
-    write(panel, "What has happened", (0, 13), 13, INK, bold=True)
+    write(panel, "Events", (0, 13), 13, INK, bold=True)
     marks = {"new": WALL, "again": FAINT, "loop": GLOW, "goal": FRONTIER}
     for row, (time, kind, words) in enumerate(lines[: max((height - 20) // _ROW, 0)]):
         y = 34 + row * _ROW
@@ -173,7 +173,7 @@ def draw_log(lines: Sequence[tuple[float, str, str]], width: int, height: int) -
 
 @functools.lru_cache(maxsize=16)
 def draw_stages(active: tuple[int, ...], width: int, height: int) -> Image:
-    """The stages of the method in a row; those that are spoken of stand out."""
+    """The stages of the method in a row. The stages that the caption is about are highlighted."""
     panel = blank(width, height)
     gap = 22
     room = (width - gap * (len(STAGES) - 1)) / len(STAGES)
@@ -204,10 +204,10 @@ def _rounded(panel: Image, left: int, right: int, height: int, colour: Colour) -
 
 @functools.lru_cache(maxsize=2)
 def draw_legend(width: int, height: int) -> Image:
-    """What the colours of the map mean, in one row."""
+    """The meaning of the map's colours, in one row."""
     panel = blank(width, height)
     names = (
-        "where it may be (95 %)", "wall, 2 sigma", "free", "occupied", "unknown", "frontier", "way and goal",
+        "possible position (95 %)", "wall, 2 sigma", "free", "occupied", "unknown", "frontier", "path and goal",
         "points, left", "points, right", "beam that hits",
     )  # fmt: skip
     symbol, gap = 26, 14
@@ -220,7 +220,7 @@ def draw_legend(width: int, height: int) -> Image:
 
 
 def _draw_symbol(panel: Image, number: int, x: int, y: int) -> None:
-    """The symbol of an entry of the legend, in a box of 20 pixels from x."""
+    """The symbol of a legend entry in a box of 20 pixels that begins at x."""
     blue = ROBOTS[0]
     if number == 0:
         cv2.ellipse(panel, (x + 10, y), (10, 7), 0, 0, 360, mixed(blue, PAPER, 0.65), -1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""The right half of a video: what the robots believe, drawn as a map in the making."""
+"""The right half of a video: the belief of the robots, drawn as a map."""
 
 import math
 from dataclasses import dataclass
@@ -32,12 +32,12 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.shapes import ellipse, thinned
 
 EXTRACTION_SHOWN = 1.0
-"""How long, s of the run, points and lines of an extraction are shown in the map."""
+"""Simulated time for which the points and lines of an extraction stay visible in the map, s."""
 
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _FAR = 100_000  # pixels
 _WIDEST_BAND = 1.5  # m
-_SURE = 8  # a cell's value from which on it has its full colour
+_SURE = 8  # value of a cell from which it has its full colour
 _RADIUS = 0.10  # m
 _APART = 150  # pixels
 _TRAIL_POINTS = 1500
@@ -45,14 +45,14 @@ _TRAIL_POINTS = 1500
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A picture with the world's coordinates: x right, y up, metres.
+    """A picture with world coordinates: x to the right, y upwards, m.
 
     Attributes
     ----------
     image
         (height, width, 3), RGB.
     low
-        What the lower left corner of the picture shows (2,), m.
+        World position of the lower left corner of the picture (2,), m.
     scale
         Pixels per metre.
     """
@@ -62,13 +62,13 @@ class Sheet:
     scale: float
 
     def pixels(self, points: FloatArray) -> NDArray[np.int32]:
-        """Places (n, 2), m, as OpenCV takes them."""
+        """Positions (n, 2), m, in the fixed-point pixel coordinates of OpenCV."""
         scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + (0.0, self.image.shape[0])
-        # What is believed may lie anywhere; OpenCV counts in 32 bits.
+        # An estimate may lie anywhere, but OpenCV uses 32-bit coordinates.
         return np.asarray(np.round(np.clip(scaled - 0.5, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32)
 
     def path(self, points: FloatArray, colour: Colour, width: int = 1, *, closed: bool = False) -> None:
-        """A chain of lines through points (n, 2), m; its width is in pixels."""
+        """Draw lines through points (n, 2), m. The width is in pixels."""
         if len(points):
             cv2.polylines(
                 self.image, [self.pixels(points)], isClosed=closed, color=colour, thickness=width,
@@ -76,18 +76,18 @@ class Sheet:
             )  # fmt: skip
 
     def discs(self, centres: FloatArray, radius: float, colour: Colour, width: int = -1) -> None:
-        """Discs about places (n, 2), m, or rings of a width in pixels; radius in pixels too."""
+        """Draw discs at positions (n, 2), m, or rings of a width in pixels. The radius is in pixels."""
         size = round(radius * (1 << _SHIFT))
         for x, y in self.pixels(centres.reshape(-1, 2)).tolist():
             cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
 
     def wash(self, outlines: FloatArray, colour: Colour, strength: float = 1.0) -> None:
-        """Fill polygons (n, k, 2), m, with a colour that lets through what is below; overlaps are not darker."""
+        """Fill polygons (n, k, 2), m, with a transparent colour. Overlaps are not darker."""
         if not len(outlines):
             return
         corners = self.pixels(outlines.reshape(-1, 2)).reshape(outlines.shape)
         height, width = self.image.shape[:2]
-        # Only the box around them is blended: most of what is drawn this way is small.
+        # Only the bounding box is blended, because most polygons are small.
         left, top = np.maximum((corners.min(axis=(0, 1)) >> _SHIFT) - 2, 0).tolist()
         right, bottom = np.minimum((corners.max(axis=(0, 1)) >> _SHIFT) + 3, (width, height)).tolist()
         if left >= right or top >= bottom:
@@ -101,7 +101,7 @@ class Sheet:
         part[touched] = blended(part[touched], colour, cover[touched][:, None])
 
     def label(self, words: str, place: FloatArray, size: int, ink: Colour, paper: Colour) -> None:
-        """Words on a small plate about a place (2,), m."""
+        """Write a text on a small plate at a position (2,), m."""
         x, y = (self.pixels(np.asarray(place)[None])[0] >> _SHIFT).tolist()
         half, above = width_of(words, size, bold=True) // 2 + 3, round(0.36 * size) + 3
         cv2.rectangle(self.image, (x - half, y - above), (x + half, y + above), paper, -1)
@@ -111,16 +111,16 @@ class Sheet:
 def draw_belief(
     frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray] | None = None
 ) -> Image:
-    """What is believed, as a picture.
+    """Draw what is believed.
 
     Parameters
     ----------
     frame
-        What is drawn. Walls that its ``events`` are about glow.
+        What is drawn. Walls of its ``events`` are highlighted.
     size
         Width and height, pixels.
     window
-        Lower left and upper right corner (2,), m, of what is shown; all that is known if left out.
+        Lower left and upper right corner (2,), m, of the visible region. By default everything that is known.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Shee
     (width, height), (low, high) = size, window
     extent = np.maximum(high - low, 1e-3)
     scale = float(min(width / extent[0], height / extent[1]))
-    # What is asked for lies in the middle; one scale for both directions.
+    # The window is centred. Both directions have the same scale.
     corner = 0.5 * (low + high) - 0.5 * np.array([width, height]) / scale
     return Sheet(plain(width, height, UNKNOWN).copy(), corner, scale)
 
@@ -162,11 +162,11 @@ def _extent(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
-    """Cells: paper where free, grey where something was seen, the more so the surer."""
+    """Draw the cells: light where free, grey where occupied, with a stronger colour for a larger value."""
     if not frame.grid_values.size:
         return
     values = np.clip(frame.grid_values.astype(np.float32) / _SURE, -1.0, 1.0)[..., None]
-    # The least that is known shows: a cell seen once differs from one never seen.
+    # A cell that was seen once must look different from a cell that was never seen.
     strength = np.where(values == 0.0, 0.0, 0.5 + 0.5 * np.abs(values))
     known = np.where(values > 0.0, np.array(FREE), np.array(OCCUPIED))
     cells = np.round(np.array(UNKNOWN) + strength * (known - np.array(UNKNOWN))).astype(np.uint8)
@@ -194,7 +194,7 @@ def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
 
 
 def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
-    """The walls' numbers; those that something happened to stand out, and the two of a loop are linked."""
+    """Draw the walls' numbers. Walls of events are highlighted, and the two walls of a loop are connected."""
     middles = dict(zip(frame.names, frame.segments.reshape(-1, 2, 2).mean(axis=1), strict=True))
     glowing = {wall for event in frame.events for wall in event.walls}
     for name, middle in middles.items():
@@ -206,14 +206,14 @@ def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
         if len(ends) == 2:
             sheet.path(ends, GLOW, 2)
             sheet.label(f"{event.wall} = {event.other}", ends.mean(axis=0), 14, INK, GLOW)
-        # Labels that would lie over each other say nothing.
+        # Overlapping labels would be unreadable.
         if len(ends) < 2 or np.hypot(*(ends[1] - ends[0])) * sheet.scale > _APART:
             for wall, end in zip(known, ends, strict=True):
                 sheet.label(str(wall), end, 14, INK, GLOW)
 
 
 def _draw_extraction(sheet: Sheet, hough: HoughView) -> None:
-    """The points that voted, ringed, and the lines that won, each in the colour of its peak."""
+    """Draw rings around the points that voted, and each extracted line in the colour of its peak."""
     for number, segment in enumerate(hough.segments.reshape(-1, 2, 2)):
         colour = mixed(PEAKS[number % len(PEAKS)], INK, 0.15)
         beyond = 0.25 * (segment[1] - segment[0])
@@ -232,7 +232,7 @@ def _draw_plans(sheet: Sheet, frame: BeliefFrame) -> None:
 
 
 def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: Colour) -> None:
-    """The body, the ellipse that holds its place and the fan that holds its heading with a probability of 95 %."""
+    """Draw the body, the 95 % ellipse of its position, and the 95 % sector of its heading."""
     heading = float(pose[2])
     spread = min(2.0 * math.sqrt(max(float(covariance[2, 2]), 0.0)), math.pi)
     angles = heading + np.linspace(-spread, spread, 13)
@@ -250,6 +250,6 @@ def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: 
 
 
 def _band_limits(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
-    """Corners for each wall, (k, 1, 2) each: a band that is wider says no more."""
+    """Corners (k, 1, 2) of the region that each wall's band is clipped to."""
     ends = frame.segments.reshape(-1, 2, 2)
     return ends.min(axis=1, keepdims=True) - _WIDEST_BAND, ends.max(axis=1, keepdims=True) + _WIDEST_BAND

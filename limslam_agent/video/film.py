@@ -1,4 +1,4 @@
-"""A video of a run: left the truth, right what is believed, and in words what is happening."""
+"""A video of a run: the truth on the left, the belief on the right, and captions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,47 +24,47 @@ from limslam_env.geometry import FloatArray
 
 WIDTH, HEIGHT = 1280, 720
 FRAME_PERIOD = 0.2
-"""Simulated time from one frame to the next, s."""
+"""Simulated time between two frames, s."""
 FPS = 25
-"""Frames in a second of the video: a run is shown five times as fast as it was."""
+"""Frames per second of the video. The video is five times as fast as the run."""
 
 _SPEED = FPS * FRAME_PERIOD
 _GAP, _TOP, _FOOT = 16, 80, 134
 _SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
 _LAST_FRAME = 3.0  # s of the video
 
-# Pictures of simulations leave this margin around the world and are at most so large (limslam_env.rendering.rendering).
+# Margin around the world and largest size of the simulator's pictures (limslam_env.rendering.rendering), pixels.
 _TRUTH_MARGIN, _TRUTH_MOST = 30, (1600, 640)
 _KEPT_MARGIN = 5
-_ADDED_MARGIN = 0.04  # of the world's size, at each side: a map that has drifted can still be seen
+_ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map that has drifted stays visible
 
 
 class Writer(Protocol):
-    """What takes the frames."""
+    """Gets the frames."""
 
     def write(self, image: Image, hold: float = 0.0) -> None:
-        """Take a frame (height, width, 3), RGB, which is shown for ``hold`` s, or as long as any."""
+        """Take a frame (height, width, 3), RGB, and show it for ``hold`` s, or for the time of one frame."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a frame shows besides truth and belief.
+    """The content of a frame besides truth and belief.
 
     Attributes
     ----------
     caption
-        What is happening, in words.
+        Text about what is happening.
     title
-        What is run.
+        Title of the run.
     log
-        What has happened, the latest first: time (s), kind and words.
+        Past events, with the latest first: time (s), kind and text.
     coverage
-        True coverage, 0 to 1, where it is known.
+        True coverage, 0 to 1. None if it is unknown.
     window
-        Corners (2,), m, of what the belief's picture shows; all that is known if left out.
+        Corners (2,), m, of the region that the picture of the belief shows. By default everything that is known.
     is_paused
-        Whether the run stands still for the caption.
+        Whether the video is paused for the caption.
     """
 
     caption: Caption
@@ -77,7 +77,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parts of a frame lie; boxes are left, top, width and height in pixels."""
+    """Positions of the parts of a frame. A box is left, top, width and height in pixels."""
 
     truth: tuple[int, int, int, int]
     belief: tuple[int, int, int, int]
@@ -87,18 +87,18 @@ class Layout:
 
 
 class Film:
-    """Makes frames of a run and hands them to a writer.
+    """Makes the frames of a run and gives them to a writer.
 
     Parameters
     ----------
     writer
-        Takes the frames.
+        Gets the frames.
     low, high
-        Corners (2,), m, of the smallest box around all walls of the world: both pictures show this.
+        Corners (2,), m, of the smallest box around all walls of the world. Both pictures show this region.
     title
-        What is run.
+        Title of the run.
     explain
-        Whether the run stands still for a short lesson when something happens for the first time.
+        Whether the video pauses for a short explanation when something happens for the first time.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Film:
         self._last: tuple[Image, BeliefFrame, Scene] | None = None
 
     def is_due(self, time: float) -> bool:
-        """Whether a frame is to be added at a simulated time, s."""
+        """Whether a frame has to be added at a simulated time, s."""
         return time >= self._next - 1e-6
 
     def add(self, truth: Image, frame: BeliefFrame, coverage: float | None = None) -> None:
@@ -119,7 +119,7 @@ class Film:
         Parameters
         ----------
         truth
-            The picture of the simulation (h, w, 3), RGB, as ``limslam_env.rendering.rendering.render`` draws it.
+            Picture of the simulation (h, w, 3), RGB, as ``limslam_env.rendering.rendering.render`` draws it.
         frame
             What is believed.
         coverage
@@ -130,17 +130,17 @@ class Film:
         for moment in self._narrator.hear(frame):
             caption = moment.caption
             scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0)
-            # Only what is spoken of glows, and as long as it is spoken of.
+            # Only the walls of the current caption are highlighted.
             shown = replace(frame, events=() if caption.event is None else (caption.event,))
             self._last = (cropped, shown, scene)
             self._writer.write(compose(*self._last), moment.pause)
 
     def finish(self, words: str) -> None:
-        """Hold the last frame for a while, and say in words why the run is over."""
+        """Show the last frame for a while, with the reason why the run ended."""
         if self._last is not None:
             truth, frame, scene = self._last
             caption = Caption(
-                (), f"{words[:1].upper()}{words[1:]}.", "Truth on the left, map on the right: how alike are they?"
+                (), f"{words[:1].upper()}{words[1:]}.", "The truth is on the left and the map is on the right."
             )
             scene = replace(scene, caption=caption, is_paused=False)
             self._writer.write(compose(truth, replace(frame, events=()), scene), _LAST_FRAME)
@@ -152,21 +152,19 @@ def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
     Parameters
     ----------
     truth
-        The picture of what is true (h, w, 3).
+        Picture of the truth (h, w, 3).
     frame
-        What is believed, drawn beside it as large as the truth.
+        What is believed, drawn at the size of the truth.
     scene
-        Words, and what else is told.
+        Texts and other content.
     """
     page = blank(WIDTH, HEIGHT)
     height, width = truth.shape[:2]
     layout = layout_for(width / height, len(frame.poses))
     several = len(frame.poses) > 1
     _draw_header(page, frame.time, scene)
-    _headed(
-        page, layout.truth, "What is true", "the robots do not know it" if several else "the robot does not know it"
-    )
-    _headed(page, layout.belief, "What is believed", "one map for all robots" if several else "by the robot")
+    _headed(page, layout.truth, "Truth", "unknown to the robots" if several else "unknown to the robot")
+    _headed(page, layout.belief, "Belief", "one map for all robots" if several else "the robot's map")
     _put(page, _resized(truth, layout.truth[2:]), layout.truth)
     _put(page, draw_belief(frame, layout.belief[2:], scene.window), layout.belief)
     _put(page, draw_buffers(frame.buffers, *layout.buffers[2:]), layout.buffers)
@@ -177,7 +175,7 @@ def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
 
 
 def layout_for(aspect: float, robots: int = 1) -> Layout:
-    """The layout that shows pictures of an aspect (width over height) largest: panels beside them, or below."""
+    """The layout with the largest pictures of an aspect ratio (width over height)."""
     room = HEIGHT - _TOP - _FOOT
     width = (WIDTH - _SIDE - 4 * _GAP) // 2
     beside = min(width / aspect, room)
@@ -209,17 +207,17 @@ def layout_for(aspect: float, robots: int = 1) -> Layout:
 
 
 def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Image, tuple[FloatArray, FloatArray]]:
-    """The part of a simulation's picture that shows the world, and the corners (2,), m, of what it shows.
+    """The part of a simulation's picture that shows the world, and the corners (2,), m, of the region that it shows.
 
-    ``low`` and ``high`` (2,), m, are the corners of the box around all walls. The caption above the world is left
-    out: a video has its own.
+    ``low`` and ``high`` (2,), m, are the corners of the box around all walls. The caption above the world is cut off,
+    because the video has its own.
     """
     rows, columns = truth.shape[:2]
     extent = np.maximum(high - low, 1e-3)
     most = np.array(_TRUTH_MOST) - 2 * _TRUTH_MARGIN
     scale = float((most / extent).min())
     origin = np.array([0.5 * (columns - extent[0] * scale), rows - _TRUTH_MARGIN])
-    # From the pixel (left, top) to (right, bottom), outwards to whole ones.
+    # The part goes from pixel (left, top) to pixel (right, bottom), rounded outwards.
     start = np.floor(origin - np.array([_KEPT_MARGIN, extent[1] * scale + _KEPT_MARGIN])).astype(int)
     end = np.ceil(origin + np.array([extent[0] * scale + _KEPT_MARGIN, _KEPT_MARGIN])).astype(int)
     left, top = np.maximum(start, 0).tolist()

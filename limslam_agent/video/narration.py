@@ -1,4 +1,4 @@
-"""What a video says: a caption for what is happening now, and a short lesson when it happens for the first time."""
+"""The text of a video: captions for current events, and a short explanation of each kind of event."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,24 +7,24 @@ import numpy as np
 
 from limslam_agent.video.belief_frame import BeliefFrame, Event
 
-_LEAST_HOLD, _HOLD = 0.7, 1.8  # s of the video: before something greater may take over, and before anything may
-_MOVED_GOAL = 1.0  # m; goals that wander along a frontier are no news
+_LEAST_HOLD, _HOLD = 0.7, 1.8  # s of the video before a more important caption, and before any caption, may follow
+_MOVED_GOAL = 1.0  # m, so that a goal that moves along a frontier is not a new goal
 _LONGEST_LOG = 24
 _WORDS_PER_SECOND = 5.0
 
 
 @dataclass(frozen=True)
 class Caption:
-    """A line in words, and some more below it.
+    """A headline and an explanation.
 
     Attributes
     ----------
     stages
-        Which stages of the method it speaks of, counted from 0.
+        Stages of the method that the caption is about, counted from 0.
     headline, explanation
-        The words.
+        The text.
     event
-        What it speaks of, if that is about walls.
+        The event that the caption is about, if it is about walls.
     """
 
     stages: tuple[int, ...]
@@ -34,13 +34,13 @@ class Caption:
 
     @property
     def reading_time(self) -> float:
-        """How long it takes to read, s."""
+        """Time to read the caption, s."""
         return 1.0 + len(f"{self.headline} {self.explanation}".split()) / _WORDS_PER_SECOND
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A caption, and how long the picture stands still for it, s of the video; 0 lets it go on."""
+    """A caption, and the time of the video for which the picture pauses, s. 0 means no pause."""
 
     caption: Caption
     pause: float
@@ -49,43 +49,43 @@ class Moment:
 LESSONS = {
     "start": Caption(
         (),
-        "The robot knows where it starts, and nothing else about the building.",
-        "A few short beams and the turning of its wheels are all it has to draw the map on the right.",
+        "The robot knows its start pose, but nothing about the building.",
+        "It builds the map on the right from a few short range beams and its wheel encoders alone.",
     ),
     "drive": Caption(
         (0,),
-        "Predict: the wheels tell how far it has gone, but they slip a little.",
-        "So doubt grows with every metre: its position lies in the ellipse, its heading in the fan (95 %).",
+        "Predict: the wheel encoders measure the motion, with small errors.",
+        "The uncertainty grows with every metre: the ellipse and the sector hold position and heading (95 %).",
     ),
     "collect": Caption(
         (1,),
-        "Collect: a few beams are too few to see a line at once.",
-        "Points on the left and on the right go into a buffer each, which is carried along as the robot drives.",
+        "Collect: a few beams are not enough to see a line at once.",
+        "Points on the left and on the right go into one scan buffer each, while the robot drives on.",
     ),
     "hough": Caption(
         (2,),
-        "Find lines: a full buffer is handed on, and each of its points votes for all lines through it.",
-        "A point gives a curve of votes. Where many curves cross, many points lie on one line: the rings.",
+        "Find lines: each point of a full scan buffer votes for all lines through it (Hough transform).",
+        "A point gives a curve of votes. Many points lie on one line where many curves cross (rings).",
     ),
     "new": Caption(
         (3, 4),
-        "Associate: no wall of the map is where this line is, so it becomes a new wall.",
-        "The pale band is where the wall may be (2 sigma): its distance and its direction are both uncertain.",
+        "Associate: this line fits no wall of the map, so it becomes a new wall.",
+        "The pale band shows the uncertainty of the wall (2 sigma) in distance and direction.",
     ),
     "again": Caption(
         (3, 4),
-        "Correct: this line is a wall that is known already.",
-        "It is not quite where it was expected: the Kalman filter moves the robot and all walls accordingly.",
+        "Correct: this line is a known wall.",
+        "The Kalman filter corrects robot and walls by the difference between expected and observed line.",
     ),
     "goal": Caption(
         (6,),
-        "Explore: known floor ends at the frontier cells. What is behind them?",
-        "The robot goes to the one that costs least to reach: Dijkstra's algorithm on the grid.",
+        "Explore: free cells next to unknown cells are the frontier.",
+        "The robot drives to the frontier of least cost, found by Dijkstra's algorithm on the grid.",
     ),
     "loop": Caption(
         (5,),
-        "Close the loop: two walls of the map turn out to be the same wall.",
-        "The older one is known better. Taking it for a measurement of the younger corrects all that came in between.",
+        "Close the loop: two walls of the map are the same wall.",
+        "The older wall is more certain. It measures the newer one, which corrects the map and the pose.",
     ),
 }
 
@@ -93,19 +93,19 @@ _WEIGHTS = {"loop": 5, "new": 3, "goal": 2, "hough": 1, "again": 1, "drive": 0}
 
 
 class Narrator:
-    """Chooses what is said, so that it can be read although several things happen in every second.
+    """Chooses the captions so that they can be read, although several events happen in every second.
 
     Parameters
     ----------
     speed
-        Simulated seconds in a second of the video.
+        Simulated seconds per second of the video.
     explain
-        Whether the picture stands still for a lesson when something happens for the first time.
+        Whether the picture pauses for an explanation when something happens for the first time.
 
     Attributes
     ----------
     log
-        What has happened, the latest first: time (s), kind and words.
+        Past events, with the latest first: time (s), kind and text.
     """
 
     def __init__(self, speed: float, *, explain: bool = True) -> None:
@@ -119,14 +119,14 @@ class Narrator:
         self.log: list[tuple[float, str, str]] = []
 
     def hear(self, frame: BeliefFrame) -> list[Moment]:
-        """What is to be said about a frame: lessons, and the caption under which things go on last."""
+        """The moments of a frame: explanations first, and then the caption with which the run continues."""
         several = len(frame.poses) > 1
         new_goals = self._new_goals(frame)
         happening = _happenings(frame, self._last, new_goals)
         for event in frame.events:
             self._note(frame.time, event.kind, _who(event.robot, several and event.kind != "loop") + event.words)
         for robot in new_goals:
-            self._note(frame.time, "goal", _who(robot, several) + "goes to a frontier")
+            self._note(frame.time, "goal", _who(robot, several) + "drives to a frontier")
         about: dict[str, Event] = {event.kind: event for event in frame.events}
         lessons = [replace(LESSONS[kind], event=about.get(kind)) for kind in happening if kind in self._untaught]
         self._untaught -= set(happening)
@@ -136,7 +136,7 @@ class Narrator:
         return [*(Moment(lesson, lesson.reading_time) for lesson in lessons), Moment(self._caption, 0.0)]
 
     def _note(self, time: float, kind: str, words: str) -> None:
-        """Put something on top of the log; what happens again and again takes one line."""
+        """Put an event on top of the log. Repeated events share one line."""
         if self.log and self._noted == words:
             self._times += 1
             self.log[0] = (time, kind, f"{words}, {self._times} times")
@@ -154,7 +154,7 @@ class Narrator:
         ]
 
     def _choose(self, time: float) -> None:
-        """Another caption, when the present one could be read and there is something else to say."""
+        """Change the caption after it could be read, if there is another one."""
         held = (time - self._since) / self._speed
         others = {kind: caption for kind, caption in self._waiting.items() if kind != self._said} or self._waiting
         best = max(others, key=_WEIGHTS.__getitem__, default=None)
@@ -167,7 +167,7 @@ class Narrator:
 
 
 def _happenings(frame: BeliefFrame, last: BeliefFrame | None, new_goals: Sequence[int]) -> list[str]:
-    """Kinds of what has happened since the last frame, in the order of the method."""
+    """Kinds of the events since the last frame, in the order of the method."""
     if last is None:
         return ["start"]
     is_extracted = frame.hough is not None and len(frame.hough.peaks) and frame.hough is not last.hough
@@ -190,21 +190,21 @@ def _has_moved(frame: BeliefFrame, last: BeliefFrame) -> bool:
 
 
 def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption]:
-    """What could be said of a frame, by kind."""
+    """Possible captions of a frame by their kinds."""
     several = len(frame.poses) > 1
     said = {"drive": _captions_of_driving(len(frame.poses))}
     for robot in new_goals:
         said["goal"] = Caption(
-            (6,), f"Explore{_whose(robot, several)}: a new goal, where known floor meets the unknown.",
-            "Of all frontiers it is the one that costs least to reach.",
+            (6,), f"Explore{_whose(robot, several)}: a new goal at a frontier.",
+            "Of all frontiers, this frontier has the least cost.",
         )  # fmt: skip
     if frame.hough is not None:
         hough, count = frame.hough, len(frame.hough.peaks)
         whose = f"robot {hough.robot + 1}'s {hough.side}" if several else f"the {hough.side}"
         lines = "1 line has" if count == 1 else f"{count} lines have"
         said["hough"] = Caption(
-            (2,), f"Find lines: {whose} buffer is handed on, and {lines} votes enough.",
-            f"Its {len(hough.points)} points voted; every peak over the threshold is taken, so a corner gives two.",
+            (2,), f"Find lines: {whose} buffer is full, and {lines} enough votes.",
+            f"Its {len(hough.points)} points voted. Each peak above the threshold is a line: a corner gives two.",
         )  # fmt: skip
     for event in frame.events:
         said[event.kind] = _caption_of(event, _whose(event.robot, several))
@@ -212,10 +212,10 @@ def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption
 
 
 def _captions_of_driving(robots: int) -> Caption:
-    they = "the robots drive on" if robots > 1 else "the robot drives on"
+    robots_drive = "the robots drive" if robots > 1 else "the robot drives"
     return Caption(
-        (0, 1), f"Predict and collect: {they}, doubt grows, the buffers fill.",
-        "Wheel travel moves the belief; beams that hit something on a side add a point to its buffer.",
+        (0, 1), f"Predict and collect: {robots_drive}, uncertainty grows, scan buffers fill.",
+        "Wheel travel moves the estimate. Each side beam that hits something adds a point to its buffer.",
     )  # fmt: skip
 
 
@@ -223,15 +223,15 @@ def _caption_of(event: Event, whose: str) -> Caption:
     words = {
         "loop": (
             (5,), f"Close the loop: wall {event.wall} is the older wall {event.other}.",
-            "All that came in between is corrected at once.",
+            "The loop closure corrects the pose and all walls at once.",
         ),
         "new": (
             (3, 4), f"Add{whose}: a line that fits no known wall becomes wall {event.wall}.",
-            "It enters the state with its covariance with everything that is in it.",
+            "The wall enters the state of the filter, with its covariances.",
         ),
         "again": (
             (3, 4), f"Associate and correct{whose}: this line is wall {event.wall}, seen again.",
-            "The difference between expected and seen corrects the robot and all walls.",
+            "The difference between expected and observed line corrects the robot and all walls.",
         ),
     }  # fmt: skip
     return Caption(*words[event.kind], event)

@@ -1,4 +1,4 @@
-"""Video files that are whole or not there at all: H.264 in .mp4, which plays everywhere, and .gif."""
+"""Atomic writing of video files: H.264 in .mp4, and .gif. A file is either complete or does not exist."""
 
 import importlib
 import subprocess
@@ -14,24 +14,24 @@ import cv2
 import numpy as np
 from PIL import Image as Pictures
 
-from limslam_agent.output.atomic_write import whole_file
+from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.output.style import PALETTE, Image
 
 SUFFIXES = (".mp4", ".gif")
 
 _FASTEST_FPS = 60.0
-# A GIF holds each picture whole: fewer, smaller ones with few colours keep it small enough to be sent by mail.
+# A GIF stores whole pictures. Fewer and smaller pictures with few colours keep the file small.
 _GIF_WIDTH, _GIF_FPS, _GIF_COLOURS = 960, 8.0, 144
 _GIF_FRAMES = 320
 _GIF_PALETTE_SAMPLES = 12
 
 
 class VideoError(ValueError):
-    """A video that cannot be written. The message says which and why."""
+    """A video cannot be written. The message says which and why."""
 
 
 class _Encoder(Protocol):
-    """What makes a file of frames. ``abandon`` frees all it holds, and comes last, whether it was finished or not."""
+    """Makes a file of frames. ``abandon`` comes last, finished or not, and frees all resources."""
 
     def add(self, image: Image, hold: float) -> None: ...
 
@@ -41,24 +41,24 @@ class _Encoder(Protocol):
 
 
 class VideoWriter:
-    """Writes a video file; a context manager. The file appears when the context ends well, and only then.
+    """Writes a video file. It is a context manager, and the file appears only when the context ends without an error.
 
     Parameters
     ----------
     path
-        What to write, ``.mp4`` or ``.gif``. Folders that are missing are made when it is done.
+        The file, ``.mp4`` or ``.gif``. Missing folders are made at the end.
     fps
-        Frames per second. A GIF leaves frames out that would make it too large.
+        Frames per second. A GIF leaves out frames that would make it too large.
     force
-        Whether a file that is there may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
     VideoError
-        If the suffix is another one, something is there already, or what encodes .mp4 is missing: all of it before
-        there is a frame. When the context ends, if there is none.
+        Before the first frame: if the suffix is another one, something exists at the path, or the encoder for .mp4 is
+        missing. At the end of the context: if there was no frame.
     OSError
-        On entering the context, if the place cannot be written to.
+        At the start of the context: if the file cannot be written there.
     """
 
     def __init__(self, path: str | Path, fps: float, *, force: bool = False) -> None:
@@ -71,7 +71,7 @@ class VideoWriter:
         if self.path.is_dir():
             raise VideoError(f"{path}: is a folder")
         if self.path.exists() and not force:
-            raise VideoError(f"{path}: is there already; --force replaces it")
+            raise VideoError(f"{path}: already exists; --force replaces it")
         self._program = _ffmpeg() if self._suffix == ".mp4" else ""
         self._beside: Path | None = None
         self._encoder: _Encoder | None = None
@@ -88,12 +88,12 @@ class VideoWriter:
 
     @contextmanager
     def _recording(self) -> Iterator[None]:
-        with whole_file(self.path) as beside:
+        with atomic_write(self.path) as beside:
             self._beside = beside
             try:
                 yield
                 if self._encoder is None:
-                    raise VideoError(f"{self.path}: there is not a single frame")
+                    raise VideoError(f"{self.path}: there are no frames")
                 self._encoder.finish()
             finally:
                 encoder, self._encoder, self._beside = self._encoder, None, None
@@ -106,17 +106,17 @@ class VideoWriter:
         Parameters
         ----------
         image
-            (height, width, 3), RGB; all of one size with even sides.
+            (height, width, 3), RGB. All frames have the same size with even sides.
         hold
-            How long it is shown, s; as long as any frame if that is more.
+            Time for which the frame is shown, s. At least the time of one frame.
 
         Raises
         ------
         VideoError
-            If a frame is none, has another size than the first, or nobody takes it any more.
+            If the image is not a frame, has another size than the first, or the writer's context has ended.
         """
         if self._beside is None:
-            raise VideoError(f"{self.path}: frames are written within the writer's context")
+            raise VideoError(f"{self.path}: frames must be written within the writer's context")
         if image.dtype != np.uint8 or image.shape[2:] != (3,) or image.shape[0] % 2 or image.shape[1] % 2:
             raise VideoError(f"{self.path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
         if self._encoder is None:
@@ -132,12 +132,12 @@ class VideoWriter:
 
 
 class _Mp4:
-    """Frames through a pipe to ffmpeg."""
+    """Sends frames to ffmpeg through a pipe."""
 
     def __init__(self, beside: Path, program: str, path: Path, image: Image, fps: float) -> None:
         self._path, self._fps = path, fps
-        # Its complaints go to a file: a pipe that nobody reads fills up, and then everything waits.
-        self._complaints: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
+        # Error messages go to a file, because a pipe without a reader would fill up and block.
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
         height, width = image.shape[:2]
         command = [
             program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{width}x{height}",
@@ -145,43 +145,43 @@ class _Mp4:
             "-colorspace", "smpte170m", "-color_primaries", "smpte170m", "-color_trc", "smpte170m",
             "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(beside),
         ]  # fmt: skip
-        # A session of its own: an interrupt at the keyboard is for us, and ffmpeg ends when we say so.
+        # A separate session keeps a keyboard interrupt away from ffmpeg. This class ends ffmpeg.
         self._process = subprocess.Popen(  # noqa: S603 (the program is imageio-ffmpeg's)
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._complaints, start_new_session=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
         )
 
     def add(self, image: Image, hold: float) -> None:
-        # Half as many bytes as RGB, and converted once however long the frame is held.
+        # This format has half as many bytes as RGB, and a held frame is converted only once.
         pixels = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).data
         try:
             for _ in range(max(round(hold * self._fps), 1)):
                 _pipe(self._process).write(pixels)
         except OSError as error:
-            raise VideoError(f"{self._path}: cannot be written: {self._complaint() or error}") from error
+            raise VideoError(f"{self._path}: cannot be written: {self._last_error() or error}") from error
 
     def finish(self) -> None:
         _pipe(self._process).close()
         if self._process.wait():
-            raise VideoError(f"{self._path}: cannot be written: {self._complaint() or 'ffmpeg failed'}")
+            raise VideoError(f"{self._path}: cannot be written: {self._last_error() or 'ffmpeg failed'}")
 
     def abandon(self) -> None:
         if self._process.poll() is None:
             self._process.kill()
-        # What is still in the pipe is of no use.
+        # Data that is still in the pipe is not needed.
         with suppress(OSError):
             _pipe(self._process).close()
         self._process.wait()
-        self._complaints.close()
+        self._errors.close()
 
-    def _complaint(self) -> str:
+    def _last_error(self) -> str:
         self._process.wait()
-        self._complaints.seek(0)
-        lines = self._complaints.read().decode(errors="replace").strip().splitlines()
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else ""
 
 
 class _Gif:
-    """Frames kept small in memory, and written at the end, when it is known which colours they need."""
+    """Keeps compressed frames in memory, and writes them at the end, when all colours are known."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self._path, self._frame_time = path, 1.0 / fps
@@ -191,7 +191,7 @@ class _Gif:
         self._owed = 0.0
 
     def add(self, image: Image, hold: float) -> None:
-        """Take a frame unless the last one is still to be shown: time is handed on, so the speed stays."""
+        """Take a frame unless the last frame has to be shown longer. The speed of the video stays the same."""
         time = max(hold, self._frame_time)
         if self._frames and self._owed + time < self._step - 1e-9:
             self._owed += time
@@ -207,7 +207,7 @@ class _Gif:
             self._thin()
 
     def _thin(self) -> None:
-        """Leave out every second frame that was not held, and show the one before it longer."""
+        """Remove every second frame that was not held, and show the frame before it longer."""
         kept: list[tuple[bytes, float]] = []
         is_odd = False
         for data, time in self._frames:
@@ -221,7 +221,7 @@ class _Gif:
     def finish(self) -> None:
         palette = self._palette()
         frames = (frame.quantize(palette=palette, dither=Pictures.Dither.NONE) for frame in self._pictures())
-        # GIF counts in hundredths of a second.
+        # The unit of time in a GIF is 1/100 s.
         times = [10 * round(100.0 * time) for _, time in self._frames]
         next(frames).save(
             self._path, format="GIF", save_all=True, append_images=frames, duration=times, loop=0, optimize=False
@@ -235,7 +235,7 @@ class _Gif:
             yield Pictures.frombytes("RGB", self._size, zlib.decompress(data))
 
     def _palette(self) -> Pictures.Image:
-        """Colours for all frames alike, so that what stands still stays the same and costs nothing."""
+        """One palette for all frames, so that regions without change need no space in the file."""
         every = max(len(self._frames) // _GIF_PALETTE_SAMPLES, 1)
         width, height = self._size
         samples = self._frames[::every]
@@ -243,7 +243,7 @@ class _Gif:
         for number, (data, _) in enumerate(samples):
             sheet.paste(Pictures.frombytes("RGB", self._size, zlib.decompress(data)), (0, number * height))
         found = sheet.quantize(_GIF_COLOURS - len(PALETTE), method=Pictures.Quantize.MEDIANCUT).getpalette() or []
-        # Thin lines and rings are few pixels, and would lose their colours to the many.
+        # Thin lines and rings have few pixels. Without fixed colours they would lose their colours.
         palette = Pictures.new("P", (1, 1))
         palette.putpalette([*(part for colour in PALETTE for part in colour), *found])
         return palette
@@ -258,7 +258,7 @@ def _small(image: Image) -> Image:
 
 
 def _ffmpeg() -> str:
-    """The path of an ffmpeg that knows H.264."""
+    """The path of an ffmpeg that supports H.264."""
     try:
         return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:

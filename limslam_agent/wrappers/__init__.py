@@ -1,1 +1,1 @@
-"""Wrappers that give learning agents the belief of the SLAM as their observation."""
+"""Environment wrappers whose observation is the belief of the SLAM."""

@@ -1,4 +1,4 @@
-"""A wrapper that lets learning agents act on what a robot believes, as the policies of this package do."""
+"""A wrapper for learning agents: the observation is what the SLAM believes instead of raw readings."""
 
 from typing import Any, SupportsFloat, TypeAlias
 
@@ -7,9 +7,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from limslam_agent.agent import LimSlamAgent
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.policies.belief import NO_PLAN, Belief
+from limslam_agent.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, transform_points
 from limslam_env.geometry.shapes import places_around
@@ -21,56 +21,43 @@ UNKNOWN, FREE, OCCUPIED = 0, 127, 255
 """Values of the grid's cells."""
 
 FARTHEST = 1000.0
-"""Largest distance from the start that a pose is told with, m."""
+"""Bound of the distance from the start in an observed pose, m."""
 
 LARGEST_COVARIANCE = 1e6
-"""Bound of the covariance's numbers, m^2, m rad, rad^2."""
+"""Bound of the numbers of an observed covariance, m^2, m rad, rad^2."""
 
 _UPPER = np.triu_indices(3)
 _FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
 
 
-class _Listener:
-    """A policy that remembers what it was told, and drives nowhere."""
-
-    stop_reason: str | None = None
-    plan: FloatArray = NO_PLAN
-
-    def __init__(self) -> None:
-        self.belief: Belief | None = None
-
-    def act(self, belief: Belief) -> FloatArray:
-        self.belief = belief
-        return np.zeros(2)
-
-
 class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
-    """Observe what the SLAM believes instead of raw readings. No truth goes in after the start pose.
+    """Observe what the SLAM believes instead of raw readings. The start pose is the only truth that the SLAM gets.
 
     The observation is a `Dict` of new arrays:
 
     | Key        | Shape           | Type    | Meaning                                                               |
     |------------|-----------------|---------|-----------------------------------------------------------------------|
-    | pose       | (3,)            | float32 | estimated pose as seen from the start pose: m ahead, m left, rad      |
+    | pose       | (3,)            | float32 | estimated pose relative to the start pose: m ahead, m left, rad       |
     | covariance | (6,)            | float32 | of the estimated pose in the world: xx, xy, xt, yy, yt, tt            |
     | grid       | (1, size, size) | uint8   | believed occupancy around the robot: 0 unknown, 127 free, 255 occupied |
     | ranges     | (n_beams,)      | float32 | the readings, m                                                       |
 
-    The grid has the robot in its middle, looking up. Its cells are as large as the configuration says (0.10 m).
+    The robot is in the middle of the grid, and its heading points up. The configuration sets the size of a cell, which
+    is 0.10 m by default.
 
     Parameters
     ----------
     env
-        A LimSlam environment for one robot whose observation holds `ranges` and `wheels` as they are, not scaled.
+        A LimSlam environment for one robot whose observation holds unscaled `ranges` and `wheels`.
     agent_config
-        Settings of the SLAM and what it is told of the noise; those of the preset `consistent` if left out.
+        Settings of the SLAM, with the noise that the SLAM is told. The preset `consistent` by default.
     size
         Side of the grid in cells.
 
     Raises
     ------
     ValueError
-        If the size is below 1, or the environment does not tell its robot, or its observation is another one.
+        If the size is below 1, the environment has no `robot`, or its observation has another form.
     """
 
     def __init__(self, env: gym.Env[Observation, Any], agent_config: AgentConfig | None = None, size: int = 40) -> None:
@@ -79,34 +66,31 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
             raise ValueError(f"a grid needs at least one cell, not {size}")
         robot = getattr(env.unwrapped, "robot", None)
         if not isinstance(robot, RobotSpec):
-            raise ValueError(f"{env.unwrapped} does not tell what its robot is")  # noqa: TRY004 (a wrong value)
+            raise ValueError(f"{env.unwrapped} has no LimSLAM robot")  # noqa: TRY004 (a wrong value)
         ranges = ranges_space(env.observation_space, robot)
-        self._listener = _Listener()
-        self._agent = LimSlamAgent(robot, agent_config, self._listener)
+        self._mapper = Mapper(robot, agent_config)
         self._start = np.zeros(3)
         self.observation_space = belief_space(ranges, size)
-        self._places, self._size = places_around(size, self._agent.config.grid.cell), size
+        self._places, self._size = places_around(size, self._mapper.config.grid.cell), size
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
-        """Start a new episode and a new map; the start pose is all that is taken from `info`."""
+        """Start a new episode with an empty map. Of `info`, only the start pose is used."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._start = np.array(info["pose"], dtype=float)
-        self._agent.reset(self._start.copy(), seed)
+        self._mapper.reset(self._start)
         return self._believed(observation), info
 
     def step(self, action: Any) -> tuple[Observation, SupportsFloat, bool, bool, Any]:
-        """Drive for one control period, and let the SLAM take in what is observed."""
+        """Drive for one control period and give the new observation to the SLAM."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._believed(observation), reward, terminated, truncated, info
 
     def _believed(self, observation: Observation) -> Observation:
-        self._agent.act({"ranges": observation["ranges"], "wheels": observation["wheels"]})
-        belief = self._listener.belief
-        if belief is None:
-            raise RuntimeError("the agent did not ask its policy")
+        self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
+        belief = self._mapper.belief
         return {
-            "pose": told_pose(self._start, belief.pose),
-            "covariance": told_covariance(belief.covariance),
+            "pose": observed_pose(self._start, belief.pose),
+            "covariance": observed_covariance(belief.covariance),
             "grid": self._crop(belief),
             "ranges": np.array(observation["ranges"]),
         }
@@ -122,7 +106,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
 
 
 def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
-    """The space of what a robot with such readings believes, with a grid of ``size`` cells a side."""
+    """The observation space, with the readings' space ``ranges`` and a grid of ``size`` cells a side."""
     return spaces.Dict(
         {
             "pose": spaces.Box(-_FARTHEST, _FARTHEST),
@@ -133,24 +117,24 @@ def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
     )
 
 
-def told_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:
-    """A pose (..., 3) as seen from the start (..., 3), within the bounds of the space."""
+def observed_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:
+    """A pose (..., 3) relative to the start (..., 3), clipped to the bounds of the space."""
     return np.clip(between(start, pose).astype(np.float32), -_FARTHEST, _FARTHEST)
 
 
-def told_covariance(covariance: FloatArray) -> NDArray[np.float32]:
-    """The six numbers (..., 6) of a covariance (..., 3, 3), within the bounds of the space."""
+def observed_covariance(covariance: FloatArray) -> NDArray[np.float32]:
+    """The upper triangle (..., 6) of a covariance (..., 3, 3), clipped to the bounds of the space."""
     upper = covariance[..., *_UPPER]
     return np.clip(upper, -LARGEST_COVARIANCE, LARGEST_COVARIANCE).astype(np.float32)
 
 
 def ranges_space(space: gym.Space[Any], robot: RobotSpec) -> spaces.Box:
-    """The readings' part of an observation of a robot.
+    """The part of a robot's observation space that holds the readings.
 
     Raises
     ------
     ValueError
-        If the observation does not hold ranges and wheels as they are.
+        If the observation does not hold unscaled ranges and wheels.
     """
     if not isinstance(space, spaces.Dict) or not {"ranges", "wheels"} <= set(space.spaces):
         raise ValueError(f"the observation must hold ranges and wheels, not {space}")

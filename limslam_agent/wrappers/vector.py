@@ -1,4 +1,4 @@
-"""A wrapper that tells learning agents what each of many robots believes: `wrappers.SlamObservation` for a batch."""
+"""A wrapper for learning agents: `wrappers.single.SlamObservation` for a batch of environments."""
 
 from typing import Any
 
@@ -10,36 +10,35 @@ from numpy.typing import NDArray
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.batch.state import Capacity
-from limslam_agent.wrappers.single import Observation, belief_space, ranges_space, told_covariance, told_pose
+from limslam_agent.wrappers.single import Observation, belief_space, observed_covariance, observed_pose, ranges_space
 from limslam_env.geometry import BoolArray
 from limslam_env.interface import RobotSpec
 
 
 class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unused-ignore]
-    """Observe what n robots believe instead of raw readings. No truth goes in after the start poses.
+    """Observe what n robots believe instead of raw readings. The start poses are the only truth that the SLAM gets.
 
-    The observation has the keys of ``SlamObservation``, each with n rows, in new arrays. Beliefs begin anew where an
-    episode does, whichever way the environment resets itself; ``final_obs`` in ``info`` holds beliefs, too.
+    The observation has the keys of ``SlamObservation``, each with n rows, in new arrays. A belief is reset whenever its
+    episode starts, for all autoreset modes. ``final_obs`` in ``info`` holds beliefs, too.
 
     Parameters
     ----------
     env
-        A vector of LimSlam environments for one robot each, whose observation holds `ranges` and `wheels` as they
-        are, not scaled.
+        A vector of LimSlam environments for one robot each, whose observation holds unscaled `ranges` and `wheels`.
     agent_config
-        Settings of the SLAM and what it is told of the noise; those of the preset `consistent` if left out.
+        Settings of the SLAM, with the noise that the SLAM is told. The preset `consistent` by default.
     size
         Side of the grid in cells.
     capacity
-        How much each belief has room for.
+        Largest number of each thing that a belief can store.
     num_threads
-        That work on the beliefs; as many as there are processors if left out.
+        Number of threads that update the beliefs. As many as there are processors by default.
 
     Raises
     ------
     ValueError
-        If the size is below 1, or the environment does not tell its robot, or its observation is another one, or the
-        estimator is not the consistent one.
+        If the size is below 1, an environment has no `robot`, its observation has another form, or the estimator is not
+        the consistent one.
     """
 
     def __init__(
@@ -61,98 +60,98 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         self.slam = BatchSlam(robot, agent_config, env.num_envs, capacity, num_threads, size)
         self._starts = np.zeros((env.num_envs, 3))
         self._ended = np.zeros(env.num_envs, dtype=bool)
-        self._told: Observation = {}
+        self._last: Observation = {}
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start new episodes and new maps, of a ``reset_mask`` among the options only where it is true.
+        """Start new episodes with empty maps. With a ``reset_mask`` among the options, only where the mask is true.
 
         Raises
         ------
         ValueError
-            If the options are no dictionary, or the environment refuses them.
+            If the options are not a dictionary, or the environment refuses them.
         """
         if not (options is None or isinstance(options, dict)):
             raise ValueError(f"reset options are a dictionary, not {' '.join(repr(options).split()):.60}")
         mask = None if options is None else options.get("reset_mask")
-        # gymnasium's environments take the mask out of the options.
+        # The mask is read first, because gymnasium's environments remove it from the options.
         mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.array(mask)
         seen, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._ended = self._ended & ~mask
-        self._begin(info, mask)
+        self._reset_beliefs(info, mask)
         return self._believed(seen, mask), info
 
     def step(
         self, actions: Any
     ) -> tuple[Observation, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Drive for one control period, and let the SLAM take in what is observed."""
+        """Drive for one control period and give the new observations to the SLAM."""
         seen, reward, terminated, truncated, info = self.env.step(actions)
         ended, everywhere = terminated | truncated, np.ones(self.num_envs, dtype=bool)
         mode = AutoresetMode(self.env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         if mode == AutoresetMode.NEXT_STEP:
-            self._begin(info, self._ended)
+            self._reset_beliefs(info, self._ended)
         elif mode == AutoresetMode.SAME_STEP and ended.any():
-            self._tell_last(info, ended)
-            self._begin(info, ended)
+            self._observe_final(info, ended)
+            self._reset_beliefs(info, ended)
         self._ended = ended
         return self._believed(seen, everywhere), reward, terminated, truncated, info
 
     def close(self, **kwargs: Any) -> None:
-        """Close the environments, and end the threads of the SLAM. May be called again."""
-        # What was refused when it was made has no SLAM to end.
+        """Close the environments and end the threads of the SLAM. May be called again."""
+        # An object whose constructor raised an error has no SLAM.
         if "slam" in vars(self):
             self.slam.close()
         super().close(**kwargs)
 
-    def _begin(self, info: dict[str, Any], begun: BoolArray) -> None:
-        """Forget what was believed where an episode begins; the start pose is all that is taken from ``info``."""
+    def _reset_beliefs(self, info: dict[str, Any], begun: BoolArray) -> None:
+        """Reset the beliefs whose episodes start. Of ``info``, only the start pose is used."""
         if begun.any():
             self._starts[begun] = np.asarray(info["pose"], dtype=float)[begun]
             self.slam.reset(self._starts, begun)
 
-    def _tell_last(self, info: dict[str, Any], ended: BoolArray) -> None:
-        """Let the last observations of episodes be taken in, and put what is believed then in their place."""
+    def _observe_final(self, info: dict[str, Any], ended: BoolArray) -> None:
+        """Update the beliefs with the last observations of episodes, and put them into ``final_obs``."""
         last, places = info["final_obs"], np.flatnonzero(ended)
         seen = {key: np.zeros((self.num_envs, *box.shape)) for key, box in self._spaces.items()}
         for key, rows in seen.items():
             for place in places:
                 rows[place] = last[key][place] if isinstance(last, dict) else last[place][key]
-        told, final = self._believed(seen, ended), np.full(self.num_envs, None, dtype=object)
+        beliefs, final = self._believed(seen, ended), np.full(self.num_envs, None, dtype=object)
         for place in places:
-            final[place] = {key: rows[place].copy() for key, rows in told.items()}
+            final[place] = {key: rows[place].copy() for key, rows in beliefs.items()}
         info["final_obs"] = final
 
     def _believed(self, seen: Observation, mask: BoolArray) -> Observation:
-        """What is believed after observations; where there is none, what was told before."""
+        """The beliefs after observations. Environments outside of the mask keep the last ones."""
         beliefs = self.slam.step(seen["ranges"], seen["wheels"], mask)
-        told: Observation = {
-            "pose": told_pose(self._starts, beliefs.pose),
-            "covariance": told_covariance(beliefs.covariance),
+        observation: Observation = {
+            "pose": observed_pose(self._starts, beliefs.pose),
+            "covariance": observed_covariance(beliefs.covariance),
             "grid": beliefs.grid,
             "ranges": np.array(seen["ranges"], dtype=np.float32),
         }
         if not mask.all():
-            for key, rows in self._told.items():
-                told[key][~mask] = rows[~mask]
-        self._told = told
-        return {key: rows.copy() for key, rows in told.items()}
+            for key, rows in self._last.items():
+                observation[key][~mask] = rows[~mask]
+        self._last = observation
+        return {key: rows.copy() for key, rows in observation.items()}
 
 
 def _robot_of(env: VectorEnv[Any, Any, Any]) -> RobotSpec:
-    """The robot that all of the environments have."""
+    """The robot that all environments have."""
     inner = env.unwrapped
     robot = getattr(inner, "robot", None)
-    robots = [robot] if robot is not None else list(_asked(inner))
+    robots = [robot] if robot is not None else list(_robots_of(inner))
     if not robots or not isinstance(robots[0], RobotSpec):
-        raise ValueError(f"{inner} does not tell what its robot is")
+        raise ValueError(f"{inner} has no LimSLAM robot")
     if any(other != robots[0] for other in robots):
-        raise ValueError("a batch has robots of one kind")
+        raise ValueError("all environments of a batch must have the same robot")
     first: RobotSpec = robots[0]
     return first
 
 
-def _asked(env: Any) -> tuple[Any, ...]:
+def _robots_of(env: Any) -> tuple[Any, ...]:
     try:
         found: tuple[Any, ...] = env.get_attr("robot")
     except AttributeError:

@@ -1,4 +1,4 @@
-"""Many environments at once: the simulation behind the batched adapters."""
+"""The simulation of many environments at once."""
 
 import os
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from limslam_env.batch.places import Places
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_state import Episodes, Measurements, Robots, scratch_for
 from limslam_env.kernels.batch_step import BEGIN, NUM_NOISES, SKIP, STEP, advance
 from limslam_env.kernels.random_numbers import Words, derive_keys
 from limslam_env.simulation.coverage import CELL
@@ -26,7 +27,7 @@ _SETTINGS, _PLACES = 1, 2
 
 
 class BatchReadings(NamedTuple):
-    """What the sensors of all environments say: new arrays.
+    """The measurements in all environments, in new arrays.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class BatchReadings(NamedTuple):
 
 
 class BatchTruth(NamedTuple):
-    """What is really so in all environments: new arrays, the fields of ``simulation.Truth``.
+    """The ground truth of all environments, in new arrays: the fields of ``simulation.Truth``.
 
     Attributes
     ----------
@@ -75,7 +76,7 @@ class BatchSimulation:
     places
         The worlds of the environments.
     robot
-        What all robots are.
+        The specification of all robots.
     noise
         One setting for all environments or one for each; ranges in it are drawn from at each reset.
     num_threads
@@ -88,20 +89,12 @@ class BatchSimulation:
         count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
         self.robot, self.num_envs, self.num_robots = robot, count, robots
         self._places, self._noise = places, BatchNoise(noise, robot)
-        self._beams = beam_table(robot)
-        self._farthest = robot.max_wheel_speed * robot.control_period
+        self._robots = Robots(robot.max_wheel_speed * robot.control_period, robot.radius, beam_table(robot))
         self._homes: Words = np.zeros(count, dtype=np.uint64)
-        self._keys: Words = np.zeros(count, dtype=np.uint64)
-        self._episodes, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        self._rooms, self._covered = np.zeros(count), np.zeros(count, dtype=np.int64)
-        self._poses, self._untold = np.zeros((count, robots, 3)), np.zeros((count, robots, 2))
-        self._left = _padded(np.zeros((count, 0), dtype=np.uint64), 0)
-        self._hits = np.zeros((count, robots, num_beams), dtype=np.int64)
-        self._ranges = np.zeros((count, robots, num_beams), dtype=np.float32)
-        self._told = np.zeros((count, robots, 2), dtype=np.float32)
-        self._contact = np.zeros((count, robots), dtype=bool)
-        self._new_cells = np.zeros((count, robots), dtype=np.int64)
-        self._table = np.zeros((count, NUM_NOISES))
+        self._numbers, self._covered = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        self._episodes = _no_episodes(places.world_of, robots)
+        self._measured = _no_measurements(count, robots, num_beams)
+        self._scratch = scratch_for(robots, num_beams)
         self._threads = num_threads or _cores()
         self._pool: ThreadPoolExecutor | None = None
 
@@ -134,20 +127,21 @@ class BatchSimulation:
         """
         envs = np.flatnonzero(mask)
         homes: Words = self._homes
-        episodes = self._episodes.copy()
+        numbers = self._numbers.copy()
         if seeds is not None:
-            homes, episodes = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64), 0 * episodes
-        episodes[envs] += 1
+            homes, numbers = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64), 0 * numbers
+        numbers[envs] += 1
         keys, settings, places = (
-            derive_keys(homes[envs], episodes[envs], purpose) for purpose in (0, _SETTINGS, _PLACES)
+            derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, _SETTINGS, _PLACES)
         )
-        self._poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
-        self._homes, self._episodes, self._keys[envs] = homes, episodes, keys
-        self._table[envs] = self._noise.drawn(envs, settings)
+        episodes = self._episodes
+        episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
+        self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
+        episodes.noise[envs] = self._noise.drawn(envs, settings)
         self._covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
-        if width > self._left.shape[1]:
-            self._left = _padded(self._left, width)
+        if width > episodes.unseen.shape[1]:
+            self._episodes = episodes._replace(unseen=_padded(episodes.unseen, width))
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
         """Drive for one control period.
@@ -165,7 +159,7 @@ class BatchSimulation:
     def seen(self, env: int) -> BoolArray:
         """Which coverable cells of an environment's grid (rows, columns) have been seen."""
         slot, sites = int(self._places.world_of[env]), self._places.sites
-        return sites.to_cells(slot, sites.tiles[slot] & ~self._left[env])
+        return sites.to_cells(slot, sites.tiles[slot] & ~self._episodes.unseen[env])
 
     def close(self) -> None:
         """End the threads. May be called again; a later step starts new ones."""
@@ -179,51 +173,78 @@ class BatchSimulation:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        # A copy of these words has lost what is beyond them.
-        self._left = _padded(self._left, self._left.shape[1])
+        # A copy of these words has lost the memory behind them.
+        unseen = self._episodes.unseen
+        self._episodes = self._episodes._replace(unseen=_padded(unseen, unseen.shape[1]))
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
-        places = self._places
-        arguments: tuple[Any, ...] = (
-            tasks, actions, self._farthest, self.robot.radius, self._beams, places.world_of, *places.sites.scene,
-            self._table, self._keys, self._steps, self._rooms, self._poses, self._untold, self._left,
-            self._hits, self._ranges, self._told, self._contact, self._new_cells,
-        )  # fmt: skip
-        starts = range(0, self.num_envs, _SLICE)
+        worlds = self._places.sites.worlds
+        arguments: tuple[Any, ...] = tasks, actions, self._robots, worlds, self._episodes, self._measured
         if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
-            # Whoever is free takes the next slice: another process on one core does not hold up all.
-            waiting = iter(starts)
-
-            def work() -> None:
-                for first in waiting:
-                    advance(first, min(first + _SLICE, self.num_envs), *arguments)
-
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(self._threads - 1)
-            others = [self._pool.submit(work) for _ in range(self._threads - 1)]
-            work()
-            for other in others:
-                # Who has not woken up by now is not waited for.
-                if not other.cancel():
-                    other.result()
+            self._advance_in_threads(arguments)
         else:
-            advance(0, self.num_envs, *arguments)
+            advance(0, self.num_envs, self._scratch, *arguments)
         return self._result(tasks)
 
+    def _advance_in_threads(self, arguments: tuple[Any, ...]) -> None:
+        # Each idle thread takes the next slice, so that a thread whose core is busy does not hold up the others.
+        waiting = iter(range(0, self.num_envs, _SLICE))
+
+        def work() -> None:
+            scratch = scratch_for(self.num_robots, len(self.robot.beams))
+            for first in waiting:
+                advance(first, min(first + _SLICE, self.num_envs), scratch, *arguments)
+
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads - 1)
+        others = [self._pool.submit(work) for _ in range(self._threads - 1)]
+        work()
+        for other in others:
+            # A thread that has not started by now has nothing left to do.
+            if not other.cancel():
+                other.result()
+
     def _result(self, tasks: IntArray) -> tuple[BatchReadings, BatchTruth]:
-        new_cells = self._new_cells
+        measured, episodes = self._measured, self._episodes
+        new_cells = measured.new_cells
         if (tasks == SKIP).any():
             new_cells = np.where(tasks[:, None] == SKIP, 0, new_cells)
         self._covered += new_cells.sum(axis=1)
         truth = BatchTruth(
-            self._poses.copy(),
-            np.asarray(self._steps * self.robot.control_period),
+            episodes.poses.copy(),
+            np.asarray(episodes.steps * self.robot.control_period),
             self._covered / self._places.sites.totals[self._places.world_of],
             np.asarray(new_cells * CELL**2),
-            self._contact.copy(),
-            self._hits.copy(),
+            measured.contact.copy(),
+            measured.hits.copy(),
         )
-        return BatchReadings(self._ranges.copy(), self._told.copy()), truth
+        return BatchReadings(measured.ranges.copy(), measured.wheels.copy()), truth
+
+
+def _no_episodes(world_of: IntArray, num_robots: int) -> Episodes:
+    """Arrays for the episodes of all environments, before the first reset; ``world_of`` (n,) is shared."""
+    count = len(world_of)
+    return Episodes(
+        world_of=world_of,
+        noise=np.zeros((count, NUM_NOISES)),
+        keys=np.zeros(count, dtype=np.uint64),
+        steps=np.zeros(count, dtype=np.int64),
+        clearances=np.zeros(count),
+        poses=np.zeros((count, num_robots, 3)),
+        unreported=np.zeros((count, num_robots, 2)),
+        unseen=_padded(np.zeros((count, 0), dtype=np.uint64), 0),
+    )
+
+
+def _no_measurements(count: int, num_robots: int, num_beams: int) -> Measurements:
+    """Arrays for the measurements of all environments."""
+    return Measurements(
+        hits=np.zeros((count, num_robots, num_beams), dtype=np.int64),
+        ranges=np.zeros((count, num_robots, num_beams), dtype=np.float32),
+        wheels=np.zeros((count, num_robots, 2), dtype=np.float32),
+        contact=np.zeros((count, num_robots), dtype=bool),
+        new_cells=np.zeros((count, num_robots), dtype=np.int64),
+    )
 
 
 def _padded(words: Words, columns: int) -> Words:

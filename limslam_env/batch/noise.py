@@ -18,14 +18,14 @@ _NAMES = [part.name for part in fields(NoiseConfig)]
 
 
 class BatchNoise:
-    """What the noise of environments is drawn from, and what it becomes for the kernels.
+    """The noise settings of environments, and the tables of drawn values for the kernels.
 
     Parameters
     ----------
     settings
         One for all environments, or one for each.
     robot
-        What they drive.
+        The specification of the robots.
     """
 
     def __init__(self, settings: Sequence[NoiseConfig], robot: RobotSpec) -> None:

@@ -1,4 +1,4 @@
-"""Which world each environment of a batch is in, and where its robots start there."""
+"""The worlds of a batch's environments, and the start poses in them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,9 +20,9 @@ class Places:
     Parameters
     ----------
     source
-        A world for all, a world for each, or what floor plans are drawn by.
+        One world, one world per environment, or the settings of random floor plans.
     robot, num_robots
-        What drives there, and how many of them in each environment.
+        The robots' specification, and their number in each environment.
     num_envs
         How many environments there are.
     plans
@@ -55,7 +55,7 @@ class Places:
         if isinstance(source, FloorPlanConfig):
             if plans is None:
                 self._config = source
-                # A plan that nobody sees: what is wrong with the settings shows at once.
+                # This plan is not used: it shows at once whether the settings can be used.
                 floor_plan(source, np.random.default_rng(0), robot.radius)
                 return
             self._is_drawn = True
@@ -102,7 +102,7 @@ class Places:
                 poses[rows] = self._started(world, site, keys[rows])
             else:
                 moves += self._start_at(rows, world, start, keys, poses)
-        # Nothing may be refused from here on: what is above changes nothing.
+        # No error may be raised from here on, and nothing above changes this object.
         for rows, variant, site in moves:
             if variant not in self._variants:
                 self._variants[variant] = len(self.sites)
@@ -114,7 +114,7 @@ class Places:
     def _begin_drawn(
         self, config: FloorPlanConfig, envs: IntArray, keys: Words, start: FloatArray | None
     ) -> FloatArray:
-        """Give each environment a floor plan of its own."""
+        """Generate a separate floor plan for each environment."""
         poses = np.zeros((len(envs), self.num_robots, 3))
         sites: list[Site] = []
         for row, key in enumerate(keys):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_state import Worlds
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.tiles import TILE
 from limslam_env.simulation.coverage import CoverageGrid, coverage_grid
@@ -21,7 +22,7 @@ _MOST_NEAR = 60
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A world made ready for a batch: its walls sorted, what can be seen of it, and where robots start.
+    """A world prepared for a batch: its sorted walls, its coverage grid and its starting places.
 
     Attributes
     ----------
@@ -80,8 +81,8 @@ def from_tiles(tiles: Words, shape: tuple[int, int]) -> BoolArray:
     return np.asarray(blocks[: shape[0], : shape[1]], dtype=bool)
 
 
-class _Shelf:
-    """Rows of many worlds, one after the other, with room to put others in their place."""
+class _RowStore:
+    """The rows of many worlds, one after the other, with space to replace a world."""
 
     def __init__(self, dtype: type[np.generic], *width: int) -> None:
         self.rows: NDArray[Any] = np.zeros((0, *width), dtype=dtype)
@@ -95,7 +96,7 @@ class _Shelf:
             self._firsts.append(0)
             self._sizes.append(-1)
         if len(rows) > self._sizes[slot]:
-            # Who moves in later may need a little more.
+            # A later world may need a little more.
             size = len(rows) if self._sizes[slot] < 0 else len(rows) * 5 // 4
             self._firsts[slot], self._sizes[slot] = self._taken, size
             self._taken += size
@@ -114,7 +115,7 @@ class Sites:
     Attributes
     ----------
     layout, grids, areas, tiles
-        As :func:`limslam_env.kernels.batch_step.advance` takes them.
+        As :class:`limslam_env.kernels.batch_state.Worlds` holds them; ``tiles`` are its ``coverable``.
     totals
         (w,), how many cells are coverable.
     shapes
@@ -122,8 +123,8 @@ class Sites:
     """
 
     def __init__(self) -> None:
-        self._edges, self._cells, self._items = _Shelf(np.float64, 4), _Shelf(np.int32), _Shelf(np.int32)
-        self._near_cells, self._near_items = _Shelf(np.int32), _Shelf(np.int32)
+        self._edges, self._cells, self._items = _RowStore(np.float64, 4), _RowStore(np.int32), _RowStore(np.int32)
+        self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.int32)
         self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
         self.grids: FloatArray = np.zeros((0, 3))
         self.areas: FloatArray = np.zeros((0, 3))
@@ -135,10 +136,10 @@ class Sites:
         return len(self.shapes)
 
     @property
-    def scene(self) -> tuple[NDArray[Any], ...]:
-        """The arrays, in the order in which the kernel takes them."""
+    def worlds(self) -> Worlds:
+        """The arrays as the kernels take them."""
         walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
-        return self.layout, self.grids, self.areas, *walls, self.tiles
+        return Worlds(self.layout, self.grids, self.areas, *walls, self.tiles)
 
     def put(self, slot: int, site: Site) -> None:
         """Put a world at a slot: the next one, or one whose world is needed no more."""

@@ -1,1 +1,1 @@
-"""What is possible at best: the offline optimum of a log, and tours by a driver that knows the map."""
+"""Bounds for comparison: the offline optimum of a log, and exploration tours planned with the true map."""

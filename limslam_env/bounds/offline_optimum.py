@@ -1,9 +1,9 @@
-"""The offline optimum: how well a run's path can be known from its log, by one who knows which wall each beam hit.
+"""The offline optimum: the best estimate of a path from a complete log, given the true data association.
 
-All poses and all walls' lines are solved for at once in least squares, with the true wall of each reading and nothing
-else of the truth: not where walls are, nor that two of them lie on one line or at right angles (F. Dellaert and
-M. Kaess, "Factor Graphs for Robot Perception", 2017). The error of an estimator over that of this
-optimum says what the estimator loses. Needs gtsam, the extra ``limits``.
+All poses and all wall lines are estimated together by least squares (F. Dellaert and M. Kaess, "Factor Graphs for
+Robot Perception", 2017). The estimate uses the true wall of each reading and nothing else of the truth: neither the
+positions of the walls nor that two of them are collinear or perpendicular. The ratio of an estimator's error to the
+error of this optimum shows how much the estimator loses. Needs gtsam, the extra ``limits``.
 """
 
 import math
@@ -23,14 +23,14 @@ from limslam_env.interface import RobotSpec
 
 LEAST_RANGE_STD = 0.005  # m
 
-# Steps to the side of this size add up to less than a millimetre in a run, and keep the equations regular.
+# Sideways motion of this size, m, adds up to less than a millimetre in a run and keeps the equations regular.
 _ASIDE_STD = 1e-5
 _LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Limit:
-    """The optimum.
+class OfflineOptimum:
+    """The poses and wall lines with the least sum of squared residuals.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class UnreadWallsError(ValueError):
 
 
 def require_gtsam() -> None:
-    """Make sure that the limit can be computed.
+    """Make sure that gtsam is installed.
 
     Raises
     ------
@@ -68,10 +68,10 @@ def require_gtsam() -> None:
         If gtsam is not installed.
     """
     if find_spec("gtsam") is None:
-        raise ValueError("the limit needs gtsam, which is not installed: pip install 'limslam[limits]'")
+        raise ValueError("the offline optimum needs gtsam, which is not installed: pip install 'limslam[limits]'")
 
 
-def solve_limit(
+def solve_optimum(
     robot: RobotSpec,
     guess: FloatArray,
     wheels: FloatArray,
@@ -81,19 +81,19 @@ def solve_limit(
     range_std: float,
     wheel_variance: float,
     contact: BoolArray | None = None,
-) -> Limit:
-    """The poses and lines that explain a log best.
+) -> OfflineOptimum:
+    """Compute the offline optimum of a log.
 
-    Left out are readings that measured nothing, hit a robot, are repeated by a slow sensor, or graze their line (cosine
-    below 0.2); no others.
+    Four kinds of readings are left out: readings that hit nothing, readings that hit a robot, repeated readings of slow
+    sensors, and readings at grazing angles (cosine of the angle of incidence below 0.2).
 
     Parameters
     ----------
     robot
         Body and beams of each of the n robots.
     guess
-        Poses (t, n, 3) to begin from, m and rad, such as the true ones: of several valleys they choose one, and its
-        bottom is where it is. The first row is known, as it is to an agent.
+        Poses (t, n, 3), m and rad, from which the iteration begins, such as the true poses. The guess decides to which
+        local minimum the iteration converges. The first row is the known start.
     wheels, ranges, wall_seen
         (t, n, 2), m, (t, n, n_beams), m, and (t, n, n_beams): the log, row 0 the moment of the reset, and the wall that
         each beam truly hit (-1 nothing, -2 a robot).
@@ -102,8 +102,8 @@ def solve_limit(
     wheel_variance
         Assumed variance of a wheel's reported travel, m^2 per metre.
     contact
-        (t, n), in which rows a robot touches something: there its wheels slip, and their travel tells no more
-        than about how far the robot can have got. None: in no row.
+        (t, n), in which rows a robot touches something: in these rows the wheels slip, and their
+        travel only bounds the motion of the robot. None: no contact at all.
 
     Raises
     ------
@@ -117,25 +117,25 @@ def solve_limit(
     _check(robot, guess, wheels, ranges, np.asarray(wall_seen), contact, range_std, wheel_variance)
     readings, walls = usable_readings(robot, ranges, np.asarray(wall_seen))
     if not len(readings):
-        raise UnreadWallsError("no beam has measured a wall: a log without that has no limit")
+        raise UnreadWallsError("no beam has measured a wall, so that the offline optimum does not exist")
     motions, stds = _measured_motions(wheels, wheel_variance, contact)
     std = max(range_std, LEAST_RANGE_STD)
     anchors, lines = fitted_lines(guess, readings, len(walls), std)
     problem = Problem(robot.axle, guess[0], motions, stds, readings, std, anchors, lines)
     begin = moved_to(problem, motions_between(guess, robot.axle), lines)
     first = solve(without_grazing(problem, begin), begin)
-    # Which readings graze was asked of the guess.
+    # The first solution used the angles of the guess to find grazing readings.
     problem = without_grazing(problem, first.state)
     best = solve(problem, first.state)
-    return _limit(problem, best, first.iterations, walls)
+    return _optimum(problem, best, first.iterations, walls)
 
 
-def _limit(problem: Problem, best: Solution, iterations: int, walls: IntArray) -> Limit:
+def _optimum(problem: Problem, best: Solution, iterations: int, walls: IntArray) -> OfflineOptimum:
     state, seen = best.state, np.unique(problem.readings.line)
     lines, anchors = state.lines[seen], problem.anchors[seen]
     normals = np.stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])), axis=-1)
     about_origin = np.column_stack((lines[:, 0] + np.sum(normals * anchors, axis=1), lines[:, 1]))
-    return Limit(
+    return OfflineOptimum(
         poses=np.concatenate((state.poses[..., :2], wrap_angle(state.poses[..., 2:])), axis=-1),
         walls=walls[seen],
         lines=normalise(about_origin),
@@ -149,7 +149,7 @@ def _limit(problem: Problem, best: Solution, iterations: int, walls: IntArray) -
 def _measured_motions(
     wheels: FloatArray, wheel_variance: float, contact: BoolArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Motions (t - 1, n, 3) as the wheels tell them, and their standard deviations, m."""
+    """Motions (t - 1, n, 3) that the wheels report, and their standard deviations, m."""
     motions = np.concatenate((wheels[1:], np.zeros_like(wheels[1:, :, :1])), axis=-1)
     stds = np.full_like(motions, _ASIDE_STD)
     stds[..., :2] = np.sqrt(wheel_variance * np.abs(wheels[1:]) + _LEAST_VARIANCE)

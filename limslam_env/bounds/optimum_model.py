@@ -1,9 +1,9 @@
-"""What wheels and beams say about poses and lines: the residuals of `offline_optimum`, and their Jacobians.
+"""The measurement models of `offline_optimum`: residuals of wheels and beams, and their Jacobians.
 
 A **motion** is (left, right, aside): the travel of both wheels and a shift to the left, m. The increment that it
-makes is the exact arc of the wheels (the chord of :func:`limslam_env.geometry.se2.arc`) and the shift square to the
+causes is the exact arc of the wheels (the chord of :func:`limslam_env.geometry.se2.arc`) and the shift square to the
 chord. Without the shift two wheels make increments with a covariance of rank 2, which has no inverse to weigh
-residuals with. With it a pair of poses and a motion belong to each other one to one.
+residuals with. With it the increment between two poses determines the motion, and vice versa.
 
 A **line** is (d, alpha) about an anchor point a of its own: the points x with n . (x - a) = d, where n is
 (cos alpha, sin alpha). The anchor lies among the line's first readings, so that d is small, of either sign, and nearly
@@ -20,7 +20,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
-GRAZING = 0.2  # cosine between beam and normal; below it a reading tells little but how the angle errs
+GRAZING = 0.2  # cosine between beam and normal; below it a reading mostly depends on the error of the angle
 _TRIED_ANGLES = 360
 
 

@@ -1,4 +1,4 @@
-"""Ways for a robot that knows the map: where it may drive straight, and short ways round what stands there."""
+"""A roadmap for planning with the true map: collision-free straight lines, and short paths made of them."""
 
 import math
 
@@ -13,13 +13,13 @@ from limslam_env.worlds.free_space import cell_for, free_space
 from limslam_env.worlds.world import World, WorldError
 
 LEAST_GAP = 0.03
-"""Between the robot's rim and a wall on any way, m; where there is less room it does not drive."""
+"""Least clearance between the robot's rim and a wall on any path, m."""
 
 GAP = 0.08
-"""Between the rim and a wall where there is room for it, m."""
+"""Preferred clearance between the rim and a wall, m."""
 
 SPACING = 0.35
-"""Of places, m; more in worlds that would have more than MOST_PLACES of them."""
+"""Spacing of the places, m; larger in worlds that would have more than MOST_PLACES of them."""
 
 MOST_PLACES = 1500
 
@@ -30,7 +30,7 @@ _PAIRS_AT_ONCE, _NEAR = 1000, 16
 
 
 class Roadmap:
-    """Places that a robot can get to from where it starts, and ways between them.
+    """The places that a robot can reach from its start, and paths between them.
 
     Places stand on a grid, and besides where the only ways to some of them turn. Two that see each other are joined: a
     probabilistic roadmap without chance (Kavraki, Svestka, Latombe and Overmars 1996).
@@ -78,11 +78,11 @@ class Roadmap:
         return np.asarray(self._costs(np.atleast_2d(first), np.atleast_2d(second)) < np.inf)
 
     def lengths_from(self, place: int) -> FloatArray:
-        """Lengths (n,) of the ways from a place to all others, m; tight ones count more."""
+        """Lengths (n,) of the paths from a place to all others, m; paths with little clearance count more."""
         return self._tree(place)[0]
 
     def way(self, first: FloatArray, second: FloatArray) -> FloatArray | None:
-        """Where to turn, and then the end (k, 2), on the way between two points (2,), m; None if there is none."""
+        """The turning points and the end (k, 2) of a path between two points (2,), m; None if there is no path."""
         if self.is_free(first, second)[0]:
             return np.array([second])
         begins, ends = self._seen_from(first), self._seen_from(second)
@@ -97,7 +97,7 @@ class Roadmap:
         return self.pulled(np.array([first, *turns[::-1]]))[1:]
 
     def pulled(self, points: FloatArray) -> FloatArray:
-        """A way (n, 2), m, without the points that a straight line can leave out."""
+        """A path (n, 2), m, without the points that a straight line can skip."""
         kept, at = [points[0]], 0
         while at < len(points) - 1:
             ahead = points[at + 1 :]
@@ -111,7 +111,7 @@ class Roadmap:
         return np.floor((points - self._origin) / self._cell).astype(np.intp)[..., ::-1]
 
     def _costs(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Lengths (n,) of straight lines between points (n, 2), m, dearer where it is tight; inf through walls."""
+        """Costs (n,) of straight lines between points (n, 2), m: higher with little clearance, inf through walls."""
         spans = second - first
         lengths = np.hypot(*spans.T)
         # Each line by its own length, so that it is judged alike in whatever company.
@@ -126,7 +126,7 @@ class Roadmap:
         return np.where(free, lengths * (1.0 + (_TIGHT - 1.0) * tight), np.inf)
 
     def _grid_places(self) -> FloatArray:
-        """One drivable place of each block of the grid, where it is widest, near the middle."""
+        """The place with the most clearance in each block of the grid, near the block's centre."""
         rows, columns = np.nonzero(self._drivable)
         spacing = max(SPACING, math.sqrt(len(rows) * self._cell**2 / MOST_PLACES))
         self._spacing = spacing
@@ -138,7 +138,7 @@ class Roadmap:
         return np.asarray(points[order[first]])
 
     def _join(self, places: FloatArray) -> None:
-        """Join the places by straight ways, with more places where some cannot be got to otherwise."""
+        """Join the places by straight lines, with additional places where some would be unreachable."""
         self.places, self._graph = places, self._straight_ways(places)
         fine: _FineWays | None = None
         # From cell to cell there always is a way, should the straight pieces of one be a hair too near to a wall.
@@ -155,7 +155,7 @@ class Roadmap:
             self._graph = self._straight_ways(self.places)
 
     def _thinned(self, way: FloatArray) -> FloatArray:
-        """The turns of a way (n, 2), m, and so many points between them that each is joined to the next."""
+        """The turning points of a path (n, 2), m, and points between them so that each is joined to the next."""
         turns = self.pulled(way)
         return sample(np.hstack((turns[:-1], turns[1:])), 0.9 * _FARTHEST * self._spacing)[0]
 
@@ -172,21 +172,21 @@ class Roadmap:
         return self._known[place]
 
     def _seen_from(self, point: FloatArray) -> IntArray:
-        """Places that a straight way leads to from a point (2,), the nearest first."""
+        """Places that a straight line from a point (2,) can reach, the nearest first."""
         near = np.argsort(np.hypot(*(self.places - point).T))[:_NEAR]
         free = self.is_free(np.broadcast_to(point, (len(near), 2)), self.places[near])
         return np.asarray(near[free])
 
 
 def _lengths_and_predecessors(graph: sparse.csr_array, node: int) -> tuple[FloatArray, IntArray]:
-    """Shortest ways from a node of an undirected graph: lengths (n,), and the node before each (n,), below 0: none."""
+    """Shortest paths from a node of an undirected graph: lengths (n,), and the predecessors (n,), negative for none."""
     # scipy's own types ask for an array of nodes, and then give rows.
     lengths, before = csgraph.dijkstra(graph, directed=False, indices=np.array([node]), return_predecessors=True)
     return np.asarray(lengths[0]), np.asarray(before[0])
 
 
 class _FineWays:
-    """Shortest ways from cell to cell: exact where straight lines between places do not get through."""
+    """Shortest paths from cell to cell, for passages that straight lines between places do not cross."""
 
     def __init__(self, drivable: BoolArray, tight: BoolArray, start: IntArray) -> None:
         self._numbers = np.cumsum(drivable).reshape(drivable.shape) - 1

@@ -15,7 +15,7 @@ _LONGEST_CUT, _LONGEST_MOVE, _LONGEST_TURN = 4, 6, 12  # waypoints
 
 
 class Worth(NamedTuple):
-    """What a tour is worth: its cost (s), how many cells it misses of those needed, and which it leaves (k,)."""
+    """The value of a tour: its cost (s), the number of required cells that it misses, and the cells it misses (k,)."""
 
     cost: float
     missing: int
@@ -29,7 +29,7 @@ class Problem(Protocol):
     roads: Roadmap
 
     def worth(self, way: FloatArray) -> Worth:
-        """What a tour (k, 2), m, is worth."""
+        """The value of a tour (k, 2), m."""
         ...
 
     def places_that_see(self, cell: int) -> IntArray:

@@ -1,7 +1,7 @@
-"""Tours for a robot that knows the map: how soon everything can be seen at all.
+"""Exploration tours that are planned with the true map: a bound for the exploration time.
 
-Finding the shortest path from which everything is seen is the watchman route problem, NP-hard where there are
-obstacles (Chin and Ntafos 1988). So a greedy tour is built, nearest places with most to see first, and improved.
+The shortest path from which everything is visible is the watchman route problem, which is NP-hard with obstacles (Chin
+and Ntafos, 1988). Therefore a greedy tour, which prefers near places that show many cells, is built and then improved.
 """
 
 import functools
@@ -19,31 +19,31 @@ from limslam_env.simulation.coverage import BeamSweep, coverage_grid
 from limslam_env.worlds.world import World, WorldError
 
 GOAL = 0.99
-"""Share of the coverable cells after which a tour has seen everything, as the environments count it."""
+"""Fraction of the coverable cells that a tour has to see, as in the environments."""
 
 EVALUATIONS = 2000
-"""Changes that are tried to improve a tour."""
+"""Number of changes that are tried to improve a tour."""
 
 MOST_CELLS = 300_000
 """Coverable cells (3000 m^2) of the largest buildings that tours are planned for: planning takes minutes there."""
 
-# What weight the number of new cells gets against the time to get there.
+# Exponents of the number of new cells, which is weighed against the travel time.
 _POWERS = (0.5, 0.75, 1.0, 1.5)
 _CANDIDATES, _NEIGHBOURHOOD, _MOST_VISITS = 12, 400, 2
-_PRICE = 0.25  # s for a cell that a tour leaves out: more than it takes to see one
-_VIEW = 0.05  # rad between the headings at which a robot looks round
+_PRICE = 0.25  # s for a cell that a tour leaves out: more than seeing one cell takes
+_VIEW = 0.05  # rad between the headings of a robot that turns around
 _MOST_POSES = 5_000_000  # that all evaluations may drive through together
 
 
 class Speeds(NamedTuple):
-    """How fast a tour is driven: m/s straight on, and rad/s on the spot."""
+    """Speeds of a tour: m/s on straight lines, and rad/s of turns on the spot."""
 
     drive: float
     turn: float
 
 
 def top_speeds(robot: RobotSpec) -> Speeds:
-    """The fastest that the wheels allow. Straight lines and turns on the spot are then the quickest way to a place.
+    """The largest speeds that the wheels allow. Straight lines and turns on the spot are then time-optimal.
 
     Balkcom and Mason, "Time optimal trajectories for bounded velocity differential drive vehicles" (2002).
     """
@@ -53,7 +53,7 @@ def top_speeds(robot: RobotSpec) -> Speeds:
 def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Speeds) -> FloatArray:
     """Poses (n, 3) at each control step from ``start`` (3,) on along waypoints (k, 2), m.
 
-    The robot turns on the spot towards each, drives there straight, and goes on from there in the next step.
+    The robot turns on the spot towards each waypoint, drives there on a straight line, and continues in the next step.
     """
     points = np.vstack((start[None, :2], way))
     spans = np.diff(points, axis=0)
@@ -82,7 +82,7 @@ def coverage_tour(
     seen: BoolArray | None = None,
     evaluations: int = EVALUATIONS,
 ) -> FloatArray:
-    """A quick tour from which the beams see everything: the limit that explorers can be measured by.
+    """A short tour from which the beams see everything: a bound for the exploration time.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class Tours:
         return np.flatnonzero(self._views[:, cell >> 3] >> (7 - (cell & 7)) & 1)
 
     def _view(self, place: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-        """The coverable cells that a robot sees that looks round, a bit each."""
+        """The coverable cells that a robot sees when it turns around, one bit each."""
         headings = np.arange(0.0, 2.0 * math.pi, _VIEW)
         seen = np.zeros_like(self._grid.coverable)
         self._sweep.mark(np.column_stack((np.broadcast_to(place, (len(headings), 2)), headings)), seen)
@@ -247,7 +247,7 @@ class Tours:
                     continue
                 poses, then = poses_along(pose, leg, self._robot, self._speeds), seen.copy()
                 new = int(self._sweep.mark(poses, then).sum())
-                # Where nobody sees anything new on the way, to the nearest.
+                # If no path shows a new cell, go to the nearest place.
                 score = (new**power + 1e-9) / len(poses)
                 if score > best_score:
                     best, best_score = (int(place), leg, poses[-1], then, new), score

@@ -1,1 +1,1 @@
-"""The environments for Gymnasium and PettingZoo, single and batched, and their wrappers."""
+"""The environments for Gymnasium and PettingZoo, single ones and batches, and their wrappers."""

@@ -1,4 +1,4 @@
-"""What the adapters share: spaces, actions, info, a simulation whose world a reset may change, and its pictures."""
+"""What the adapters of single environments share: spaces, actions, info, resets with another world, and rendering."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from limslam_env.rendering.window import Window
 
 PlaceSource: TypeAlias = WorldSource | FloorPlanConfig
-"""A world, its name or its file; or what floor plans are drawn by at each reset, or ``"random"`` for the default."""
+"""A world, its name or its file; or settings of random floor plans, or ``"random"`` for the default settings."""
 
 Action: TypeAlias = NDArray[np.floating[Any]] | Sequence[float]
 
@@ -38,7 +38,7 @@ _TASK_SEED = 4
 
 
 def action_space() -> spaces.Box:
-    """Left and right wheel speed, shares of the maximum."""
+    """Left and right wheel speed, fractions of the maximum."""
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
@@ -67,12 +67,12 @@ def wheel_speeds(action: Action) -> tuple[float, float]:
 
 
 def observation_of(readings: Readings, robot: int) -> Observation:
-    """What one robot is told."""
+    """The observation of one robot."""
     return {"ranges": readings.ranges[robot], "wheels": readings.wheels[robot]}
 
 
 def info_of(truth: Truth, robot: int) -> dict[str, Any]:
-    """What is true of one robot, for scoring."""
+    """The ground truth of one robot, for evaluation."""
     return {
         "pose": truth.poses[robot],
         "time": truth.time,
@@ -82,17 +82,17 @@ def info_of(truth: Truth, robot: int) -> dict[str, Any]:
     }
 
 
-class Stage:
-    """A simulation that is exchanged when a reset asks for another world.
+class EpisodeSimulation:
+    """A simulation that is replaced when a reset asks for another world.
 
     Parameters
     ----------
     source
-        Where the robots are, unless a reset says otherwise.
+        The world, unless a reset asks for another one.
     robot, num_robots
-        What they are, and how many.
+        The robots' specification and their number.
     noise
-        Ranges in it are drawn from at each reset.
+        The noise; values are drawn from its intervals at each reset.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class Stage:
         self._robot, self._num_robots, self._noise = robot, num_robots, noise
         self._home: Simulation | None = None
         if isinstance(self._source, FloorPlanConfig):
-            # A plan that nobody sees: what is wrong with the settings shows at once.
+            # This plan is not used: it shows at once whether the settings can be used.
             floor_plan(self._source, np.random.default_rng(0), robot.radius)
         else:
             self._home = Simulation(load_world(self._source), robot, num_robots)
@@ -124,7 +124,7 @@ class Stage:
             If its world is drawn at the first reset.
         """
         if self._simulation is None:
-            raise gym.error.ResetNeeded("there is no floor plan before the first reset")
+            raise gym.error.ResetNeeded("the world is drawn at the first reset: call reset first")
         return self._simulation
 
     @property
@@ -137,11 +137,11 @@ class Stage:
             Before that.
         """
         if not self._is_running:
-            raise gym.error.ResetNeeded("nothing has been seen before the first reset")
+            raise gym.error.ResetNeeded("there is no episode yet: call reset first")
         return self.simulation
 
     def reset(self, generator: np.random.Generator, options: dict[str, Any] | None) -> tuple[Readings, Truth]:
-        """Begin an episode; a reset that is refused leaves the running one as it was.
+        """Begin an episode. A reset that raises an error leaves the running episode unchanged.
 
         Raises
         ------
@@ -184,13 +184,13 @@ class Stage:
         return Simulation(load_world(source), self._robot, self._num_robots)
 
 
-class Staged:
-    """What the environments have in common: a stage, a painter, and all that is asked of the two but reset and step.
+class SimulationEnv:
+    """Base of the single environments: their simulation and its pictures, and all methods but reset and step.
 
     Attributes
     ----------
     robot, noise, task
-        What each robot is, how noisy it is, and what is asked of it.
+        Specification of the robots, their noise, and the task.
     render_mode
         As Gymnasium and PettingZoo name it.
     """
@@ -208,35 +208,35 @@ class Staged:
         rewards: RewardConfig | None,
         render_mode: str | None,
     ) -> None:
-        """Take an environment's arguments; see its class for what they mean, and what is refused."""
+        """Take an environment's arguments; its class documents them and the errors raised."""
         self.render_mode = render_mode
         self._painter = Painter(render_mode)
         self.robot = robot or RobotSpec()
         self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
         noise = noise or NoiseConfig()
         self.noise = noise if sensor_noise is None else replace(noise, sensor_noise=sensor_noise)
-        self._stage = Stage(world, self.robot, num_robots, self.noise)
+        self._episode = EpisodeSimulation(world, self.robot, num_robots, self.noise)
 
     @property
     def world(self) -> World:
-        """Where the robots are."""
-        return self._stage.simulation.world
+        """The world that the robots are in."""
+        return self._episode.simulation.world
 
     @property
     def coverage_grid(self) -> CoverageGrid:
         """The cells that count for coverage. Known after the first reset."""
-        return self._stage.running.coverage_grid
+        return self._episode.running.coverage_grid
 
     @property
     def seen(self) -> BoolArray:
         """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
-        return self._stage.running.seen
+        return self._episode.running.seen
 
     @property
     def overlay(self) -> Sequence[Overlay]:
-        """What agents believe, drawn over later pictures, the first in the colour of the first robot.
+        """The agents' estimates, drawn over later pictures; the first one has the colour of the first robot.
 
-        Set it at any time, to one or to several; an empty one draws nothing.
+        It can be set at any time, to one overlay or to several. An empty overlay draws nothing.
         """
         return self._painter.overlay
 
@@ -253,7 +253,7 @@ class Staged:
         """A picture (height, width, 3) of world, robots, beams and paths; None without a render mode or in a window."""
         if self.render_mode is None:
             return None
-        return self._painter.paint(self._stage.simulation)
+        return self._painter.paint(self._episode.simulation)
 
     def close(self) -> None:
         """Close the window, if there is one. May be called again."""

@@ -1,4 +1,4 @@
-"""The arguments of the batched environments: what they mean for each environment, and what is refused."""
+"""The arguments of batches, resolved to one value per environment, and their checks."""
 
 import operator
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ BatchSource: TypeAlias = PlaceSource | Sequence[PlaceSource]
 """What a single environment takes, or a sequence of worlds, one for each environment."""
 
 Plans: TypeAlias = int | Sequence[int] | None
-"""How many floor plans to make beforehand, or their seeds; None for one of its own at each reset."""
+"""The number or the seeds of floor plans that are generated once; None for new floor plans at each reset."""
 
 NoiseSource: TypeAlias = NoiseConfig | Sequence[NoiseConfig] | None
 """The noise of all environments, or of each of them."""
@@ -28,7 +28,7 @@ SensorNoise: TypeAlias = Setting | Sequence[Setting] | FloatArray | None
 
 
 def whole(name: str, value: Any, otherwise: str = "") -> int:
-    """A whole number from 1 up; ``otherwise`` is what the refusal says could stand in its place.
+    """A whole number of at least 1; the error message adds ``otherwise``, which names the alternatives.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the batched adapters share: arguments, actions, seeds, info in Gymnasium's vector form."""
+"""What the adapters of batches share: arguments, actions, seeds, and info in Gymnasium's form for vectors."""
 
 from typing import Any, NamedTuple, TypeAlias
 
@@ -32,7 +32,7 @@ OPTIONS = frozenset({"start", "reset_mask"})
 
 
 class Outcome(NamedTuple):
-    """What comes of a step.
+    """The result of a step.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Outcome(NamedTuple):
 
 
 class Batched:
-    """What the batched environments have in common.
+    """Base of the batches of environments.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Batched:
         num_threads: int | None,
         autoreset_mode: AutoresetMode | str,
     ) -> None:
-        """Take an environment's arguments; see its class for what they mean, and what is refused."""
+        """Take a batch's arguments; its class documents them and the errors raised."""
         num_envs = whole("num_envs", num_envs)
         max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
         num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
@@ -100,13 +100,13 @@ class Batched:
         self._is_running = False
 
     def seen(self, env: int) -> BoolArray:
-        """Which cells of an environment's coverage grid have truly been seen (rows, columns), of those that count."""
+        """The coverable cells (rows, columns) of an environment's coverage grid that have been seen."""
         return self._simulation.seen(env)
 
     def _begin(
         self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[BatchReadings, BatchTruth, BoolArray]:
-        """Begin new episodes; which environments (n,) they are of comes last. See the adapters' ``reset``."""
+        """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of their environments."""
         mask, start = self._asked(options)
         seeds = None
         if seed is not None or not self._is_running:
@@ -208,7 +208,7 @@ def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> Float
 
 
 def observation_of(readings: BatchReadings, robot: int) -> BatchObservation:
-    """What one robot of each environment is told."""
+    """The observations of one robot in each environment."""
     return {"ranges": readings.ranges[:, robot], "wheels": readings.wheels[:, robot]}
 
 
@@ -229,7 +229,7 @@ def infos_of(outcome: Outcome, robot: int) -> dict[str, Any]:
 
 
 def info_of(truth: BatchTruth, robot: int, mask: BoolArray) -> dict[str, Any]:
-    """What is true of one robot of each environment, with a mask (n,) for each key."""
+    """The ground truth of one robot in each environment, with a mask (n,) for each key."""
     info: dict[str, Any] = {
         "pose": truth.poses[:, robot],
         "time": truth.time,

@@ -1,4 +1,4 @@
-"""The single-robot environment of Gymnasium: a thin adapter over the simulation."""
+"""The Gymnasium environment with one robot: an adapter of the simulation to Gymnasium's interface."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import (
     Action,
     PlaceSource,
-    Staged,
+    SimulationEnv,
     action_space,
     info_of,
     observation_of,
@@ -22,65 +22,83 @@ from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.simulation.task import is_done, reward
 
 
-class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
+class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]]):
     """Explore an unknown building with a few range beams and wheel encoders.
 
     ## Description
-    A round differential-drive robot stands in a building that it knows nothing of. It senses the
-    distance to the nearest wall along a few narrow beams, and how far its wheels have turned, both
-    with noise. The task is to see every place that can be seen.
+    A round differential-drive robot explores a building without a map. Its sensors are a few range beams, which
+    measure the distance to the nearest wall, and two wheel encoders, which measure the travel of the wheels. All
+    measurements are noisy. The task is to see every visible part of the building.
 
     ## Action Space
     `Box(-1.0, 1.0, (2,), float32)`
 
     | Num | Action            | Min | Max | Unit                         |
     |-----|-------------------|-----|-----|------------------------------|
-    | 0   | left wheel speed  | -1  | 1   | share of the maximal speed   |
-    | 1   | right wheel speed | -1  | 1   | share of the maximal speed   |
+    | 0   | left wheel speed  | -1  | 1   | fraction of maximum speed    |
+    | 1   | right wheel speed | -1  | 1   | fraction of maximum speed    |
 
-    Numbers outside are clipped. NaN and wrong shapes are refused with a `ValueError`.
+    Values outside of these bounds are clipped. NaN, infinity and wrong shapes raise a `ValueError`.
 
     ## Observation Space
-    `Dict` of `Box(float32)`, new arrays at each step:
+    A `Dict` of two `Box` spaces, float32. The arrays are new at each step:
 
     | Key    | Shape      | Min                  | Max                 | Unit | Meaning                                             |
     |--------|------------|----------------------|---------------------|------|-----------------------------------------------------|
-    | ranges | (n_beams,) | the beams' min_range | the beams' max_range| m    | distance along each beam, its maximum for nothing   |
+    | ranges | (n_beams,) | the beams' min_range | the beams' max_range| m    | distance along each beam; max_range without a hit   |
     | wheels | (2,)       | -max_wheel_travel    | max_wheel_travel    | m    | left and right wheel travel since the last step     |
 
     The default robot's beams point at +90, +45, +15, -15, -45 and -90 degrees and reach from 0.05 to
     1.5 m; `max_wheel_travel` is 0.06 m.
 
     ## Info
-    The truth, for scoring only: `pose` (3,) m, m, rad; `time` s; `coverage` 0 to 1; `collision` bool;
-    `wall_seen` (n_beams,) int, the wall that each beam hit, -1 for nothing
-    (-2 for another robot, where there are several). The `pose` that `reset`
-    gives is the start pose, the only truth that an agent may be told.
+    `info` holds the ground truth. It is meant for evaluation, not for agents. The exception is the `pose` that `reset`
+    returns: it is the start pose, which an agent may know.
+
+    | Key       | Type              | Unit      | Meaning                                                                 |
+    |-----------|-------------------|-----------|-------------------------------------------------------------------------|
+    | pose      | (3,) float        | m, m, rad | true pose x, y, theta                                                   |
+    | time      | float             | s         | time since the reset                                                    |
+    | coverage  | float, 0 to 1     |           | fraction of the coverable cells that have been seen                     |
+    | collision | bool              |           | whether the robot touches a wall, an obstacle or another robot          |
+    | wall_seen | (n_beams,) int    |           | index of the wall that each beam hit; -1 for no hit, -2 for a robot     |
 
     ## Rewards
-    `new_area` times the newly covered square metres, plus `step` at each step, plus `collision` while
-    the robot touches something (`RewardConfig`: 1, -0.001 and -0.05).
+    The reward of a step is the sum of three terms (`RewardConfig`):
+
+    | Term      | Default | Meaning                                                    |
+    |-----------|---------|------------------------------------------------------------|
+    | new_area  | 1       | for each square metre that is seen for the first time      |
+    | step      | -0.001  | for each step                                              |
+    | collision | -0.05   | for each step in which the robot touches something         |
 
     ## Starting State
-    The first of the world's starts, or one drawn by seed where it has none;
-    `reset(options={"start": (x, y, theta)})` sets it.
+    The robot starts at the world's first start pose. If the world has none, the pose is random (by the seed).
+    `reset(options={"start": (x, y, theta)})` sets the start pose.
 
     ## Episode End
-    Terminated when `coverage` reaches `coverage_goal` (0.99; `None` never ends it). Truncated after
-    18000 steps (30 minutes) when made by `gymnasium.make`, unless `max_episode_steps` says otherwise.
+    The episode terminates when `coverage` reaches `coverage_goal`; with `None` it never terminates. An environment
+    made by `gymnasium.make` truncates the episode after `max_episode_steps` steps (18000 by default: 30 minutes).
 
     ## Arguments
     | Argument      | Default           | Meaning                                                       |
     |---------------|-------------------|---------------------------------------------------------------|
-    | world         | the id's world    | name of a shipped world, path of a world file, a `World`, or a `FloorPlanConfig` (`"random"` for the default one) that draws a floor plan at each reset |
+    | world         | the id's world    | name of an included world, path of a world file, a `World`, or a `FloorPlanConfig` for a random floor plan at each reset (`"random"` for the default settings) |
     | robot         | `RobotSpec()`     | body, wheels and beams                                        |
-    | sensor_noise  | None              | std of the ranges, m, or a range (low, high) drawn at reset; overrides `noise` |
-    | noise         | `NoiseConfig()`   | all the noise there is                                        |
+    | sensor_noise  | None              | standard deviation of the ranges, m, or an interval (low, high) to draw it from at each reset; overrides `noise` |
+    | noise         | `NoiseConfig()`   | noise of the ranges and of the wheels                         |
     | coverage_goal | 0.99              | see Episode End                                               |
     | rewards       | `RewardConfig()`  | see Rewards                                                   |
     | render_mode   | None              | `"rgb_array"` draws pictures, `"human"` shows them in a window (extra `play`) |
 
-    `reset(options={"world": ...})` takes another world for one episode; the next reset is back in the env's own.
+    `reset(options={"world": ...})` uses another world for one episode; later resets use the environment's own world.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of bounds.
+    WorldError
+        If the world cannot be used.
 
     ## Version History
     * v0: first release.
@@ -119,8 +137,8 @@ class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
             If the world or the start cannot be used.
         """
         super().reset(seed=seed)
-        readings, truth = self._stage.reset(self.np_random, options)
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.reset(self.np_random, options)
+        self._painter.follow(self._episode.simulation, readings, truth)
         return observation_of(readings, 0), info_of(truth, 0)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -133,8 +151,8 @@ class LimSlamEnv(Staged, gym.Env[Observation, NDArray[np.floating[Any]]]):
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
-        readings, truth = self._stage.step((wheel_speeds(action),))
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.step((wheel_speeds(action),))
+        self._painter.follow(self._episode.simulation, readings, truth)
         value = reward(self.task.reward, truth.new_area[0], truth.contact[0])
         is_over = is_done(self.task, truth.coverage)
         return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)

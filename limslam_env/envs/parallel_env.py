@@ -1,4 +1,4 @@
-"""The environment of PettingZoo for several robots in one building: a thin adapter over the simulation."""
+"""The PettingZoo environment with several robots in one building: an adapter of the simulation to its interface."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from limslam_env.envs.adapter import (
     RESET_OPTIONS,
     Action,
     PlaceSource,
-    Staged,
+    SimulationEnv,
     action_space,
     info_of,
     observation_of,
@@ -27,23 +27,26 @@ from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 from limslam_env.simulation.task import is_done, reward
 
 
-class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
+class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
     """Explore an unknown building with several robots, each with a few range beams and wheel encoders.
 
-    Robots are called `robot_0`, `robot_1`, ...; they see and push each other's bodies, and all act at once.
-    Action and observation space of each are those of :class:`limslam_env.envs.env.LimSlamEnv`, and so are the pieces
-    of `info`; `wall_seen` is -2 where a beam hits another robot, and nothing else tells.
+    The agents are called `robot_0`, `robot_1`, and so on. They act simultaneously, their beams detect the other
+    robots' bodies, and bodies that collide push each other. The action space, the observation space and the keys of
+    `info` of each agent are those of :class:`limslam_env.envs.env.LimSlamEnv`. A beam that hits another robot has the
+    value -2 in `wall_seen`; the observation itself does not distinguish robots from walls.
 
     ## Rewards
-    `new_area` times the square metres that a robot was the first to see, plus `step`, plus `collision` while
-    it touches something. With `shared_reward` each gets the mean over all.
+    The terms are those of `LimSlamEnv`; an area counts for the robot that is the first to see it. With
+    `shared_reward` each robot gets the mean of all rewards.
 
     ## Starting State
-    The world's starts in order, then places drawn by seed in the region of the first robot, which starts where it
-    would start alone. `reset(options={"start": [(x, y, theta), ...]})` sets the first ones.
+    The robots take the world's start poses in order. The first robot starts where it would start alone. Robots for
+    which the world has no start pose start at random (by the seed) in the region that the first robot can reach.
+    `reset(options={"start": [(x, y, theta), ...]})` sets the poses of the first robots.
 
     ## Episode End
-    All terminate when the coverage by all together reaches `coverage_goal`; all are truncated after `max_cycles`.
+    The episode ends for all robots at once. It terminates when their joint coverage reaches `coverage_goal`. It is
+    truncated after `max_cycles` steps.
 
     ## Arguments
     | Argument      | Default           | Meaning                                                     |
@@ -52,7 +55,7 @@ class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
     | num_robots    | 2                 | 1 to 8                                                      |
     | robot         | `RobotSpec()`     | body, wheels and beams of each                              |
     | sensor_noise  | None              | as for `LimSlamEnv`                                         |
-    | noise         | `NoiseConfig()`   | all the noise there is; one draw of its ranges for all      |
+    | noise         | `NoiseConfig()`   | noise of the ranges and wheels; values drawn from intervals are the same for all robots |
     | coverage_goal | 0.99              | see Episode End                                             |
     | rewards       | `RewardConfig()`  | see Rewards                                                 |
     | shared_reward | False             | see Rewards                                                 |
@@ -124,8 +127,8 @@ class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
             self._generator, _ = seeding.np_random(seed)
         # PettingZoo's own test hands over options that no environment knows.
         known = {key: value for key, value in (options or {}).items() if key in RESET_OPTIONS}
-        readings, truth = self._stage.reset(self._generator, known)
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.reset(self._generator, known)
+        self._painter.follow(self._episode.simulation, readings, truth)
         self.agents, self._cycles = list(self.possible_agents), 0
         robots = list(enumerate(self.agents))
         observations = {name: observation_of(readings, number) for number, name in robots}
@@ -147,8 +150,8 @@ class LimSlamParallelEnv(Staged, ParallelEnv[str, Observation, Action]):
             raise gym.error.ResetNeeded("call reset before step, and after an episode's end")
         if set(actions) != set(self.agents):
             raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {list(actions)}")
-        readings, truth = self._stage.step([wheel_speeds(actions[name]) for name in self.agents])
-        self._painter.follow(self._stage.simulation, readings, truth)
+        readings, truth = self._episode.step([wheel_speeds(actions[name]) for name in self.agents])
+        self._painter.follow(self._episode.simulation, readings, truth)
         self._cycles += 1
         is_over = is_done(self.task, truth.coverage)
         is_late = self._max_cycles is not None and self._cycles >= self._max_cycles

@@ -10,7 +10,7 @@ from limslam_env.rendering.window import has_display
 from limslam_env.worlds.formats.loading import WorldSource
 
 CONTROLS = "arrows or WASD: drive    space: stop    R: restart    P: pause    H: this line    Q: quit"
-"""What the keys do, as the window shows it."""
+"""Help text of the window: the meaning of the keys."""
 
 _AHEAD, _BACK = {"up", "w"}, {"down", "s"}
 _LEFT, _RIGHT = {"left", "a"}, {"right", "d"}
@@ -25,7 +25,7 @@ _EASE = 0.25
 
 @dataclass(frozen=True)
 class Drive:
-    """How a drive ended.
+    """The result of a drive.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Drive:
 
 
 def wheel_speeds(keys: frozenset[str]) -> tuple[float, float]:
-    """Left and right wheel speed, shares of the maximum, that the held keys ask for.
+    """Left and right wheel speed, fractions of the maximum, for the keys that are held.
 
     Ahead and back, left and right cancel each other. Space stops, whatever else is held. While driving, a turn is
     a wide curve, and going backwards, left and right stay left and right of the driver, as in a car.
@@ -59,7 +59,7 @@ def wheel_speeds(keys: frozenset[str]) -> tuple[float, float]:
 
 
 def eased(speeds: tuple[float, float], wanted: tuple[float, float], most: float = _EASE) -> tuple[float, float]:
-    """Speeds on the way to the wanted ones, each changed by at most ``most``."""
+    """Speeds moved towards the target speeds, each by at most ``most``."""
     left, right = (now + min(max(goal - now, -most), most) for now, goal in zip(speeds, wanted, strict=True))
     return left, right
 
@@ -72,7 +72,7 @@ def play(
     seed: int = 0,
     max_steps: int | None = None,
 ) -> Drive:
-    """Open a window and let a robot be driven by keyboard until the window is closed.
+    """Open a window in which the user drives a robot by keyboard, until the window is closed.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def play(
 
 @dataclass(frozen=True)
 class _Mode:
-    """What the keys have switched on."""
+    """The switches that keys toggle."""
 
     paused: bool = False
     helps: bool = True

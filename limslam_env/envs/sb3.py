@@ -1,4 +1,4 @@
-"""Batches of environments for Stable-Baselines3, which has an interface of its own for them (extra ``rl``)."""
+"""Batches of environments for Stable-Baselines3, which has its own interface for them (extra ``rl``)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from limslam_env.geometry import FloatArray
 
 
 class Sb3VecEnv(VecEnv):
-    """A `gymnasium.vector.VectorEnv` as Stable-Baselines3 takes it.
+    """An adapter of a `gymnasium.vector.VectorEnv` to Stable-Baselines3's interface.
 
     ``Sb3VecEnv(gym.make_vec("LimSlam-Random-v0", 64, autoreset_mode="SameStep"))`` makes a batch whose steps are one
     call. The infos of an episode's last step hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
@@ -40,7 +40,7 @@ class Sb3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        """Begin new episodes, by the seed and the options that were given since the last time."""
+        """Begin new episodes with the seed and the options that were set since the last reset."""
         options: dict[str, Any] = {}
         for given in self._options:
             options |= given
@@ -79,16 +79,16 @@ class Sb3VecEnv(VecEnv):
         return [getattr(self.env, attr_name)] * len(self._numbers(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the batch; one environment alone has none."""
+        """Set an attribute of the batch. Single environments have no attributes of their own."""
         del indices
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the batch, once; its answer, for each environment."""
+        """Call a method of the batch once; returns its result for each environment."""
         return [getattr(self.env, method_name)(*args, **kwargs)] * len(self._numbers(indices))
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Whether there is such a wrapper. There are no wrappers of single environments here."""
+        """Always false: single environments in a batch have no wrappers."""
         del wrapper_class
         return [False] * len(self._numbers(indices))
 

@@ -28,23 +28,24 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     """Many environments like :class:`limslam_env.envs.env.LimSlamEnv`, driven together by compiled code.
 
     ## Description
-    `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes one. It is the same environment: without noise the single one
-    and this one say the same, with noise the same distributions. No loop over environments runs in Python, and
-    from 1024 on several threads share the work. The same seed and number of environments give the same bits, whatever
-    the number of threads.
+    `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes such a batch. Without noise the observations equal those of
+    the single environment; with noise they have the same distributions. No loop over environments runs in Python, and
+    from 1024 environments on several threads share the work. The results depend on the seed and the number of
+    environments, but not on the number of threads.
 
     ## Spaces
-    `single_action_space` and `single_observation_space` are those of the single environment; actions are (n, 2), and
-    an observation is a dict of new arrays, `ranges` (n, n_beams) and `wheels` (n, 2), float32, m. Actions outside of
-    -1 to 1 are clipped.
+    `single_action_space` and `single_observation_space` are those of the single environment. Actions have the shape
+    (n, 2); values outside of -1 to 1 are clipped. An observation is a dict of two new float32 arrays in metres:
+    `ranges` (n, n_beams) and `wheels` (n, 2).
 
     ## Info
-    `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,), `wall_seen` (n, n_beams), each with a mask
-    `_pose` ... (n,) of where it is known.
+    The keys are those of the single environment: `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,) and
+    `wall_seen` (n, n_beams). For each key a mask (n,) with the key's name after an underscore, such as `_pose`, tells
+    for which environments the value is set.
 
     ## Episode End
-    As in the single environment: terminated at `coverage_goal`, truncated after `max_episode_steps`. What follows is
-    `autoreset_mode`, which is in `metadata` too:
+    An episode terminates at `coverage_goal` and is truncated after `max_episode_steps`. The argument `autoreset_mode`,
+    which is also an entry of `metadata`, selects how the next episode begins:
 
     | Mode      | Meaning                                                                                    |
     |-----------|--------------------------------------------------------------------------------------------|
@@ -55,17 +56,17 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     ## Arguments
     | Argument          | Default          | Meaning                                                              |
     |-------------------|------------------|----------------------------------------------------------------------|
-    | world             | the id's world   | as in the single environment, or a sequence of worlds, one for each  |
+    | world             | the id's world   | as in the single environment, or one world per environment           |
     | num_envs          | 1                | how many                                                             |
     | robot             | `RobotSpec()`    | body, wheels and beams of all                                        |
-    | sensor_noise      | None             | as in the single environment, or one for each; an array (n,) or (n, 2) |
-    | noise             | `NoiseConfig()`  | for all, or one for each; ranges are drawn from for each at each reset |
+    | sensor_noise      | None             | as in the single environment, or one value per environment: an array (n,) or (n, 2) |
+    | noise             | `NoiseConfig()`  | one for all, or one per environment; intervals are drawn from at each reset |
     | coverage_goal     | 0.99             | see Episode End                                                      |
     | rewards           | `RewardConfig()` | as in the single environment                                         |
     | max_episode_steps | 18000            | see Episode End; None never truncates                                |
     | autoreset_mode    | NEXT_STEP        | see Episode End                                                      |
-    | plans             | None             | floor plans made beforehand, a number or seeds, which environments draw from; None draws each environment a plan of its own at each reset, which takes some 60 ms |
-    | num_threads       | None             | threads at most; None for one a core                                 |
+    | plans             | None             | number or seeds of floor plans that are generated once and then drawn from; None generates a new floor plan for each environment at each reset, which takes about 60 ms |
+    | num_threads       | None             | largest number of threads; None for one per core                                 |
 
     ## Version History
     * v0: first release.

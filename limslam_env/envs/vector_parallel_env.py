@@ -28,16 +28,17 @@ from limslam_env.interface import RobotSpec
 class LimSlamParallelVectorEnv(Batched):
     """Many environments like ``LimSlamParallelEnv``, stepped together by compiled code.
 
-    Everything is said per robot, in dicts by name, and each value is an array over the environments: what
-    ``LimSlamVectorEnv`` gives, once for each robot. Robots see and push each other. For
-    one policy that all share, stack the dict's values; for independent ones, hand each its own.
+    Actions, observations, rewards, ends and infos are dicts with one entry per robot. Each entry has the form that
+    ``LimSlamVectorEnv`` uses: arrays over the n environments. Beams detect other robots, and bodies that collide push
+    each other. A policy that all robots share can stack the values of these dicts; independent policies can take one
+    entry each.
 
-    Arguments are those of ``LimSlamVectorEnv``, and
+    The arguments are those of ``LimSlamVectorEnv`` and these:
 
     | Argument      | Default | Meaning                                       |
     |---------------|---------|-----------------------------------------------|
     | num_robots    | 2       | robots in each environment, 1 to 8            |
-    | shared_reward | False   | each robot gets the mean over all             |
+    | shared_reward | False   | each robot gets the mean reward of all             |
     | max_cycles    | 18000   | steps of an episode; None never truncates     |
 
     Attributes

@@ -1,4 +1,4 @@
-"""Wrappers around :class:`limslam_env.envs.env.LimSlamEnv` that learning people look for.
+"""Wrappers around :class:`limslam_env.envs.env.LimSlamEnv` that are common in reinforcement learning.
 
 Flat vectors and stacked frames are Gymnasium's own wrappers, named here so that they are found:
 ``FlattenObservation(FrameStackObservation(env, 4))``.
@@ -37,7 +37,7 @@ UNSEEN, FREE, WALL = 0, 127, 255
 """Values of a local map's cells."""
 
 FORWARD, LEFT, RIGHT = (1.0, 1.0), (-0.4, 0.4), (0.4, -0.4)
-"""Wheel speeds of the usual discrete actions, shares of the maximum."""
+"""Wheel speeds of the usual discrete actions, fractions of the maximum."""
 
 
 class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation]):
@@ -68,7 +68,7 @@ class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation
 
 
 class VelocityAction(gym.ActionWrapper[Observation, NDArray[np.floating[Any]], Any]):
-    """Act by (v, omega): speed ahead and rate of turn (counter-clockwise), each a share of its maximum, -1 to 1.
+    """Act by (v, omega): speed ahead and rate of turn (counter-clockwise), each a fraction of its maximum, -1 to 1.
 
     At 1 and 0 both wheels run at full speed ahead, at 0 and 1 they run against each other. Where both together ask
     a wheel for more than it can, both are scaled down, so that the curve stays the same.
@@ -101,7 +101,7 @@ class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
     env
         An environment that takes wheel speeds.
     moves
-        Left and right wheel speed of each move, shares of the maximum.
+        Left and right wheel speed of each move, fractions of the maximum.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
 
 
 class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
-    """Add ``local_map``: what has truly been seen around the robot's true pose. **Privileged**: no robot knows this.
+    """Add ``local_map``: the cells seen so far around the robot's true pose. **Privileged**: it uses the ground truth.
 
     A picture (1, size, size), uint8, of 0.10 m cells with the robot in the middle, looking up: 0 where nothing has
     been seen, 127 free, 255 walls. Good for teachers, upper bounds and debugging; an agent that is to run on a

@@ -21,9 +21,9 @@ def wrap_angle(angle: float) -> float: ...
 @overload
 def wrap_angle(angle: FloatArray) -> FloatArray: ...
 def wrap_angle(angle: float | FloatArray) -> float | FloatArray:
-    """Bring an angle, or an array of them, into (-pi, pi] (radians). Angles that are in there stay as they are."""
+    """Bring an angle, or an array of them, into (-pi, pi] (radians). Angles in this interval do not change."""
     wrapped = math.pi - (math.pi - angle) % _TAU
-    # A hair above pi the remainder rounds up to the whole circle.
+    # Just above pi the remainder rounds up to the full circle.
     if isinstance(wrapped, float):
         if -math.pi < angle <= math.pi:
             return float(angle)
@@ -112,7 +112,7 @@ def arc_end(x: float, y: float, heading: float, left: float, right: float, axle:
     end = middle + half
     if not -math.pi < end <= math.pi:
         end = math.pi - (math.pi - end) % _TAU
-        # A hair above pi the remainder rounds up to the whole circle.
+        # Just above pi the remainder rounds up to the full circle.
         if end <= -math.pi:
             end = math.pi
     return x + chord * math.cos(middle), y + chord * math.sin(middle), end

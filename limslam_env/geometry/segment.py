@@ -1,4 +1,4 @@
-"""Pieces of lines: arrays (n, 4) of ``x1, y1, x2, y2`` in metres."""
+"""Line segments: arrays (n, 4) of ``x1, y1, x2, y2`` in metres."""
 
 import numpy as np
 

@@ -22,7 +22,7 @@ def ellipse(covariance: FloatArray, corners: int) -> FloatArray:
 
 
 def thinned(path: FloatArray, most: int) -> FloatArray:
-    """A path (k, 2) with every so manieth point, about ``most``, and its last: hours are drawn as fast as minutes."""
+    """A path (k, 2) reduced to about ``most`` points and its last point, so that long paths are drawn quickly."""
     every = -(-len(path) // most)
     return path if every <= 1 else np.vstack((path[:-1:every], path[-1:]))
 

@@ -1,28 +1,24 @@
-"""What discs touch, and how they are put back: what ``physics`` does with pymunk, compiled.
-
-Walls are given as to :func:`limslam_env.kernels.rays.first_wall`.
-"""
+"""Contact of round robots with walls and with each other: the compiled counterpart of ``simulation.physics``."""
 
 import math
 
-import numpy as np
-
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.kernels.rays import compiled, merged
+from limslam_env.compilation import compiled, merged
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.kernels.wall_cells import Walls
 
 TOUCH = 1e-5
-"""Gap up to which things touch, m."""
+"""Largest gap that counts as contact, m."""
 
 MAX_PUSHES = 24
-"""How often robots are pushed in a step, before those that are still deep in something go back."""
+"""Number of pushes in a step before robots that still overlap something return to their last position."""
 
 DEEPEST = 5e-4
-"""How deep a robot may stay in something, m."""
+"""Overlap that is tolerated, m."""
 
 LONGEST_MOVE = 0.5
-"""Longest move without a look at what is touched, in radii."""
+"""Longest move between two checks for contact, in radii."""
 
-# How far is looked for things that could be touched in later steps, m.
+# Distance up to which obstacles are searched for, m.
 _OUTLOOK = 0.3
 
 
@@ -31,28 +27,18 @@ def nearest_wall(
     x: float,
     y: float,
     outlook: float,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    low_x: float,
-    low_y: float,
-    side: float,
-    columns: int,
-    rows: int,
-    first_cell: int,
+    walls: Walls,
 ) -> tuple[float, float, float]:
-    """Distance (m) of the nearest wall, and the unit vector from it; ``outlook`` (m) and 0 if there is none as near.
-
-    The walls are given as to :func:`limslam_env.kernels.rays.first_wall`.
-    """
+    """Distance (m) of the nearest wall and the unit vector from it; ``outlook`` (m) and 0 if no wall is that near."""
+    edges, cell_starts, cell_edges, side = walls.edges, walls.cell_starts, walls.cell_edges, walls.side
     best, best_x, best_y, normal_x, normal_y = outlook * outlook, 0.0, 0.0, 0.0, 0.0
-    first = max(math.floor((x - outlook - low_x) / side), 0)
-    last = min(math.floor((x + outlook - low_x) / side), columns - 1)
+    first = max(math.floor((x - outlook - walls.low_x) / side), 0)
+    last = min(math.floor((x + outlook - walls.low_x) / side), walls.columns - 1)
     for row in range(
-        max(math.floor((y - outlook - low_y) / side), 0),
-        min(math.floor((y + outlook - low_y) / side), rows - 1) + 1,
+        max(math.floor((y - outlook - walls.low_y) / side), 0),
+        min(math.floor((y + outlook - walls.low_y) / side), walls.rows - 1) + 1,
     ):
-        cell = first_cell + row * columns
+        cell = walls.first_cell + row * walls.columns
         # Cells of a row lie side by side, and so do their walls.
         for item in range(cell_starts[cell + first], cell_starts[cell + last + 1]):
             edge = cell_edges[item]
@@ -67,7 +53,7 @@ def nearest_wall(
     if distance >= outlook:
         return outlook, 0.0, 0.0
     if distance <= TOUCH:
-        # The centre is on the wall: either side is as good.
+        # The centre lies on the wall: both normals are equally good.
         best_x, best_y = normal_x, normal_y
     size = math.sqrt(best_x * best_x + best_y * best_y)
     return distance, best_x / size, best_y / size
@@ -79,21 +65,11 @@ def nearest_thing(
     places: FloatArray,
     radius: float,
     outlook: float,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    low_x: float,
-    low_y: float,
-    side: float,
-    columns: int,
-    rows: int,
-    first_cell: int,
+    walls: Walls,
 ) -> tuple[float, float, float, int]:
     """As :func:`nearest_wall`, for walls and other robots around one robot; and which robot it is, or -1."""
     x, y = places[robot, 0], places[robot, 1]
-    distance, away_x, away_y = nearest_wall(
-        x, y, outlook, edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell
-    )
+    distance, away_x, away_y = nearest_wall(x, y, outlook, walls)
     which = -1
     for other in range(len(places)):
         dx, dy = x - places[other, 0], y - places[other, 1]
@@ -105,43 +81,30 @@ def nearest_thing(
 
 
 @compiled
-def separate(  # noqa: C901 (walls, robots, and who is wedged)
+def separate(  # noqa: C901 (walls, robots, and pushes that do not converge)
     places: FloatArray,
     before: FloatArray,
+    deep: BoolArray,
     radius: float,
     contact: BoolArray,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    low_x: float,
-    low_y: float,
-    side: float,
-    columns: int,
-    rows: int,
-    first_cell: int,
+    walls: Walls,
 ) -> float:
     """Push robots at ``places`` (m, 2 or more) out of what they overlap, along the shortest way.
 
-    As ``simulation.physics.Physics`` does: a few times where walls meet; who is wedged all the same goes back
-    to where it was ``before``. Sets ``contact`` (m,). Returns how far the robots can get before one may touch
-    something, m.
+    The pushes are repeated where walls meet, as in ``simulation.physics.Physics``; robots that still overlap something
+    return to their positions ``before``. Sets ``contact`` (m,). Returns the distance that the robots can travel before
+    one of them may touch something, m. ``deep`` (m,) is scratch memory.
     """
     gap = _OUTLOOK
     for robot in range(len(places)):
-        distance, _, _, _ = nearest_thing(
-            robot, places, radius, radius + _OUTLOOK,
-            edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
-        )  # fmt: skip
+        distance, _, _, _ = nearest_thing(robot, places, radius, radius + _OUTLOOK, walls)
         gap = min(gap, distance - radius)
     if gap > TOUCH:
         return gap - TOUCH
     for _ in range(MAX_PUSHES):
         is_pushed = False
         for robot in range(len(places)):
-            distance, away_x, away_y, other = nearest_thing(
-                robot, places, radius, radius + TOUCH,
-                edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
-            )  # fmt: skip
+            distance, away_x, away_y, other = nearest_thing(robot, places, radius, radius + TOUCH, walls)
             if distance >= radius + TOUCH:
                 continue
             contact[robot] = True
@@ -157,13 +120,9 @@ def separate(  # noqa: C901 (walls, robots, and who is wedged)
             is_pushed |= depth > TOUCH
         if not is_pushed:
             return 0.0
-    deep = np.zeros(len(places), dtype=np.bool_)
     for _ in range(len(places)):
         for robot in range(len(places)):
-            distance, _, _, _ = nearest_thing(
-                robot, places, radius, radius + TOUCH,
-                edges, cell_starts, cell_edges, low_x, low_y, side, columns, rows, first_cell,
-            )  # fmt: skip
+            distance, _, _, _ = nearest_thing(robot, places, radius, radius + TOUCH, walls)
             deep[robot] = distance < radius - DEEPEST
         for robot in range(len(places)):
             if deep[robot]:

@@ -1,6 +1,6 @@
-"""Random numbers for many environments at once: each a function of its environment's key and of its number.
+"""Random numbers for many environments: each number is a function of its environment's key and of a counter.
 
-Nothing is stored and nothing is drawn in vain: a number that no noise needs is not made, and the others stay the same.
+The generator has no state. A number that no noise needs can be skipped without changing any other number.
 """
 
 import math
@@ -9,13 +9,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_env.compilation import compiled, entry, inlined, lean_entry, merged
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.kernels.rays import compiled, inlined, merged
 
 Words: TypeAlias = NDArray[np.uint64]
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""What lies between two states of the sequence."""
+"""Increment between two states of the sequence."""
 
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
@@ -96,7 +96,7 @@ def _rare_normal(bits: np.uint64) -> float:
             return math.copysign(_TAIL + beyond, share)
 
 
-@compiled
+@entry
 def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
     """Keys (n,) of random numbers for one purpose in episodes (n,) of environments with keys ``homes`` (n,)."""
     keys = np.empty_like(homes)
@@ -105,7 +105,7 @@ def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
     return keys
 
 
-@compiled
+@lean_entry
 def fill_units(keys: Words, numbers: FloatArray) -> None:
     """Set ``numbers`` (n, k) to numbers from U(0, 1), each row by its key (n,)."""
     for row in range(len(keys)):
@@ -113,11 +113,11 @@ def fill_units(keys: Words, numbers: FloatArray) -> None:
             numbers[row, place] = unit(mixed(keys[row] + np.uint64(place + 1) * GOLDEN))
 
 
-@compiled
+@lean_entry
 def draw_starts(
     keys: Words, num_given: int, places: IntArray, space: FloatArray, apart: float, poses: FloatArray, tries: int
 ) -> bool:
-    """Put robots from the ``num_given``-th on at free places; whether there was room.
+    """Put robots from the ``num_given``-th on at random free cells; returns whether there was enough space.
 
     Parameters
     ----------

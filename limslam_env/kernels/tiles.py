@@ -1,16 +1,18 @@
-"""What is left to see in many environments: coverage grids of one bit a cell.
+"""The unseen cells of many environments, as coverage grids with one bit per cell.
 
 A *tile*, a word of 64 bits, stands for 8 x 8 cells, row by row from the lower left; the tiles of a grid follow each
-other in the same order. A set bit is a cell that counts and has not been seen. Most rays cross none of them, and a look
-at a few words tells.
+other in the same order. A set bit is a coverable cell that has not been seen. Most rays cross no such
+cell, which a test of a few words shows.
 """
 
 import math
 
 import numpy as np
 
+from limslam_env.compilation import inlined, merged
+from limslam_env.kernels.coverage import is_touched
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import crossings, inlined, is_touched, merged
+from limslam_env.kernels.rays import crossings
 
 TILE = 8
 """Cells of a tile's side."""
@@ -33,7 +35,7 @@ def is_any_left(
     high_x: float,
     high_y: float,
 ) -> bool:
-    """Whether a cell that is left to see touches a rectangle, given in cells."""
+    """Whether an unseen cell touches a rectangle, given in cells."""
     column0, column1 = max(math.floor(low_x), 0), min(math.floor(high_x), tile_columns * TILE - 1)
     row0, row1 = max(math.floor(low_y), 0), min(math.floor(high_y), tile_rows * TILE - 1)
     if column0 > column1 or row0 > row1:
@@ -68,7 +70,7 @@ def _stretch(low: int, high: int) -> np.uint64:
 
 @inlined
 def take(left: Words, env: int, tile_columns: int, column: int, row: int) -> int:
-    """Take a cell out of those that are left to see: 1 if it was there."""
+    """Take a cell out of the unseen cells; 1 if it was one of them, else 0."""
     tile = (row >> 3) * tile_columns + (column >> 3)
     bit = _ONE << np.uint64((row & 7) * 8 + (column & 7))
     word = left[env, tile]
@@ -89,9 +91,9 @@ def take_ray(
     dy: float,
     end: float,
 ) -> int:
-    """Take every cell that a ray crosses out of those that are left, as :func:`limslam_env.kernels.rays.mark_ray` does.
+    """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
 
-    In cells, and for rays within the grid.
+    The counterpart of :func:`limslam_env.kernels.coverage.mark_ray`. Lengths are in cells; the ray lies in the grid.
     """
     far_x, far_y = x + dx * end, y + dy * end
     low_x, low_y, high_x, high_y = min(x, far_x), min(y, far_y), max(x, far_x), max(y, far_y)
@@ -104,7 +106,7 @@ def take_ray(
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns:
             new += take(left, env, tile_columns, column, row)
-        # Which way is a toss-up: numbers are chosen, where a branch would be mispredicted.
+        # The axis is unpredictable: values are selected, because a branch would often be mispredicted.
         is_column = next_column < next_row
         travelled = next_column if is_column else next_row
         column += column_step if is_column else 0
@@ -116,9 +118,9 @@ def take_ray(
 
 @merged
 def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
-    """Take every cell that a body touches out of those that are left, as ``rays.mark_disc`` does.
+    """Take every cell that a body touches out of the unseen cells; returns how many there were.
 
-    In cells.
+    The counterpart of :func:`limslam_env.kernels.coverage.mark_disc`. Lengths are in cells.
     """
     if not is_any_left(left, env, tile_columns, tile_rows, x - radius, y - radius, x + radius, y + radius):
         return 0

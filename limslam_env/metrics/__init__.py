@@ -1,1 +1,1 @@
-"""Scores of an estimate against the truth."""
+"""Metrics that compare an estimate with the ground truth."""

@@ -1,4 +1,4 @@
-"""Scores of what was taken for what: observed lines, landmarks, and beams that hit another robot. Pure functions."""
+"""Metrics of data association: of observed lines, of landmarks, and of beams that hit another robot. Pure functions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class AssociationEvent:
 
 
 def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> dict[str, float | None]:
-    """How often observed lines went to the right landmark, from the walls (``wall_count`` of them) truly hit.
+    """How often observed lines got the right landmark, judged by the walls (``wall_count`` of them) truly hit.
 
     An observation's true wall is the one that more than half of its readings hit, a landmark's that of the
     observation that created it. Where either has none there is no right answer: such events are mixed.
@@ -50,7 +50,7 @@ def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> 
 def closure_metrics(
     events: Sequence[AssociationEvent], closures: Sequence[tuple[int, int]], wall_count: int
 ) -> dict[str, int]:
-    """How many of the pairs of landmarks that were taken for one wall are one.
+    """How many of the merged pairs of landmarks truly belong to one wall.
 
     Counts of ``closures_right``, ``closures_wrong`` and ``closures_mixed``: a landmark's true wall is that of the
     observation that created it, and where either has none there is no right answer.
@@ -65,7 +65,7 @@ def closure_metrics(
 
 
 def dropped_beam_metrics(dropped: BoolArray, wall_seen: IntArray) -> dict[str, float | None]:
-    """What became of beams that hit another robot, and of those that were left out because they might have.
+    """How beams that hit another robot were classified, and how many other beams were rejected.
 
     ``robot_beams_dropped`` is the share of the beams on robots that were left out, ``robot_beams_dropped_wrongly`` the
     share of what was left out that had hit no robot, both None where there is nothing to share. ``dropped`` and

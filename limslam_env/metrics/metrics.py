@@ -124,7 +124,7 @@ def wall_metrics(
 
     A sample matches a segment of the other set within 10 cm (exact distance) whose direction differs by less
     than 10 deg. Recall is over the visible samples (:func:`visible_samples` at its default spacing), precision
-    over samples of the estimate, each 5 cm, against all true edges: a wall that is truly there is no mistake.
+    over samples of the estimate, each 5 cm, against all true edges: a mapped wall that truly exists is no error.
 
     Names with ``_5cm`` use 5 cm instead; those with ``_aligned`` first move the estimate by ``alignment`` (3,), the
     :func:`rigid_alignment` of the trajectories. So do, since a turned map is no invented wall,
@@ -201,7 +201,7 @@ def _wall_scores(visible: WallSamples, edges: FloatArray, estimated: FloatArray,
 
 
 def _surplus(visible: WallSamples, all_edges: FloatArray, estimated: FloatArray) -> dict[str, float]:
-    """What aligned segments (m, 4) hold that is not there, and what they hold twice."""
+    """The spurious and the duplicate parts of aligned segments (m, 4)."""
     drawn = _samples(estimated, SAMPLE_SPACING)
     hits = np.bincount(drawn[2], weights=_matches(drawn, all_edges, NEAR) > 0, minlength=len(estimated))
     spurious = hits < 0.5 * np.bincount(drawn[2], minlength=len(estimated))

@@ -1,4 +1,4 @@
-"""What an agent may lay over a picture: what it believes, as plain arrays."""
+"""An agent's estimate as plain arrays, to be drawn over a picture."""
 
 from dataclasses import dataclass, field
 
@@ -9,20 +9,20 @@ from limslam_env.geometry import FloatArray, no_rows
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """One agent's belief in the world frame, drawn over the truth. The arrays are read-only copies.
+    """One agent's estimate in the world frame, drawn over the true world. The arrays are read-only copies.
 
     Attributes
     ----------
     pose
-        Where it believes to be (3,), m, m, rad; None draws no robot.
+        Estimated pose (3,), m, m, rad; None draws no robot.
     covariance
         Of the pose (3, 3), m^2, m rad and rad^2; None draws no ellipse.
     segments
         Walls of its map (k, 4): x1, y1, x2, y2, m.
     frontier
-        Places where what it knows ends (m, 2), m.
+        Frontier points between known and unknown space (m, 2), m.
     plan
-        The way it means to go (p, 2), m. The last point is its goal.
+        Planned path (p, 2), m. The last point is the goal.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pictures of a running simulation, for the adapters."""
+"""Rendering of a running simulation for the environments."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -33,7 +33,7 @@ class Painter:
     window
         The window of the human mode, once it is open.
     overlay
-        What agents believe, drawn on top; theirs to set.
+        The agents' estimates, drawn on top; agents set it.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class Painter:
         self.overlay: Sequence[Overlay] = ()
 
     def follow(self, simulation: Simulation, readings: Readings, truth: Truth) -> None:
-        """Remember what a later picture shows; with a window, show it now."""
+        """Remember the state for a later picture; with a window, show it now."""
         if self.mode is None:
             return
         if truth.time == 0.0:

@@ -1,4 +1,4 @@
-"""Pictures of a world and of what goes on in it, drawn with OpenCV: no display is needed."""
+"""Pictures of a world and of the robots in it, drawn with OpenCV, without a display."""
 
 import functools
 import math
@@ -63,7 +63,7 @@ class RenderState:
     seen_cell
         Their side, m.
     overlay
-        What agents believe; the colours of the first are those of the first robot, and so on.
+        The agents' estimates; each has the colour of the robot with the same number.
 
     Raises
     ------

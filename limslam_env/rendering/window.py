@@ -144,6 +144,6 @@ def _load_pygame() -> Any:
 
 
 def has_display() -> bool:
-    """Whether there is a display to open a window on. Without one, pictures are shown to nobody."""
+    """Whether there is a display to open a window on. Without a display, pictures are drawn and not shown."""
     wanted = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
     return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in wanted)

@@ -1,4 +1,4 @@
-"""What could be seen of a world, and what has been: the true coverage."""
+"""The true coverage: the cells that can be seen, and the cells that have been seen."""
 
 import functools
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import look_out, sweep
+from limslam_env.kernels.coverage import look_out, sweep
 from limslam_env.simulation.sensors import beam_table, build_wall_index
 from limslam_env.worlds.free_space import FreeSpace
 from limslam_env.worlds.world import World
@@ -21,7 +21,7 @@ _VIEWS = 240
 
 @dataclass(frozen=True, eq=False)
 class CoverageGrid:
-    """The cells that some beam could ever see from a place that a robot can reach.
+    """The cells that a beam can see from some place that the robots can reach.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ def _coverage_grid(
     coverable = np.zeros((rows, columns), dtype=bool)
     space = world.free_space(robot.radius)
     reachable = np.isin(space.labels, list(regions))
-    # Whoever stands in a cell has seen it. Found by row and by column: in a large building places are millions.
+    # A robot sees the cell it stands in. Rows and columns are computed apart, as large worlds have millions of cells.
     standing_columns, standing_rows = (
         np.floor((space.origin[axis] + (np.arange(count) + 0.5) * space.cell - low[axis]) / CELL).astype(int)
         for axis, count in enumerate(reachable.shape[::-1])
@@ -85,7 +85,7 @@ def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> Coverag
 def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
     """Places (n, 2), m, from which all that can be seen of what cannot be reached is seen.
 
-    Whoever sees such a cell sees it across the border of where the robot can get to, and from there even better.
+    Every view of such a cell crosses the border of the reachable region, and the border lies nearer to the cell.
     """
     inner = ndimage.binary_erosion(reachable, np.ones((3, 3), dtype=bool))
     places = space.centres(reachable & ~inner)
@@ -95,7 +95,7 @@ def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
 
 
 class BeamSweep:
-    """What a robot's true beams and body cover along a path, as a simulation would count it.
+    """The coverage of a robot along a given path, counted as in a simulation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Random numbers for the steps of an episode, made for many steps at once."""
+"""Random numbers for the steps of an episode, generated for many steps at once."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ _NUM_WHEELS = 2
 class StepDraws:
     """Numbers from N(0, 1) and U(0, 1) for each beam and each wheel of all robots.
 
-    A step takes the same numbers whatever the noise is, so that runs of one seed are pairs.
+    A step takes the same numbers whatever the noise is, so that runs with equal seeds can be compared in pairs.
 
     Parameters
     ----------
     ranges, wheels
-        Generators of their own for beams and for wheels: more beams change nothing about the wheels.
+        Separate generators for beams and wheels, so that the number of beams does not change the wheels' noise.
     num_robots, num_beams
         How many there are.
     """

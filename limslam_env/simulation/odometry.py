@@ -1,4 +1,4 @@
-"""Wheels and their encoders: their noise as the kernels read it, and slips."""
+"""Wheels and encoders: the table of their noise for the kernels, and slip."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from limslam_env.geometry import FloatArray
 
 
 def wheel_noise(noise: DrawnNoise, limit: float) -> FloatArray:
-    """The noise of encoders as :func:`limslam_env.kernels.rays.observe` reads it, (5,).
+    """The noise of encoders as :func:`limslam_env.kernels.observation.observe` reads it, (5,).
 
     ``limit`` (m) is the largest travel that they report.
     """
@@ -15,10 +15,10 @@ def wheel_noise(noise: DrawnNoise, limit: float) -> FloatArray:
     return np.array([1.0 + mismatch, 1.0 - mismatch, noise.wheel_variance, noise.encoder_resolution, limit])
 
 
-def carried_travel(travel: FloatArray, noise: DrawnNoise, uniforms: FloatArray) -> FloatArray:
-    """How far wheels that turn by ``travel`` (n, 2), m, get on the floor: less where they slip.
+def ground_travel(travel: FloatArray, noise: DrawnNoise, uniforms: FloatArray) -> FloatArray:
+    """Distance (n, 2), m, that wheels move over the ground when they turn by ``travel`` (n, 2), m: less when they slip.
 
-    Slips are a Poisson process along the way; ``uniforms`` (n, 2) from U(0, 1) decide.
+    Slips are a Poisson process along the path. ``uniforms`` (n, 2) are random numbers from U(0, 1).
     """
     slips = uniforms < -np.expm1(-noise.slip_rate * np.abs(travel))
     return np.where(slips, travel * (1.0 - noise.slip_share), travel)

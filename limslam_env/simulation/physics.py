@@ -1,10 +1,9 @@
-"""Bodies in a pymunk space: the only module that knows pymunk.
+"""The motion of round robots and their contact with walls and each other, with pymunk.
 
-Where a robot may touch something, pymunk moves the bodies and says what they touch; elsewhere the
-end of the wheels' arc is the new place. pymunk's contact solver is switched off: one
-step of 0.1 s would let a robot sink 3 cm into a wall before the solver first sees it, and the
-wheels set the velocity anew at each step anyway. Instead a robot that overlaps something is
-put back along the shortest way, which is frictionless sliding, and turns freely.
+A robot that is far from all obstacles moves to the end of the arc of its wheels. Near obstacles pymunk moves the bodies
+and reports their contacts. pymunk's contact solver is switched off, because in one step of 0.1 s a robot could
+penetrate a wall by 3 cm before the solver notices, and because the wheels set a new velocity at each step. Instead, a
+robot that overlaps an obstacle is moved out of it along the shortest way: it slides without friction and turns freely.
 """
 
 import math
@@ -20,7 +19,7 @@ from limslam_env.kernels.contact import DEEPEST, LONGEST_MOVE, MAX_PUSHES, TOUCH
 
 _WALL, _ROBOT, _QUERY = 1, 2, 4
 
-# How far is looked for things that could be touched in later steps, m.
+# Distance up to which obstacles are searched for, m.
 _OUTLOOK = 0.5
 
 _Pose: TypeAlias = tuple[float, float, float]
@@ -36,7 +35,7 @@ class Physics:
     radius
         Of every robot, m.
     num_robots
-        How many there are; :meth:`place` them before the first step.
+        Number of robots; :meth:`place` them before the first step.
     """
 
     def __init__(self, edges: FloatArray, radius: float, num_robots: int) -> None:
@@ -46,24 +45,24 @@ class Physics:
         self._space.iterations = 1
         for x1, y1, x2, y2 in edges.tolist():
             wall = pymunk.Segment(self._space.static_body, (x1, y1), (x2, y2), 0.0)
-            # A shape's mask names who may notice it: queries only, so the solver has no pairs.
+            # Shapes only take part in queries, so the solver has no pairs of shapes to resolve.
             wall.filter = pymunk.ShapeFilter(categories=_WALL, mask=_QUERY)
             self._space.add(wall)
         self._bodies = [self._add_robot(number) for number in range(num_robots)]
         self._filters = [
             pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT) for number in range(num_robots)
         ]
-        # A disc is the same from all sides: pymunk need not know which way it looks.
+        # A disc has no orientation, so pymunk does not have to know the headings.
         self._poses: list[_Pose] = [(0.0, 0.0, 0.0)] * num_robots
-        # How far robots can get, all told, before one of them may touch something, m.
-        self._room = 0.0
+        # Distance that the robots can travel in total before one of them may touch something, m.
+        self._clearance = 0.0
         self._axle = 1.0
 
     def place(self, poses: FloatArray, axle: float) -> None:
         """Put the robots at poses (n, 3); their wheels are ``axle`` (m) apart."""
         self._axle = axle
         self._poses = [(x, y, wrap_angle(theta)) for x, y, theta in poses.tolist()]
-        self._room = 0.0
+        self._clearance = 0.0
 
     @property
     def poses(self) -> FloatArray:
@@ -91,13 +90,13 @@ class Physics:
         return [any(robot) for robot in zip(*contacts, strict=True)]
 
     def _move(self, travel: Sequence[tuple[float, float]], period: float, farthest: float) -> list[bool]:
-        # Others may come one's way.
+        # Two robots may approach each other.
         approach = farthest if len(travel) == 1 else 2.0 * farthest
-        self._room -= approach
+        self._clearance -= approach
         goals = [arc_end(*pose, *wheels, self._axle) for pose, wheels in zip(self._poses, travel, strict=True)]
-        if self._room <= 0.0:
+        if self._clearance <= 0.0:
             return self._move_bodies(goals, period)
-        # Nobody can touch anything: pymunk need not be asked.
+        # No robot can touch anything: pymunk is not needed.
         self._poses = goals
         return [False] * len(goals)
 
@@ -111,11 +110,11 @@ class Physics:
         return contact
 
     def _touches_or_looks_ahead(self) -> bool:
-        """Whether a robot touches something; if none does, ``_room`` says for how long none can."""
+        """Whether a robot touches something; if none does, ``_clearance`` says for how long none can."""
         nearest = [self._nearest(number, _OUTLOOK) for number in range(len(self._bodies))]
         gaps = [_OUTLOOK if found is None else found.distance - self._radius for found in nearest]
-        self._room = min(gaps) - TOUCH
-        return self._room <= 0.0
+        self._clearance = min(gaps) - TOUCH
+        return self._clearance <= 0.0
 
     def _add_robot(self, number: int) -> pymunk.Body:
         body = pymunk.Body(mass=1.0, moment=1.0)
@@ -126,13 +125,13 @@ class Physics:
 
     def _separate(self) -> list[bool]:
         contact = [False] * len(self._bodies)
-        self._room = 0.0
+        self._clearance = 0.0
         for _ in range(MAX_PUSHES):
             pushed = [self._push_out(number, contact) for number in range(len(self._bodies))]
             if not any(pushed):
                 return contact
-        # Wedged: between walls that meet in a sharp corner the pushes go on for ever. Who is put back
-        # may meet one who came after him, who then has to go back as well.
+        # Between walls at a sharp angle the pushes do not converge: robots that still overlap something return
+        # to their positions before the step. Another robot may have moved there, and then has to return as well.
         for _ in self._bodies:
             deep = [number for number in range(len(self._bodies)) if self._is_deep(number)]
             for number in deep:
@@ -173,10 +172,10 @@ class Physics:
             "radius": self._radius,
             "axle": self._axle,
             "poses": self._poses,
-            "room": self._room,
+            "room": self._clearance,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
         self.place(np.array(state["poses"]), state["axle"])
-        self._room = state["room"]
+        self._clearance = state["room"]

@@ -1,4 +1,4 @@
-"""Range sensors: walls sorted for the rays, and the beams and their noise as the kernels read them."""
+"""Range sensors: the index of walls for ray casting, and the tables of beams and noise for the kernels."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,8 @@ import numpy as np
 from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import cast_rays, list_walls
+from limslam_env.kernels.rays import cast_rays
+from limslam_env.kernels.wall_cells import list_walls
 
 CELL = 0.5
 
@@ -17,9 +18,9 @@ _BORDER = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class WallIndex:
-    """Walls sorted by where they are, so that a ray looks at those on its way only.
+    """Walls sorted by position, so that a ray is only compared with walls near it.
 
-    The fields are the *scene* of :mod:`limslam_env.kernels.rays`.
+    The fields are the *scene* of :mod:`limslam_env.kernels.wall_cells`.
 
     Attributes
     ----------
@@ -75,7 +76,7 @@ def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArra
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
-    """The beams as :func:`limslam_env.kernels.rays.observe` reads them, (n_beams, 7)."""
+    """The beams as :func:`limslam_env.kernels.observation.observe` reads them, (n_beams, 7)."""
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
     return np.column_stack(
@@ -92,6 +93,6 @@ def beam_table(robot: RobotSpec) -> FloatArray:
 
 
 def range_noise(noise: DrawnNoise) -> FloatArray:
-    """The noise of ranges as :func:`limslam_env.kernels.rays.observe` reads it, (6,)."""
+    """The noise of ranges as :func:`limslam_env.kernels.observation.observe` reads it, (6,)."""
     growth, resolution = noise.range_noise_growth, noise.range_resolution
     return np.array([noise.sensor_noise, growth, noise.dropout, resolution, noise.fold_back, noise.cone])

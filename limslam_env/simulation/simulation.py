@@ -1,4 +1,4 @@
-"""N robots in one world, step by step: physics, sensors, odometry, and the truth beside them."""
+"""The simulation of one or several robots in one world: physics, sensors, odometry and the ground truth."""
 
 import math
 from collections.abc import Sequence
@@ -9,10 +9,10 @@ import numpy as np
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import observe
+from limslam_env.kernels.observation import observe
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
 from limslam_env.simulation.draws import StepDraws
-from limslam_env.simulation.odometry import carried_travel, wheel_noise
+from limslam_env.simulation.odometry import ground_travel, wheel_noise
 from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
 from limslam_env.simulation.starts import drawn_starts, starting_places
@@ -20,7 +20,7 @@ from limslam_env.worlds.world import World
 
 
 class Readings(NamedTuple):
-    """What the robots' sensors say after a step: new arrays.
+    """The measurements of all robots after a step, in new arrays.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Readings(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What is really so after a step. For scoring, never for an agent.
+    """The ground truth after a step. It is for evaluation, never for an agent.
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ class Truth(NamedTuple):
     coverage
         Share of the coverable cells that have been seen by any robot, 0 to 1.
     new_area
-        Coverable area that each robot was the first to see in this step, m^2. What two see at once counts
-        for the first of them.
+        Coverable area that each robot was the first to see in this step, m^2. Area that two robots see in the same
+        step counts for the robot with the lower number.
     contact
         Which robots touched something.
     wall_seen
@@ -68,11 +68,11 @@ class Simulation:
     Parameters
     ----------
     world
-        Where they are.
+        The world.
     robot
-        What each of them is.
+        The specification of each robot.
     num_robots
-        How many there are.
+        Number of robots.
 
     Raises
     ------
@@ -133,7 +133,7 @@ class Simulation:
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
-        self._told, self._untold = np.zeros((count, 2), dtype=np.float32), np.zeros((count, 2))
+        self._reported, self._unreported = np.zeros((count, 2), dtype=np.float32), np.zeros((count, 2))
         self._new_cells = np.zeros(count, dtype=np.int64)
         return self._observe(np.zeros((count, 2)), self._draws.next(), [False] * count)
 
@@ -144,7 +144,7 @@ class Simulation:
         turned = [(_clipped(left) * self._farthest, _clipped(right) * self._farthest) for left, right in actions]
         travel = np.array(turned)
         if self._noise.slip_rate:
-            turned = carried_travel(travel, self._noise, draws[:, -2:, 1]).tolist()
+            turned = ground_travel(travel, self._noise, draws[:, -2:, 1]).tolist()
         contact = self._physics.step(turned, self.robot.control_period)
         return self._observe(travel, draws, contact)
 
@@ -153,14 +153,14 @@ class Simulation:
         observe(
             poses, travel, self._steps, self.robot.radius, self._beams, self._noise_table, draws,
             *self._scene, self._seen, self._coverable, self._area,
-            self._untold, self._hits, self._ranges, self._told, self._new_cells,
+            self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
         )  # fmt: skip
         new_cells = self._new_cells.tolist()
         self._covered += sum(new_cells)
         time, coverage = self._steps * self.robot.control_period, self._covered / self._total
         new_area = [cells * CELL**2 for cells in new_cells]
         truth = Truth(poses, time, coverage, new_area, contact, self._hits.copy())
-        return Readings(self._ranges.copy(), self._told.copy()), truth
+        return Readings(self._ranges.copy(), self._reported.copy()), truth
 
 
 def _clipped(speed: float) -> float:

@@ -1,4 +1,4 @@
-"""Where robots start: at given poses, at the world's own, or at free places."""
+"""Start poses of robots: given ones, those of the world, or random free ones."""
 
 from dataclasses import dataclass
 
@@ -9,19 +9,19 @@ from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World, WorldError
 
 TRIES = 10_000
-"""Places that are tried for robots without a start, before the world is said to have no room."""
+"""Number of random poses that are tried before the world counts as too small."""
 
 
 @dataclass(frozen=True, eq=False)
 class StartingPlaces:
-    """Who starts where, as far as it is known, and where the others may.
+    """The known start poses, and the cells in which the other robots may start.
 
     Attributes
     ----------
     given
         Poses (g, 3) of the first robots, m and rad.
     cells
-        (k,), numbers of the free cells, row by row, that the others may stand on; empty if there are no others.
+        (k,), numbers of the free cells, row by row, for robots without a pose; empty if each robot has one.
     space
         (4,): lower left corner x, y and side of the cells, m, and columns.
     """
@@ -44,7 +44,7 @@ class StartingPlaces:
 
 
 def least_distance(robot: RobotSpec) -> float:
-    """How far apart (m) robots are to start at least."""
+    """Least distance (m) between two robots at the start."""
     return 2.5 * robot.radius
 
 
@@ -81,7 +81,7 @@ def starting_places(world: World, robot: RobotSpec, num_robots: int, start: Floa
 def drawn_starts(
     places: StartingPlaces, world: World, robot: RobotSpec, num_robots: int, generator: np.random.Generator
 ) -> FloatArray:
-    """Poses (num_robots, 3) of all robots, m and rad; who has none is put at a free place, away from the others.
+    """Poses (num_robots, 3) of all robots, m and rad. Robots without a pose get a random free one.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def drawn_starts(
 
 
 def no_room(world: World, num_robots: int) -> WorldError:
-    """What is said of a world that is too small."""
+    """The error for a world without space for all robots."""
     return WorldError(f"world {world.name!r}: no room for {num_robots} robots")
 
 

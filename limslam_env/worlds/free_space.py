@@ -1,4 +1,4 @@
-"""Where a round robot fits, and where it can get to: masks on a grid, from wall segments alone."""
+"""The free space of a round robot and its reachable regions, as masks on a grid."""
 
 import functools
 import math
@@ -25,7 +25,7 @@ _COUNTED = 1_000_000  # cells counted in one go, for each of which bincount make
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """A grid over a world and the cells at whose centres a disc touches nothing.
+    """A grid over a world, and the cells at whose centres a disc touches no wall.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class FreeSpace:
         return centre
 
     def label_of(self, point: FloatArray) -> int:
-        """The number of the region that a disc standing at a point (2,) can get to; 0 where it does not fit."""
+        """The number of the region that a disc at a point (2,) can reach; 0 where it does not fit."""
         column, row = np.floor((point - self.origin) / self.cell).astype(int)
         if not (0 <= row < self.labels.shape[0] and 0 <= column < self.labels.shape[1]):
             return 0
@@ -64,7 +64,7 @@ class FreeSpace:
         return int(near[near > 0][0]) if (near > 0).any() else 0
 
     def region_of(self, point: FloatArray) -> BoolArray:
-        """The cells that a disc standing at a point (2,) can get to. Empty where it does not fit."""
+        """The cells that a disc at a point (2,) can reach. Empty where it does not fit."""
         label = self.label_of(point)
         return np.asarray((self.labels == label) & (label > 0))
 
@@ -98,7 +98,7 @@ def cell_for(edges: FloatArray, radius: float) -> float:
 
 
 def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence[FloatArray] = ()) -> FreeSpace:
-    """Mark where a disc fits: far enough from every edge, and inside of no polygon.
+    """Mark the cells where a disc fits: far enough from every edge and outside of every polygon.
 
     Parameters
     ----------

@@ -1,9 +1,8 @@
-"""A world: walls, obstacles, doors and starts; read from TOML, refused with a reason when it cannot be."""
+"""A world: its walls, obstacles, doors and starts, and checks that robots can use it."""
 
 import functools
 import hashlib
 import math
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -17,10 +16,7 @@ from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
 
 MAX_SIDE = 500.0
 MAX_EDGES = 100_000
-MAX_FILE_BYTES = 20_000_000
 SHORTEST_EDGE = 1e-6
-
-_KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
 
 
 class WorldError(ValueError):
@@ -29,24 +25,24 @@ class WorldError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Walls and what stands between them. Arrays are read-only; lengths in metres, angles in radians.
+    """The geometry of a building. Arrays are read-only; lengths are in metres, angles in radians.
 
     Attributes
     ----------
     name
-        What the world is called.
+        Name of the world.
     size
-        Width and height that the world is drawn in. They add no walls.
+        Width and height of the drawing. They add no walls.
     walls
         (n, 4): x1, y1, x2, y2 of each wall. Walls have no thickness.
     obstacles
         Closed polygons, each (k, 2).
     doors
-        (m, 4): openings that a good map keeps open.
+        (m, 4): openings; a good map has no wall there.
     starts
-        (s, 3): poses that robots may start from. Empty: drawn by seed.
+        (s, 3): start poses of the robots. Empty: random starts.
     loop
-        (l, 2): corners of a closed tour to drive laps on. Empty: there is none.
+        (l, 2): corners of a closed tour for driving laps. Empty: no tour.
     """
 
     name: str
@@ -70,14 +66,14 @@ class World:
 
     @functools.cached_property
     def edges(self) -> FloatArray:
-        """All that stops a beam, (k, 4): the walls first, then the obstacles' edges in order."""
+        """Everything that blocks a beam, (k, 4): the walls first, then the obstacles' edges in order."""
         edges = np.vstack((self.walls, *(polygon_edges(polygon) for polygon in self.obstacles)))
         edges.setflags(write=False)
         return edges
 
     @functools.cached_property
     def digest(self) -> str:
-        """A name for the content: equal worlds have equal digests."""
+        """A digest of the content: equal worlds have equal digests."""
         arrays = (self.walls, *self.obstacles, self.doors, self.starts, self.loop)
         parts = [
             repr((self.name, self.size)).encode(),
@@ -96,7 +92,7 @@ class World:
         return World, tuple(getattr(self, part.name) for part in fields(self))
 
     def free_space(self, radius: float) -> FreeSpace:
-        """Where a disc of ``radius`` (m) fits outside every obstacle; remembered for later calls."""
+        """The space where a disc of ``radius`` (m) fits; cached for later calls."""
         return _free_space(self, radius)
 
     def check(self, radius: float) -> None:
@@ -116,7 +112,7 @@ class World:
         region = space.largest_closed_region()
         if not region.any():
             raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
-        self._check_closed([("its largest room", space.first_centre(region))], radius)
+        self._check_closed([("its largest region", space.first_centre(region))], radius)
 
     def check_pose(self, pose: FloatArray, radius: float) -> None:
         """Make sure that a robot of ``radius`` (m) may start at ``pose`` (3,).
@@ -161,65 +157,11 @@ def _free_space(world: World, radius: float) -> FreeSpace:
 
 @contextmanager
 def named(label: object) -> Iterator[None]:
-    """Put ``label``, such as a file's name, in front of what a refusal says."""
+    """Put ``label``, such as a file's name, in front of the message of a ``WorldError``."""
     try:
         yield
     except WorldError as error:
         raise WorldError(f"{label}: {error}") from error
-
-
-def parse_world(text: str, label: str) -> World:
-    """A world from the text of a TOML file; ``label`` names it in errors.
-
-    Raises
-    ------
-    WorldError
-        If the text is not a world.
-    """
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
-        raise WorldError(f"{label}: not TOML: {error}") from error
-    unknown = sorted(set(table) - _KEYS)
-    if unknown:
-        raise WorldError(f"{label}: unknown key {unknown[0]!r}; a world has {', '.join(sorted(_KEYS))}")
-    missing = sorted({"name", "size", "walls"} - set(table))
-    if missing:
-        raise WorldError(f"{label}: the key {missing[0]!r} is missing")
-    if not isinstance(table.get("obstacles", []), list):
-        raise WorldError(f"{label}: obstacles must be a list of polygons")
-    with named(label):
-        return World(
-            name=table["name"],
-            size=tuple(number_array(table["size"], "size", 1)),
-            walls=number_array(table["walls"], "walls", 2),
-            obstacles=tuple(number_array(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
-            **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
-        )
-
-
-def number_array(value: Any, key: str, dimensions: int) -> Any:
-    """Nested lists of a file's numbers as an array; booleans, texts and ragged lists are none.
-
-    Raises
-    ------
-    WorldError
-        If it is anything else; the message calls it ``key``.
-    """
-
-    def is_number_list(item: Any, depth: int) -> bool:
-        if depth > 0:
-            return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
-        # Whole numbers of a file may be too large for a float; floats that are not finite are named later.
-        return isinstance(item, float) or (type(item) is int and abs(item) <= MAX_SIDE * 1e6)
-
-    if not is_number_list(value, dimensions):
-        raise WorldError(f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}")
-    try:
-        return np.array(value, dtype=float)
-    except ValueError as error:
-        raise WorldError(f"{key}: rows of different lengths") from error
 
 
 def _frozen(value: Any, name: str, width: int) -> FloatArray:
@@ -242,7 +184,7 @@ def _check_name(name: Any) -> None:
         name.encode()
     except UnicodeEncodeError as error:
         # JSON and YAML can spell half a surrogate pair, which no file can hold.
-        raise WorldError(f"name {name!r} holds a character that is none") from error
+        raise WorldError(f"name {name!r} holds an invalid character") from error
 
 
 def _check_edges(world: World) -> None:

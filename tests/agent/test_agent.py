@@ -1,4 +1,4 @@
-"""LimSlamAgent from a recorded list of observations: the same actions every time, with no world around it."""
+"""LimSlamAgent on a recorded list of observations: it gives the same actions every time, without a simulator."""
 
 import subprocess
 import sys
@@ -110,13 +110,13 @@ def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
     agent.slam.on_association = records.append
     for number, observation in enumerate(recording[1]):
         agent.act(observation)
-        if number > 100 and all(len(side.points) > 12 for side in agent.slam.waiting):
+        if number > 100 and all(len(side.points) > 12 for side in agent.slam.pending_points):
             break
     before = len(records)
     agent.finish()
     assert len(records) > before
     assert sum(landmark.observations for landmark in agent.slam.landmarks) == len(records)
-    assert all(len(side.points) == 0 for side in agent.slam.waiting)
+    assert all(len(side.points) == 0 for side in agent.slam.pending_points)
 
 
 WITHOUT_PHYSICS = """
@@ -158,7 +158,7 @@ def test_it_acts_where_there_is_no_physics_to_import(recording: Recording, tmp_p
     )
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", WITHOUT_PHYSICS, str(log), str(answer)],
-        capture_output=True, text=True, check=False, timeout=120,
+        capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert np.load(answer).tobytes() == actions.tobytes()

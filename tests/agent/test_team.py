@@ -5,7 +5,7 @@ import pytest
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.presets import AgentConfig, TeamConfig, preset
-from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
@@ -160,14 +160,14 @@ def test_dropped_readings_are_neither_measured_nor_collected():
     first, second = slam.robots
     assert first.dropped.tolist() == [True] + [False] * 5
     assert not first.measured[0]
-    assert sum(len(side.points) for side in slam.waiting) == 0
+    assert sum(len(side.points) for side in slam.pending_points) == 0
     # The other robot's beams see nothing, so nothing of theirs can be dropped.
     assert not second.dropped.any()
     # A robot alone drops nothing.
     alone = LineSlam(ROBOT, AgentConfig(), np.zeros(3))
     alone.step(left)
     assert not alone.robots[0].dropped.any()
-    assert sum(len(side.points) for side in alone.waiting) == 1
+    assert sum(len(side.points) for side in alone.pending_points) == 1
 
 
 def test_there_must_be_one_observation_for_each_robot():

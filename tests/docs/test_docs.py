@@ -1,17 +1,19 @@
-"""The pages under docs: their examples run, and their tables name what is there."""
+"""Tables and lists of the pages name what is there, and all of it."""
 
 import re
 from dataclasses import fields
+from importlib.util import find_spec
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
+from support.markdown import ROOT, all_blocks
 
 import limslam_env
 from limslam_env.config import NoiseConfig
 from limslam_env.envs import wrappers
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 ENVIRONMENTS = (DOCS / "environments.md").read_text(encoding="utf-8")
 
 
@@ -22,20 +24,6 @@ def section(title: str) -> str:
 def first_column(text: str) -> set[str]:
     cells = re.findall(r"^\| (`[^|]+) \|", text, re.MULTILINE)
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
-
-
-EXAMPLES = [
-    (page, number, example)
-    for page in ("environments.md", "batch.md")
-    for number, example in enumerate(
-        re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL), start=1
-    )
-]
-
-
-@pytest.mark.parametrize(("page", "number", "example"), EXAMPLES)
-def test_the_examples_run(page, number, example):
-    exec(compile(example, f"{page}, example {number}", "exec"), {})  # noqa: S102
 
 
 def test_every_setting_of_the_noise_is_explained():
@@ -52,8 +40,32 @@ def test_every_id_is_named():
     assert gym.spec("LimSlam-Random-v0").max_episode_steps == limslam_env.MAX_EPISODE_STEPS
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.name)
-def test_links_between_the_pages_lead_somewhere(page):
-    links = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8"))
-    # What lies outside of docs does not travel with the tests.
-    assert [link for link in links if not link.startswith("../") and not (DOCS / link).is_file()] == []
+def packages_drawn() -> set[str]:
+    """The folders in the tree of packages, as paths; two spaces of indentation a level."""
+    (tree,) = [block.text for block in all_blocks("text") if block.text.startswith("limslam_env/")]
+    found, above = set(), []
+    for line in tree.splitlines():
+        indent, name = re.match(r"( *)([\w/]+)", line).groups()
+        above = [*above[: len(indent) // 2], name]
+        if name.endswith("/"):
+            found.add("".join(above).rstrip("/"))
+    return found
+
+
+@pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
+def test_the_tree_of_packages_is_the_one_that_is_there(top):
+    spec = find_spec(top)
+    if spec is None:
+        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
+    folder = Path(next(iter(spec.submodule_search_locations)))
+    there = {path.parent.relative_to(folder.parent).as_posix() for path in folder.rglob("*.py")}
+    assert {name for name in packages_drawn() if name.split("/")[0] == top} == there
+
+
+def test_every_suite_is_named():
+    if not find_spec("benchmarks"):
+        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
+    from benchmarks.suite.suite import shipped_suites
+
+    text = (DOCS / "benchmark.md").read_text(encoding="utf-8").split("\n## Suites\n", 1)[1].split("\n### ", 1)[0]
+    assert first_column(text) == set(shipped_suites())

@@ -1,4 +1,4 @@
-"""The examples run as they stand."""
+"""The examples run without changes."""
 
 import json
 import subprocess
@@ -13,7 +13,7 @@ from limslam_agent.replay.replay import replay_log
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"
-# What no robot should have to carry.
+# Modules of the simulator, which a robot does not need.
 SIMULATOR = {
     "pymunk",
     "numba",
@@ -39,7 +39,7 @@ def live_run(tmp_path_factory):
     return folder, result.stdout.splitlines()
 
 
-def test_the_live_loop_maps_its_room_without_a_simulator(live_run):
+def test_the_live_loop_maps_without_a_simulator(live_run):
     folder, (said, loaded) = live_run
     assert 150 < int(said.partition(" steps: ")[0]) <= 230
     assert loaded == "[]"
@@ -61,7 +61,7 @@ def test_its_log_can_be_replayed(live_run):
     assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
 
 
-def test_the_live_loop_imports_the_mind_and_the_interface_alone():
+def test_the_live_loop_imports_only_the_agent_and_the_interface():
     if not EXAMPLE.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
     lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
@@ -69,7 +69,7 @@ def test_the_live_loop_imports_the_mind_and_the_interface_alone():
     assert all(name == "limslam_env.interface" or name.split(".")[0] == "limslam_agent" for name in ours)
 
 
-def test_a_policy_of_ones_own_is_scored_beside_the_explorer_in_fifteen_lines():
+def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
     example = EXAMPLES / "evaluate_policy.py"
     if not example.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")

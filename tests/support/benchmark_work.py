@@ -1,4 +1,4 @@
-"""Work for the benchmark's engines that takes no time, and work that goes wrong; worker processes import it."""
+"""Work for the engines of the benchmark that takes no time, and work that fails. Worker processes import it."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.suite.engines import ONE_THREAD
 from benchmarks.suite.jobs import Job, Outcome
 
-RAISES, KILLED, EXITS, HANGS = 1, 2, 3, 4
+RAISES, KILLED, EXITS, HANGS = 1, 2, 3, 1000
 """Seeds of jobs that go wrong."""
 
 
@@ -32,7 +32,7 @@ def troubled(job: Job) -> Outcome:
 
 
 def threads() -> dict[str, str | int | None]:
-    """How many a worker may have."""
+    """How many threads a worker may have."""
     import cv2
 
     return {**{name: os.environ.get(name) for name in ONE_THREAD}, "cv2": cv2.getNumThreads()}

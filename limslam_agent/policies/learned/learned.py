@@ -1,37 +1,40 @@
-"""An explorer that has learned where to head: a small network on the believed grid, and a bumper."""
+"""A learned exploration policy: a small network on the believed grid chooses the heading."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.belief import Belief
 from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
 from limslam_agent.policies.learned.polar_view import observe
-from limslam_agent.policies.simple_policies import Wanderer
+from limslam_agent.policies.simple_policies import ReactivePolicy
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Where the shipped weights lie: ``belief.npz`` and ``true_pose.npz``."""
+"""Folder of the shipped weights, ``belief.npz`` and ``true_pose.npz``."""
 
 TEMPERATURE = 0.5
-"""Directions are drawn by their scores over this: the best one each time would now and then go to and fro for ever."""
+"""Temperature of the softmax from which directions are drawn.
+
+The best direction at every decision would sometimes make the robot alternate between two places for ever.
+"""
 
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """How a chosen direction is driven. All ours.
+    """Settings for driving in a chosen direction. The values are this project's choices.
 
     Attributes
     ----------
     hold
-        Steps between two decisions.
+        Number of steps between two decisions.
     gain, turn_rate
-        Rate of turn for an error of heading, 1/s, and the fastest turn, rad/s.
+        Rate of turn per heading error, 1/s, and largest rate of turn, rad/s.
     """
 
     hold: int = 5
@@ -39,23 +42,23 @@ class DriveConfig:
     turn_rate: float = 2.5
 
 
-class LearnedPolicy(Wanderer):
-    """Head where a network says, twice a second, at top speed, until there is nothing new to see.
+class LearnedPolicy(ReactivePolicy):
+    """Drives at top speed in directions that a network chooses twice a second, until there is nothing new to see.
 
     Parameters
     ----------
     robot, config
         Body, and the settings that all policies share.
     network
-        Scores of directions; the shipped one if left out.
+        Network that scores directions. The shipped one by default.
     drive
-        How a direction is driven.
+        Settings for driving in a chosen direction.
     seed
-        Of the numbers drawn, or a generator.
+        Seed of the random numbers, or a generator.
     temperature
-        Directions are drawn by their scores over this; 0 takes the best one.
+        Temperature of the softmax from which directions are drawn. 0 takes the best direction.
     patience
-        Time without anything new after which it stops, s.
+        Time without new cells after which the policy stops, s.
     """
 
     def __init__(
@@ -75,7 +78,7 @@ class LearnedPolicy(Wanderer):
         self._until_choice, self._heading = 0, 0.0
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        """Towards the chosen direction."""
+        """Wheel speeds (2,) towards the chosen direction."""
         drive, robot = self._drive, self._robot
         if self._until_choice <= 0:
             self._heading = float(belief.pose[2]) + self._network.view.angle(self._chosen(belief))
@@ -89,5 +92,5 @@ class LearnedPolicy(Wanderer):
         view = self._network.view
         observation = observe(belief.grid, belief.pose, belief.ranges, self._robot.max_ranges, view)
         scores = self._network.scores(observation).astype(float)
-        # The largest of scores with Gumbel noise is drawn by its softmax.
+        # The index of the largest score plus Gumbel noise has the distribution of the softmax.
         return int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))

@@ -1,4 +1,4 @@
-"""The network of the learned explorer, in numpy: running it takes no deep-learning library and executes no file."""
+"""The network of the learned policy in numpy. It needs no deep-learning library and executes no code from files."""
 
 import zipfile
 from dataclasses import dataclass
@@ -13,31 +13,32 @@ from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig
 Weights = NDArray[np.float32]
 
 LAYERS = ("first", "state", "second", "third", "score")
-"""Layers of the policy; each has a ``weight`` and a ``bias``."""
+"""Layers of the network. Each has a ``weight`` and a ``bias``."""
 
 COMPASS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionNetwork:
-    """Scores directions by what is seen there and to both sides: convolutions round the circle.
+    """Scores directions with circular convolutions, so that each score depends on a direction and its neighbours.
 
     Attributes
     ----------
     weights
-        By ``LAYER.weight`` and ``LAYER.bias``: of the circular convolutions (out, in, width), of ``state`` (out, in).
+        Arrays by ``LAYER.weight`` and ``LAYER.bias``. Weights of circular convolutions have the shape (out, in, width),
+        and the weight of ``state`` has the shape (out, in).
     view
-        The view it was trained for.
+        The polar view that the network was trained with.
     """
 
     weights: dict[str, Weights]
     view: ViewConfig
 
     def scores(self, observation: NDArray[np.float32]) -> Weights:
-        """Logits (directions,) of an observation (size,), as ``polar_view.observe`` makes them."""
+        """Logits (directions,) of an observation (size,) that ``polar_view.observe`` has made."""
         directions, size = self.view.directions, CHANNELS * self.view.rings * self.view.directions
         angles = 2.0 * np.pi * np.arange(directions) / directions
-        # Which way is ahead: all else would be the same for a robot that has turned.
+        # The heading relative to the robot. Without it the scores would not change when the robot turns.
         compass = np.stack((np.cos(angles), np.sin(angles)))
         values = np.concatenate((observation[:size].reshape(-1, directions), compass)).astype(np.float32)
         state = self.weights["state.weight"] @ observation[size:] + self.weights["state.bias"]
@@ -54,7 +55,7 @@ class DirectionNetwork:
 
 
 def save_network(path: Path, network: DirectionNetwork) -> None:
-    """Write weights and the view's shape to an ``.npz``: arrays of numbers, and nothing else."""
+    """Write the weights and the shape of the view to an ``.npz`` file that holds only numbers."""
     view = network.view
     shape = np.array([view.directions, view.rings, view.nearest, view.growth])
     with path.open("wb") as file:
@@ -63,7 +64,7 @@ def save_network(path: Path, network: DirectionNetwork) -> None:
 
 
 def load_network(path: Path) -> DirectionNetwork:
-    """Read what :func:`save_network` wrote. Arrays of objects are refused, so that reading executes nothing.
+    """Read a file of :func:`save_network`. Files with Python objects are refused, so reading cannot execute code.
 
     Raises
     ------
@@ -74,10 +75,11 @@ def load_network(path: Path) -> DirectionNetwork:
         with np.load(path, allow_pickle=False) as arrays:
             held = {name: arrays[name] for name in arrays.files}
     except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: no weights of a learned explorer: {error}") from error
+        raise ValueError(f"{path}: not the weights of a learned policy: {error}") from error
     wanted = {"view"} | {f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")}
     if set(held) != wanted:
-        raise ValueError(f"{path}: no weights of a learned explorer: it holds {', '.join(sorted(held)) or 'nothing'}")
+        names = ", ".join(sorted(held)) or "nothing"
+        raise ValueError(f"{path}: not the weights of a learned policy: it holds {names}")
     if not all(values.dtype.kind == "f" and np.isfinite(values).all() for values in held.values()):
         raise ValueError(f"{path}: weights must be finite numbers")
     shape = held.pop("view")

@@ -1,7 +1,7 @@
-"""What a learned explorer looks at: the believed grid in polar cells round the robot, fine near by and coarse afar.
+"""The observation of the learned policy: the believed grid in polar cells around the robot.
 
-Directions are cells of a circle, so that a network can treat all of them alike; rings grow with their distance, so
-that a door at arm's length and a dark corner five metres off both have their cell.
+The directions are cells of a circle, so that a network can treat all of them alike. The rings grow with their distance,
+so that the view shows both a door beside the robot and an unknown region five metres away.
 """
 
 import math
@@ -19,29 +19,29 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
 
 CHANNELS = 3
-"""Of a polar cell: share unknown, share occupied, and how much nearer to a frontier it is."""
+"""Values of a polar cell: share of unknown cells, share of occupied cells, and approach to a frontier."""
 
-# A step between two cells costs the sum of their tolls; beside a wall the toll is higher.
-FREE_TOLL, TIGHT_TOLL = 1, 3
+# A step between two cells costs the sum of their two costs. The cost is higher beside a wall.
+FREE_COST, TIGHT_COST = 1, 3
 
-# Cells of the 5 x 5 round a frontier cell that are unknown at least: less is a gap between beams.
+# Least number of unknown cells in the 5 x 5 cells around a frontier cell. Fewer are a gap between beams.
 LEAST_UNKNOWN = 6
 
-_FAR = 10.0
+FAR = 10.0
 
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """Shape of the view. All ours.
+    """Shape of the view. The values are this project's choices.
 
     Attributes
     ----------
     directions
-        Polar cells in a circle; the first begins straight ahead, counter-clockwise.
+        Number of polar cells in a circle. The first begins straight ahead, and they go counter-clockwise.
     rings
-        Polar cells from the inside out.
+        Number of polar cells from the inside to the outside.
     nearest, growth
-        Distance of the middle of the first ring, m, and by how much each next one is farther off.
+        Distance of the middle of the first ring, m, and factor from one ring's distance to the next.
     """
 
     directions: int = 24
@@ -51,7 +51,7 @@ class ViewConfig:
 
     @cached_property
     def samples(self) -> FloatArray:
-        """Places in the robot's frame (rings * directions * 6, 2), m, six for each polar cell."""
+        """Sample points in the robot's frame (rings * directions * 6, 2), m: six in each polar cell."""
         width = 2.0 * math.pi / self.directions
         radius = self.radii[:, None, None] * self.growth ** np.array([-0.25, 0.25, -0.25, 0.25, -0.25, 0.25])
         angle = width * (np.arange(self.directions)[None, :, None] + np.array([-1, -1, 0, 0, 1, 1]) / 3.0)
@@ -60,31 +60,32 @@ class ViewConfig:
 
     @cached_property
     def radii(self) -> FloatArray:
-        """Distances of the rings' middles (rings,), m."""
+        """Distance of each ring's middle (rings,), m."""
         return np.asarray(self.nearest * self.growth ** np.arange(self.rings))
 
     def angle(self, direction: int) -> float:
-        """Where a direction points, rad from ahead, counter-clockwise."""
+        """Angle of a direction from straight ahead, counter-clockwise, rad."""
         return 2.0 * math.pi * direction / self.directions
 
     def size(self, n_beams: int) -> int:
-        """How many numbers an observation has for a robot of so many beams."""
+        """Number of values in an observation of a robot with ``n_beams`` beams."""
         return CHANNELS * self.rings * self.directions + n_beams + 2
 
 
 def observe(
     grid: GridView, pose: FloatArray, ranges: FloatArray, max_ranges: FloatArray, config: ViewConfig
 ) -> NDArray[np.float32]:
-    """All that the network is told: (size,), the view (channels, rings, directions), then the readings and two numbers.
+    """The observation of the network (size,): the view (channels, rings, directions), the readings, and two more
+    numbers.
 
-    The two are the way to the nearest frontier (1 for 10 m or more), and whether there is one that can be got to.
+    The two numbers are the distance to the nearest frontier (1 for 10 m or more), and whether a frontier is reachable.
 
     Parameters
     ----------
     grid, pose
-        What is believed; pose (3,), m, m, rad.
+        Believed grid and pose (3,): x (m), y (m), heading (rad).
     ranges, max_ranges
-        Readings and longest readings (n_beams,), m.
+        Readings and largest readings (n_beams,), m.
     config
         Shape of the view.
     """
@@ -102,31 +103,33 @@ def observe(
         best = nearness.reshape(shape).max(axis=2)
         gain = np.clip((here + best) / config.radii[:, None], -1.0, 1.0)
     view = np.stack(((values == 0).reshape(shape).mean(axis=2), (values < 0).reshape(shape).mean(axis=2), gain))
-    way = [min(here / _FAR, 1.0), 1.0] if np.isfinite(here) else [1.0, 0.0]
+    way = [min(here / FAR, 1.0), 1.0] if np.isfinite(here) else [1.0, 0.0]
     readings = np.nan_to_num(ranges, nan=1.0) / max_ranges
     return np.concatenate((view.ravel(), np.clip(readings, 0.0, 1.0), way)).astype(np.float32)
 
 
 def frontier_distance(grid: GridView) -> FloatArray:
-    """How far it is from each cell (rows, columns) to the nearest frontier over free ground, m; infinite for no way.
+    """Distance from each cell (rows, columns) to the nearest frontier over free cells, m. Infinite where there is no
+    path.
 
-    Four neighbours a cell, three times the way beside walls. Only frontiers with something behind them count.
+    A path goes from a cell to its four neighbours, and costs three times as much beside walls. Only frontiers with
+    enough unknown cells behind them count.
     """
     rows, columns = grid.values.shape
     free, beside_wall = grid.free, ndimage.binary_dilation(grid.occupied, np.ones((3, 3), dtype=int))
-    # What lies past the grid's edge is unknown too.
+    # Cells beyond the edge of the grid are unknown, too.
     around = ndimage.convolve(grid.unknown.astype(int), np.ones((5, 5), dtype=int), mode="constant", cval=1)
     sources = np.flatnonzero(frontier_cells(grid, min_size=1) & ~beside_wall & (around >= LEAST_UNKNOWN))
     if not len(sources):
         return np.full((rows, columns), np.inf)
-    toll = np.where(beside_wall, TIGHT_TOLL, FREE_TOLL)
+    cost = np.where(beside_wall, TIGHT_COST, FREE_COST)
     index = np.arange(rows * columns).reshape(rows, columns)
     starts, ends, prices = [], [], []
     for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         is_open = free[here] & free[there]
         starts.append(index[here][is_open])
         ends.append(index[there][is_open])
-        prices.append((toll[here] + toll[there])[is_open])
+        prices.append((cost[here] + cost[there])[is_open])
     size = rows * columns
     graph = sparse.csr_array(
         (np.concatenate(prices).astype(float), (np.concatenate(starts), np.concatenate(ends))), shape=(size, size)
@@ -136,7 +139,9 @@ def frontier_distance(grid: GridView) -> FloatArray:
 
 
 def _distance_here(grid: GridView, away: FloatArray, pose: FloatArray) -> float:
-    """From the robot's cell, or the best of those round it: the map may take the robot to be inside a wall."""
+    """Distance from the robot's cell, or the least one of the cells around it, as the map may place the robot inside a
+    wall.
+    """
     (row, column), (rows, columns) = grid.cells(pose[None, :2])[0], away.shape
     if 0 <= row < rows and 0 <= column < columns and np.isfinite(away[row, column]):
         return float(away[row, column])

@@ -1,16 +1,21 @@
-"""Small linear algebra for kernels: Cholesky factors, triangular systems, and what is left beside a few columns."""
+"""Small linear algebra for compiled functions.
+
+A covariance P (s, s) is stored without its redundant half: ``top`` (3, s) holds its first three rows, and ``rest``
+(s (s + 1) / 2) its lower triangle row by row, in which row i begins at i (i + 1) / 2.
+"""
 
 import math
 
 import numpy as np
 
 from limslam_agent.slam.batch.compilation import algebra
-from limslam_env.geometry import FloatArray
+from limslam_agent.slam.core.ekf import POSE
+from limslam_env.geometry import FloatArray, IntArray
 
 
 @algebra
 def factorise(matrix: FloatArray, size: int) -> None:
-    """Put the Cholesky factor of the first ``size`` rows and columns in the place of their lower triangle."""
+    """Replace the lower triangle of the first ``size`` rows and columns by its Cholesky factor."""
     for i in range(size):
         for j in range(i):
             total = matrix[i, j]
@@ -25,7 +30,7 @@ def factorise(matrix: FloatArray, size: int) -> None:
 
 @algebra
 def whiten(factor: FloatArray, values: FloatArray, size: int, width: int) -> None:
-    """Put L^-1 V in the place of the first ``size`` rows and ``width`` columns of V."""
+    """Replace the first ``size`` rows and ``width`` columns of V by L^-1 V, with the Cholesky factor L."""
     for i in range(size):
         for k in range(i):
             share = factor[i, k]
@@ -38,7 +43,7 @@ def whiten(factor: FloatArray, values: FloatArray, size: int, width: int) -> Non
 
 @algebra
 def solve_factored(factor: FloatArray, values: FloatArray, size: int) -> None:
-    """Put the solution y of L L^T y = v in the place of v (size,)."""
+    """Replace v (size,) by the solution y of L L^T y = v."""
     for i in range(size):
         total = values[i]
         for k in range(i):
@@ -53,7 +58,7 @@ def solve_factored(factor: FloatArray, values: FloatArray, size: int) -> None:
 
 @algebra
 def dot(values: FloatArray, first: int, second: int, size: int) -> float:
-    """Product of two columns."""
+    """Scalar product of two columns of ``values``."""
     total = 0.0
     for i in range(size):
         total += values[i, first] * values[i, second]
@@ -77,7 +82,7 @@ def orthonormalise(values: FloatArray, first: int, last: int, size: int) -> None
 
 @algebra
 def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, size: int) -> None:
-    """Take out of the columns from ``first`` up to ``last`` what two orthonormal columns of a basis explain."""
+    """Subtract from the columns from ``first`` up to ``last`` their projections on two orthonormal columns."""
     for column in range(first, last):
         a, b = 0.0, 0.0
         for i in range(size):
@@ -89,7 +94,7 @@ def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, s
 
 @algebra
 def add_products(rest: FloatArray, left: FloatArray, right: FloatArray, rank: int, first: int, size: int) -> None:
-    """To a triangle that is kept row after row, add left^T right, both (rank, size); rank is a multiple of four."""
+    """Add left^T right, both (rank, size), to a packed lower triangle; ``rank`` is a multiple of four."""
     for i in range(first, size):
         base = i * (i + 1) // 2
         row = rest[base : base + i + 1]
@@ -101,7 +106,7 @@ def add_products(rest: FloatArray, left: FloatArray, right: FloatArray, rank: in
 
 @algebra
 def quantile(ordered: FloatArray, size: int, share: float) -> float:
-    """A quantile of sorted numbers, interpolated as numpy does."""
+    """Quantile of sorted numbers, with numpy's linear interpolation."""
     place = share * (size - 1)
     low = math.floor(place)
     high, part = min(low + 1, size - 1), place - low
@@ -120,7 +125,7 @@ def wrapped(angle: float) -> float:
 
 @algebra
 def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
-    """Sort a few keys in place, stably, and carry along what belongs to them."""
+    """Sort keys in place by stable insertion, and permute ``follow`` alike."""
     for i in range(1, size):
         key, other = keys[i], follow[i]
         j = i
@@ -128,3 +133,47 @@ def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
             keys[j], follow[j] = keys[j - 1], follow[j - 1]
             j -= 1
         keys[j], follow[j] = key, other
+
+
+@algebra
+def entry_of(top: FloatArray, rest: FloatArray, i: int, j: int) -> float:
+    """Entry (i, j) of a covariance."""
+    if i < j:
+        i, j = j, i
+    return top[j, i] if j < POSE else rest[i * (i + 1) // 2 + j]
+
+
+@algebra
+def gather_rows(top: FloatArray, rest: FloatArray, columns: IntArray, size: int) -> FloatArray:
+    """Full rows (k, size) of a covariance, none of them among the first three."""
+    rows = np.empty((len(columns), size))
+    for i in range(len(columns)):
+        column = columns[i]
+        base = column * (column + 1) // 2
+        for j in range(POSE):
+            rows[i, j] = top[j, column]
+        for j in range(POSE, column + 1):
+            rows[i, j] = rest[base + j]
+        base += column
+        for j in range(column + 1, size):
+            base += j
+            rows[i, j] = rest[base]
+    return rows
+
+
+@algebra
+def block_of(top: FloatArray, rest: FloatArray, columns: IntArray) -> FloatArray:
+    """Block (k, k) of a covariance: its rows and columns ``columns`` (k,)."""
+    size = len(columns)
+    part = np.empty((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            part[i, j] = part[j, i] = entry_of(top, rest, columns[i], columns[j])
+    return part
+
+
+@algebra
+def squared_distance(covariance: FloatArray, off: FloatArray, more: tuple[float, float]) -> float:
+    """Squared Mahalanobis distance of an offset (2,) by a covariance (2, 2) plus variances (2,)."""
+    a, b, c = covariance[0, 0] + more[0], 0.5 * (covariance[0, 1] + covariance[1, 0]), covariance[1, 1] + more[1]
+    return (c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b)

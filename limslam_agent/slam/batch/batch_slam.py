@@ -1,5 +1,6 @@
 """BatchSlam: the consistent estimator, occupancy grid included, for many robots at once."""
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -9,35 +10,56 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
+from limslam_agent.slam.batch.clone_ekf import predict
+from limslam_agent.slam.batch.compilation import algebra, entry
+from limslam_agent.slam.batch.consistent import measure, process
+from limslam_agent.slam.batch.grid import CropArray, crop, update
+from limslam_agent.slam.batch.motion import motion_from_wheels
+from limslam_agent.slam.batch.pending_readings import has_ended
 from limslam_agent.slam.batch.state import (
     CLOSURES,
+    DRIVEN,
+    DRIVEN_AT,
+    FRESH,
     LINES,
-    NO_PLACE,
-    POSE,
+    OVERFLOWS,
+    PERIOD,
     REFUSED,
+    STEP,
+    TOO_FAR,
+    TOO_NEAR,
+    TURNED,
+    TURNED_AT,
     Capacity,
-    minds_for,
+    Filter,
+    Settings,
+    Spec,
+    States,
+    Walls,
     spec_of,
+    states_for,
 )
-from limslam_agent.slam.batch.step import begin_some, step_some
+from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.wall_extent import WallExtent
+from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
 from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
 _SLICES = 4
+_NUM_SIDES = len(SIDES)
 
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """What n robots believe.
+    """Estimates for n robots.
 
     Attributes
     ----------
     pose
-        (n, 3), m, m, rad.
+        Estimated poses (n, 3), m, m, rad.
     covariance
         Of the poses (n, 3, 3).
     grid
@@ -51,25 +73,25 @@ class Beliefs:
 
 
 class BatchSlam:
-    """The consistent estimator for many robots that know nothing of each other.
+    """The consistent estimator for many independent robots, each with an occupancy grid.
 
-    What each of them believes is what ``LineSlam`` and ``OccupancyGrid`` believe after the same observations, to 1e-6,
-    as long as there is room for it. Robots are worked off by threads; what comes out does not depend on how many.
+    Each robot's estimates equal those of ``LineSlam`` and ``OccupancyGrid`` after the same observations, to 1e-6, as
+    long as nothing overflows its capacity. Threads share the robots; the result does not depend on their number.
 
     Parameters
     ----------
     robot
         Body and beams of each robot.
     config
-        Settings of every stage; those of the preset ``consistent`` if left out.
+        Settings of every stage; by default those of the preset ``consistent``.
     num_envs
-        How many robots there are, n.
+        Number of robots, n.
     capacity
-        How much there is room for, and what happens when there is none.
+        Sizes of the arrays of each robot.
     num_threads
-        As many as there are processors if left out.
+        By default the number of processors.
     size
-        Side of the grids that are told, in cells; 0 for none.
+        Side of the grids that ``step`` returns, in cells; 0 for none.
 
     Raises
     ------
@@ -89,23 +111,24 @@ class BatchSlam:
         config, threads = config or preset("consistent"), num_threads
         if threads is None:
             threads = os.cpu_count() or 1
-        if config.estimator != "consistent":
-            raise ValueError(f"a batch is estimated by the consistent estimator, not {config.estimator!r}")
-        if config.self_calibration.enabled:
+        if not isinstance(config.estimator, ConsistentConfig):
+            raise ValueError(f"a batch needs the preset consistent, not {config.preset!r}")  # noqa: TRY004 (a setting)
+        if config.estimator.self_calibration.enabled:
             raise ValueError("a batch does not calibrate odometry by itself; LineSlam does")
         for name, value, least in (("num_envs", num_envs, 1), ("num_threads", threads, 1), ("size", size, 0)):
             if value < least:
                 raise ValueError(f"{name} must be {least} or more, not {value}")
         self.robot, self.config, self.num_envs, self.size = robot, config, num_envs, size
         self.capacity = capacity or Capacity()
-        self._spec = spec_of(robot, config)
-        self._minds = minds_for(robot, config, num_envs, self.capacity)
+        self._extents = config.estimator.extents
+        self._spec = spec_of(robot, config, config.estimator)
+        self._states = states_for(robot, config.estimator, num_envs, self.capacity)
         self._pool: ThreadPoolExecutor | None = None
         self._threads = threads
         self.reset(np.zeros((num_envs, POSE)))
 
     def reset(self, start_poses: ArrayLike, mask: ArrayLike | None = None) -> None:
-        """Forget everything and begin at known poses (n, 3), m, m, rad; of a mask (n,), only where it is true.
+        """Start again from known poses (n, 3), m, m, rad, with empty maps; with a mask (n,), only where it is true.
 
         Raises
         ------
@@ -117,24 +140,25 @@ class BatchSlam:
         if starts.shape != (self.num_envs, POSE):
             raise ValueError(f"{self.num_envs} robots need start poses ({self.num_envs}, 3), not {starts.shape}")
         _refuse_if_not_finite(starts, chosen, "start pose")
-        begin_some(self._minds, starts, chosen, self.config.grid.cell)
+        begin_some(self._states, starts, chosen, self.config.grid.cell)
 
     def step(self, ranges: ArrayLike, wheels: ArrayLike, mask: ArrayLike | None = None) -> Beliefs:
-        """Take in an observation of each robot, and say what they believe then.
+        """Update each robot's estimates by one observation, and return them.
 
         Parameters
         ----------
         ranges
-            Readings (n, n_beams), m. Those that are not finite are left out.
+            Readings (n, n_beams), m. Readings that are not finite are not used.
         wheels
             Left and right wheel travel since the last step (n, 2), m.
         mask
-            Which robots (n,) have observed anything; all if left out. Of the others nothing is said: zeros.
+            Which robots (n,) have an observation; by default all. The estimates of the other robots are returned as
+            zeros.
 
         Raises
         ------
         ValueError
-            If something has the wrong shape, or wheel travel is not finite. Then nothing has been taken in.
+            If an argument has the wrong shape, or wheel travel is not finite. Then no state has changed.
         """
         seen, travel, chosen = np.asarray(ranges, dtype=float), np.asarray(wheels, dtype=float), self._chosen(mask)
         beams = len(self.robot.beams)
@@ -149,61 +173,64 @@ class BatchSlam:
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         self._share(
             chosen,
-            lambda some: step_some(self._minds, self._spec, seen, travel, some, poses, covariances, grids),
+            lambda some: step_some(self._states, self._spec, seen, travel, some, poses, covariances, grids),
         )
         return Beliefs(poses, covariances, grids)
 
     def close(self) -> None:
-        """End the threads. May be called again; a later step starts new ones."""
+        """End the threads. A later step starts new ones."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # Threads stay where they are; a copy starts its own when it needs them.
+        # A copy starts its own threads when it needs them.
         return {**vars(self), "_pool": None}
 
     def segments(self, number: int) -> FloatArray:
-        """The walls of one robot's map (k, 4), m, as ``WallMap.segments`` draws them."""
-        settings, (belief, walls) = self.config.clones, (self._minds.filter, self._minds.walls)
+        """The walls of one robot's map (k, 4), m, in the world: those of ``WallMap.segments``."""
+        settings, (belief, walls) = self._extents, (self._states.filter, self._states.walls)
         found = [np.zeros((0, 4))]
         for index in range(belief.counts[number, LINES]):
             low, length, _, readings = walls.table[number, index]
-            if readings < settings.shown_readings:
+            if readings < settings.min_readings:
                 continue
             counts, reached = walls.counted[number, index, :, :length], walls.reached[number, index, :, :length]
             extent = WallExtent.counted(int(low), counts, reached)
             line = belief.x[number, POSE + 2 * index : POSE + 2 * index + 2]
-            pieces = extent.pieces(settings.max_gap, settings.through_tolerance)
-            found.append((belief.anchors[number, index] + at(line, pieces)).reshape(-1, 4))
+            intervals = extent.intervals(settings.max_gap, settings.through_tolerance)
+            found.append((belief.anchors[number, index] + at(line, intervals)).reshape(-1, 4))
         every = np.concatenate(found)
-        return np.asarray(every[lengths(every) >= settings.shown_length])
+        return np.asarray(every[lengths(every) >= settings.min_length])
 
     @property
     def num_landmarks(self) -> IntArray:
-        """How many walls each robot knows (n,), provisional ones included."""
-        return self._minds.filter.counts[:, LINES].copy()
+        """Number of landmarks of each robot (n,), provisional ones included."""
+        return self._states.filter.counts[:, LINES].copy()
 
     @property
     def num_closures(self) -> IntArray:
-        """How often each robot has taken two landmarks for one wall (n,)."""
-        return self._minds.filter.counts[:, CLOSURES].copy()
+        """Number of pairs of landmarks that each robot has merged (n,)."""
+        return self._states.filter.counts[:, CLOSURES].copy()
 
     @property
-    def left_out(self) -> IntArray:
-        """How often there was no room for something in each robot's mind (n,): while 0, it is what a single one is."""
-        return self._minds.filter.counts[:, NO_PLACE].copy()
+    def overflows(self) -> IntArray:
+        """How often each robot's capacity was too small (n,).
+
+        While the number is 0, the robot's estimates equal those of ``LineSlam``.
+        """
+        return self._states.filter.counts[:, OVERFLOWS].copy()
 
     @property
     def refused_readings(self) -> IntArray:
-        """How many readings of each robot were not finite (n,)."""
-        return self._minds.filter.counts[:, REFUSED].copy()
+        """Number of readings of each robot that were not finite (n,)."""
+        return self._states.filter.counts[:, REFUSED].copy()
 
     @property
     def bytes_per_env(self) -> int:
-        """Memory set aside for one robot. What has not been needed yet is not taken from the system."""
-        minds = self._minds
-        return sum(each.nbytes for each in (*minds.filter, *minds.walls, *minds[2:])) // self.num_envs
+        """Memory of one robot's arrays, bytes. The system provides it when it is first used."""
+        states = self._states
+        return sum(each.nbytes for each in (*states.filter, *states.walls, *states[2:])) // self.num_envs
 
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
         if mask is None:
@@ -214,13 +241,13 @@ class BatchSlam:
         return np.flatnonzero(wanted)
 
     def _share(self, chosen: IntArray, work: Callable[[IntArray], Any]) -> None:
-        """Have all robots dealt with, some by each thread."""
+        """Distribute the chosen robots over the threads."""
         if self._threads == 1 or len(chosen) < 2:
             work(chosen)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads)
-        # Some steps take long: threads that are done early find another slice.
+        # Some steps take longer than others: a thread that finishes early takes another slice.
         slices = np.array_split(chosen, min(_SLICES * self._threads, len(chosen)))
         for done in [self._pool.submit(work, some) for some in slices]:
             done.result()
@@ -230,3 +257,92 @@ def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> No
     bad = chosen[~np.isfinite(values[chosen]).all(axis=1)]
     if len(bad):
         raise ValueError(f"the {name} of robot {bad[0]} must be finite, not {values[bad[0]]}")
+
+
+@algebra
+def state_of(states: States, number: int) -> States:
+    """The state of one robot, as views of the arrays."""
+    ekf, walls = states.filter, states.walls
+    return States(
+        Filter(
+            ekf.x[number], ekf.top[number], ekf.rest[number], ekf.anchors[number], ekf.clones[number],
+            ekf.counts[number],
+        ),
+        Walls(walls.table[number], walls.counted[number], walls.reached[number]),
+        states.travel[number], states.pending[number], states.grid[number], states.window[number],
+    )  # fmt: skip
+
+
+@algebra
+def accept(
+    state: States, ranges: FloatArray, wheels: FloatArray, settings: Settings, beams: FloatArray, measured: BoolArray
+) -> None:
+    """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,) are new."""
+    ekf, hits = state.filter, np.zeros(len(ranges), dtype=np.bool_)
+    ekf.counts[STEP] += 1
+    increment, covariance = motion_from_wheels(wheels, settings)
+    predict(ekf, increment, covariance)
+    state.travel[DRIVEN] += math.hypot(increment[0], increment[1])
+    state.travel[TURNED] += abs(increment[2])
+    for beam in range(len(ranges)):
+        is_number = math.isfinite(ranges[beam])
+        ekf.counts[REFUSED] += not is_number
+        measured[beam] = is_number and ekf.counts[STEP] % int(beams[beam, PERIOD]) == 0
+        hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
+    measure(ekf, state.walls, state.travel, state.pending, ranges, measured, hits, settings, beams)
+
+
+@entry
+def step_some(
+    states: States,
+    spec: Spec,
+    ranges: FloatArray,
+    wheels: FloatArray,
+    chosen: IntArray,
+    pose: FloatArray,
+    covariance: FloatArray,
+    grids: CropArray,
+) -> None:
+    """Update the chosen robots by one observation each, and fill their rows of the estimates."""
+    # The compiler processes a function and all below it again for each function above it, so there are few levels.
+    stamps, settings = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32), spec.settings[0]
+    measured = np.zeros(ranges.shape[1], dtype=np.bool_)
+    for stamp in range(len(chosen)):
+        number = chosen[stamp]
+        state = state_of(states, number)
+        ekf, travel = state.filter, state.travel
+        accept(state, ranges[number], wheels[number], settings, spec.beams, measured)
+        for side in range(_NUM_SIDES):
+            is_over = has_ended(ekf.counts, travel, side, settings.wall_end)
+            if ekf.counts[FRESH + side] >= settings.batch or is_over:
+                process(ekf, state.walls, state.pending, side, travel[DRIVEN], settings, spec.beams, is_over)
+        pose[number] = ekf.x[:POSE]
+        covariance[number] = ekf.top[:, :POSE]
+        update(
+            pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, stamp + 1
+        )  # fmt: skip
+        if grids.shape[3]:
+            crop(pose[number], state.grid, state.window, settings.cell, grids[number, 0])
+
+
+@algebra
+def begin(state: States, start: FloatArray, cell: float) -> None:
+    """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
+    ekf = state.filter
+    ekf.counts[:] = 0
+    ekf.counts[STEP] = -1
+    ekf.x[:POSE] = start
+    ekf.top[:, :POSE] = 0.0
+    state.travel[:] = 0.0
+    state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
+    state.grid[:] = 0
+    half = state.grid.shape[0] // 2
+    state.window[0] = math.floor(start[1] / cell) - half
+    state.window[1] = math.floor(start[0] / cell) - half
+
+
+@entry
+def begin_some(states: States, starts: FloatArray, chosen: IntArray, cell: float) -> None:
+    """Reset the chosen robots to known poses (n, 3)."""
+    for number in chosen:
+        begin(state_of(states, number), starts[number], cell)

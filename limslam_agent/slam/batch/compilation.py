@@ -1,39 +1,15 @@
-"""How the kernels of the batch are compiled; in here numba is imported, and nowhere else in the agent."""
+"""How the kernels of the batch are compiled: the decorators of ``limslam_env.compilation``, for these sources."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import TypeVar, cast
+from limslam_env.compilation import algebra, compiled, entry_of
 
-from numba import njit
+__all__ = ["algebra", "compiled", "entry"]
 
-Kernel = TypeVar("Kernel", bound=Callable[..., object])
-
-
-def _stamp() -> tuple[float, int]:
-    """When the last of the kernels' files was changed, and how long they are together."""
-    files = [path.stat() for path in Path(__file__).parent.glob("*.py")]
-    return max(each.st_mtime for each in files), sum(each.st_size for each in files)
-
-
-_STAMP = _stamp()
-
-
-def compiled(kernel: Kernel) -> Kernel:
-    """Compile what other kernels call, when they are."""
-    return cast(Kernel, njit(nogil=True, error_model="numpy")(kernel))
-
-
-def algebra(kernel: Kernel) -> Kernel:
-    """The same for sums of products, in which a product and a sum may be rounded once."""
-    return cast(Kernel, njit(nogil=True, error_model="numpy", fastmath={"contract"})(kernel))
-
-
-def entry(kernel: Kernel) -> Kernel:
-    """Compile what Python calls when it first does, with all that it calls, keep it on disk, and run without a lock."""
-    done = njit(cache=True, nogil=True, error_model="numpy")(kernel)
-    # What numba keeps on disk is used until the file of that kernel changes. It holds the code of all that is called,
-    # too, so it has to go when any of their files changes. numba has no public way to say so.
-    file = getattr(getattr(done, "_cache", None), "_cache_file", None)
-    if file is not None:
-        file._source_stamp = _STAMP  # noqa: SLF001
-    return cast(Kernel, done)
+entry = entry_of(
+    "limslam_env.interface",
+    "limslam_agent.config",
+    "limslam_agent.slam.core",
+    "limslam_agent.grid",
+    "limslam_agent.slam.consistent",
+    "limslam_agent.slam.batch",
+)
+"""The decorator for kernels of the batch that Python calls."""

@@ -1,37 +1,216 @@
-"""Which wall a piece is, and what follows from it: the association of `consistent` once more, for kernels."""
+"""The consistent estimator after the prediction: compiled counterpart of ``consistent.consistent``."""
 
 import math
 
 import numpy as np
 
-from limslam_agent.slam.batch.algebra import sort_with, wrapped
-from limslam_agent.slam.batch.clone_ekf import add_line, clones_from, correct, gather_rows, keep, size_of
-from limslam_agent.slam.batch.compilation import algebra
-from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
+from limslam_agent.slam.batch.algebra import sort_with, squared_distance
+from limslam_agent.slam.batch.beam_model import hit_points
+from limslam_agent.slam.batch.clone_ekf import (
+    add_line,
+    clone,
+    clones_from,
+    difference,
+    disagreement,
+    keep_clones,
+    merge,
+    observe,
+)
+from limslam_agent.slam.batch.compilation import algebra, compiled
+from limslam_agent.slam.batch.hough import extract_lines
+from limslam_agent.slam.batch.pending_readings import collect, is_due, place_of, readings_of
+from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA, wall_segments
 from limslam_agent.slam.batch.state import (
+    CLONE,
+    CLONES,
     CLOSURES,
-    GROUPS,
+    DRIVEN_THEN,
+    FRESH,
     LINES,
-    NO_PLACE,
-    POSE,
-    READINGS,
+    OVERFLOWS,
+    PENDING,
     Filter,
     Settings,
     Walls,
 )
-from limslam_agent.slam.batch.update import block_of, disagreement, end_points, observe
-from limslam_agent.slam.batch.wall_map import absorb, along_all, along_of, ends_of, forget_wall, hit, remove_wall
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_agent.slam.batch.wall_extent import ends_of
+from limslam_agent.slam.batch.wall_map import add, along_line, along_point, clear_along_beams, grow
+from limslam_agent.slam.batch.wall_map import merge as merge_walls
+from limslam_agent.slam.consistent.consistent import BESIDE_CORNER, SHORTEST, STRAIGHTNESS
+from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES
+from limslam_agent.slam.consistent.segmentation import FEWEST
+from limslam_agent.slam.core.ekf import POSE
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-_STRAIGHTNESS = (1e-3**2, 1e-4**2)
-_EXACT = (1e-4**2, 1e-5**2)
+_NUM_SIDES = len(SIDES)
+
+
+@algebra
+def measure(
+    ekf: Filter, walls: Walls, travel: FloatArray, pending: FloatArray, ranges: FloatArray, measured: BoolArray,
+    hits: BoolArray, settings: Settings, beams: FloatArray,
+) -> None:  # fmt: skip
+    """Count what new beams have passed through, and collect the new hits if they are due."""
+    clear_along_beams(ekf, walls, ranges, measured, settings, beams)
+    if is_due(travel, hits, settings, beams):
+        if ekf.counts[CLONES] == len(ekf.clones):
+            ekf.counts[OVERFLOWS] += 1
+            prune(ekf, pending, len(ekf.clones) - 1)
+        collect(ekf.counts, travel, pending, ranges, hits, beams, clone(ekf))
+
+
+@algebra
+def process(
+    ekf: Filter, walls: Walls, pending_all: FloatArray, side: int, driven: float, settings: Settings, beams: FloatArray,
+    has_ended: bool,
+) -> None:  # fmt: skip
+    """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""
+    ekf.counts[FRESH + side] = 0
+    count, pending = ekf.counts[PENDING + side], pending_all[side]
+    places, readings = readings_of(pending[:count], ekf.clones[: ekf.counts[CLONES]], beams)
+    points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
+    owner, most = np.empty(count, dtype=np.int64), count // max(settings.min_votes, 1) + 1
+    lines, ends, consumed = np.empty((most, 2)), np.empty((most, 2, 2)), np.zeros(count, dtype=np.bool_)
+    max_gap = settings.gap_ahead if side == AHEAD else settings.segment_gap
+    number = extract_lines(points, max_gap, settings, owner, lines, ends)
+    for index in range(number):
+        members = uncontested(points, owner, lines, ends, number, index, settings.near_corner)
+        if not len(members):
+            continue
+        # The lines before this one have updated the filter, so the end points are computed anew.
+        now = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
+        segments, own = wall_segments(ekf, places, readings, now, members, lines[index], settings)
+        for k in range(len(own)):
+            these = own[k]
+            latest = pending[these, DRIVEN_THEN].max()
+            is_complete = has_ended or driven - latest > settings.passed
+            consumed[these] = incorporate(
+                ekf, walls, places[these], readings[these], now[these], segments[k], settings, is_complete
+            )  # fmt: skip
+    oldest, size = np.inf if has_ended else driven - settings.max_age, 0
+    for i in range(count):
+        if not consumed[i] and pending[i, DRIVEN_THEN] >= oldest:
+            pending[size] = pending[i]
+            size += 1
+    ekf.counts[PENDING + side] = size
+    prune(ekf, pending_all, settings.max_clones)
+
+
+@algebra
+def prune(ekf: Filter, pending: FloatArray, most: int) -> None:
+    """Marginalise clones without pending readings, and the oldest clones if there are more than ``most``."""
+    number = ekf.counts[CLONES]
+    clones = ekf.clones[:number]
+    wanted, count = np.zeros(number, dtype=np.bool_), 0
+    for side in range(_NUM_SIDES):
+        for i in range(ekf.counts[PENDING + side]):
+            wanted[place_of(clones, pending[side, i, CLONE])] = True
+    for place in range(number - 1, -1, -1):
+        if wanted[place] and count == most:
+            wanted[place] = False
+        count += wanted[place]
+    for side in range(_NUM_SIDES):
+        size = 0
+        for i in range(ekf.counts[PENDING + side]):
+            if wanted[place_of(clones, pending[side, i, CLONE])]:
+                pending[side, size] = pending[side, i]
+                size += 1
+        ekf.counts[PENDING + side] = size
+    keep_clones(ekf, wanted)
+
+
+@compiled
+def uncontested(
+    points: FloatArray, owner: IntArray, lines: FloatArray, ends: FloatArray, size: int, index: int, most: float
+) -> IntArray:
+    """Indices (n,) of a line's points without those near a corner that could also belong to another line."""
+    chosen, count = np.empty(len(points), dtype=np.int64), 0
+    for i in range(len(points)):
+        is_own = owner[i] == index
+        for other in range(size):
+            if not is_own or other == index:
+                continue
+            cos, sin = math.cos(lines[other, 1]), math.sin(lines[other, 1])
+            first = -sin * ends[other, 0, 0] + cos * ends[other, 0, 1]
+            last = -sin * ends[other, 1, 0] + cos * ends[other, 1, 1]
+            along = -sin * points[i, 0] + cos * points[i, 1]
+            is_beside = min(first, last) - BESIDE_CORNER < along < max(first, last) + BESIDE_CORNER
+            off = abs(points[i, 0] * cos + points[i, 1] * sin - lines[other, 0])
+            is_own = not (is_beside and off < most)
+        if is_own:
+            chosen[count] = i
+            count += 1
+    return chosen[:count] if count >= FEWEST else chosen[:0]
+
+
+@algebra
+def incorporate(
+    ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, points: FloatArray, segment: FloatArray,
+    settings: Settings,
+    is_complete: bool,
+) -> bool:  # fmt: skip
+    """Associate a wall segment with a known landmark, or add a new one; whether the readings are consumed."""
+    room = len(ekf.anchors)
+    scores, rows, details = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
+    number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, details)
+    while number > 1 and scores[1] <= settings.gate:
+        if not closes_loop(ekf, walls, rows[0], rows[1], settings):
+            break
+        number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, details)
+    best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
+    if second <= settings.gate and second - best < settings.ambiguity:
+        return True
+    if best <= settings.gate:
+        index = rows[0]
+        if not fits(ekf, walls, index, points, segment, settings, best, details[index, 0], details[index, 1]):
+            return False
+        update(ekf, walls, places, readings, index, settings, settings.iterations)
+        return True
+    least = settings.new_length_complete if is_complete else settings.new_length
+    is_enough = len(points) >= settings.new_readings * settings.std
+    is_sure = is_enough and segment[ANGLE_STD] <= settings.max_angle_std
+    if best < settings.far_gate or segment[EXTENT] < least or not is_sure:
+        return False
+    if ekf.counts[LINES] == room:
+        ekf.counts[OVERFLOWS] += 1
+        return False
+    index = add_line(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y])
+    add(walls, index)
+    update(ekf, walls, places, readings, index, settings, settings.first_iterations)
+    return True
+
+
+@algebra
+def candidates(
+    ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, points: FloatArray, segment: FloatArray,
+    settings: Settings,
+    scores: FloatArray, rows: IntArray, details: FloatArray,
+) -> int:  # fmt: skip
+    """Number of landmarks that a wall segment may show.
+
+    Fills their scores and indices ``rows``, best first, and by index what is left over and how many readings were used.
+    """
+    loose, size = 2.0 * math.atan2(2.0 * settings.std, max(segment[EXTENT], SHORTEST)), 0
+    x, y, limit = segment[MIDDLE_X], segment[MIDDLE_Y], settings.max_angle + loose
+    for index in range(ekf.counts[LINES]):
+        if not is_near(ekf.x, ekf.anchors, index, segment[THETA], x, y, limit, settings.max_offset):
+            continue
+        along, (low, high) = along_line(ekf, index, points), ends_of(walls, index)
+        if max(along.min() - high, low - along.max()) > settings.max_end_gap:
+            continue
+        of_line, left, used = disagreement(ekf, places, readings, index, settings.std)
+        if used:
+            scores[size], rows[size], details[index, 0], details[index, 1] = of_line, index, left, used
+            size += 1
+    sort_with(scores, rows, size)
+    return size
 
 
 @algebra
 def is_near(
     state: FloatArray, anchors: FloatArray, index: int, theta: float, x: float, y: float, angle: float, offset: float
 ) -> bool:
-    """Whether a landmark's direction differs by less than ``angle`` (rad), and it passes a point within ``offset``."""
+    """Whether a landmark's direction differs by less than ``angle``, rad, and it passes a point within an offset, m."""
     d, own = state[POSE + 2 * index], state[POSE + 2 * index + 1]
     turn = abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
     off = (x - anchors[index, 0]) * math.cos(own) + (y - anchors[index, 1]) * math.sin(own) - d
@@ -39,105 +218,42 @@ def is_near(
 
 
 @algebra
-def candidates(
-    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray,
-    settings: Settings,
-    scores: FloatArray, rows: IntArray, told: FloatArray,
-) -> int:  # fmt: skip
-    """How many landmarks a piece may be of: scores and indices, best first; by index, what is left and who tells."""
-    loose, size = 2.0 * math.atan2(2.0 * settings.std, max(piece[EXTENT], 0.1)), 0
-    x, y, limit = piece[MIDDLE_X], piece[MIDDLE_Y], settings.max_angle + loose
-    for index in range(mind.counts[LINES]):
-        if not is_near(mind.x, mind.anchors, index, piece[THETA], x, y, limit, settings.max_offset):
-            continue
-        along, (low, high) = along_all(mind, index, points), ends_of(walls, index)
-        if max(along.min() - high, low - along.max()) > settings.max_end_gap:
-            continue
-        of_line, left, used = disagreement(mind, places, reads, index, settings.std)
-        if used:
-            scores[size], rows[size], told[index, 0], told[index, 1] = of_line, index, left, used
-            size += 1
-    sort_with(scores, rows, size)
-    return size
-
-
-@algebra
-def incorporate(
-    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, points: FloatArray, piece: FloatArray,
-    settings: Settings,
-    is_complete: bool,
-) -> bool:  # fmt: skip
-    """Take a piece of wall for a landmark that is known, or for a new one; whether it has been dealt with."""
-    room = len(mind.anchors)
-    scores, rows, told = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
-    number = candidates(mind, walls, places, reads, points, piece, settings, scores, rows, told)
-    while number > 1 and scores[1] <= settings.gate:
-        if not closes_loop(mind, walls, rows[0], rows[1], settings):
-            break
-        number = candidates(mind, walls, places, reads, points, piece, settings, scores, rows, told)
-    best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
-    if second <= settings.gate and second - best < settings.ambiguity:
-        return True
-    if best <= settings.gate:
-        index = rows[0]
-        if not fits(mind, walls, index, points, piece, settings, best, told[index, 0], told[index, 1]):
-            return False
-        update(mind, walls, places, reads, index, settings, settings.iterations)
-        return True
-    least = settings.new_length_complete if is_complete else settings.new_length
-    is_enough = len(points) >= settings.new_readings * settings.std
-    is_sure = is_enough and piece[ANGLE_STD] <= settings.max_angle_std
-    if best < settings.far_gate or piece[EXTENT] < least or not is_sure:
-        return False
-    if mind.counts[LINES] == room:
-        mind.counts[NO_PLACE] += 1
-        return False
-    index = add_line(mind, piece[THETA], piece[MIDDLE_X], piece[MIDDLE_Y])
-    forget_wall(walls, index)
-    update(mind, walls, places, reads, index, settings, settings.first_iterations)
-    return True
-
-
-@algebra
 def fits(
-    mind: Filter, walls: Walls, index: int, points: FloatArray, piece: FloatArray, settings: Settings,
+    ekf: Filter, walls: Walls, index: int, points: FloatArray, segment: FloatArray, settings: Settings,
     of_line: float, left: float, used: float,
 ) -> bool:  # fmt: skip
-    """Whether a piece of a known landmark is good enough to correct by."""
+    """Whether a wall segment of a known landmark is good enough to update by."""
     free = max(used - 2.0, 1.0)
-    if left > free + settings.left_sigmas * math.sqrt(2.0 * free) + 2.0 or piece[EXTENT] < settings.min_length:
+    if left > free + settings.left_sigmas * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < settings.min_length:
         return False
     (low, high), inside = ends_of(walls, index), 0
-    for along in along_all(mind, index, points):
+    for along in along_line(ekf, index, points):
         inside += low - settings.end_slack < along < high + settings.end_slack
     is_clear = (
-        piece[EXTENT] >= settings.beyond_length
+        segment[EXTENT] >= settings.beyond_length
         and of_line <= settings.beyond_gate
-        and piece[ANGLE_STD] <= settings.beyond_angle_std
+        and segment[ANGLE_STD] <= settings.beyond_angle_std
     )
     return inside / len(points) >= 0.5 or is_clear
 
 
 @algebra
 def update(
-    mind: Filter, walls: Walls, places: IntArray, reads: FloatArray, index: int, settings: Settings, iterations: int
+    ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, index: int, settings: Settings, iterations: int
 ) -> None:
-    """Correct the filter by readings of a wall, let the wall grow, and look for others that are the same."""
-    observe(mind, places, reads, index, settings.std, iterations, settings.huber)
-    points = end_points(mind.x, clones_from(mind), places, reads, reads[:, 3])
-    for along in along_all(mind, index, points):
-        hit(walls, mind.counts, index, along)
-    walls.table[index, GROUPS] += 1
-    walls.table[index, READINGS] += len(places)
+    """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
+    observe(ekf, places, readings, index, settings.std, iterations, settings.huber)
+    points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
+    grow(ekf, walls, index, points)
     found = True
     while found:
         found, most = False, 2.0 * settings.max_offset
-        theta, x, y = mind.x[POSE + 2 * index + 1], mind.anchors[index, 0], mind.anchors[index, 1]
-        for other in range(mind.counts[LINES]):
-            if other == index or not is_near(mind.x, mind.anchors, other, theta, x, y, settings.max_angle, most):
+        theta, x, y = ekf.x[POSE + 2 * index + 1], ekf.anchors[index, 0], ekf.anchors[index, 1]
+        for other in range(ekf.counts[LINES]):
+            if other == index or not is_near(ekf.x, ekf.anchors, other, theta, x, y, settings.max_angle, most):
                 continue
-            if closes_loop(mind, walls, other, index, settings):
-                # The younger is no more; if that is this one, there is nothing left to look at.
+            if closes_loop(ekf, walls, other, index, settings):
+                # The younger landmark is removed. If that is this one, there is nothing left to compare.
                 if other < index:
                     return
                 found = True
@@ -145,82 +261,42 @@ def update(
 
 
 @algebra
-def closes_loop(mind: Filter, walls: Walls, first: int, second: int, settings: Settings) -> bool:
-    """Whether two landmarks are one wall; then they are made one, and the younger is no more."""
-    older, younger = min(first, second), max(first, second)
+def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[float, float]:
+    """Length, m, that two landmarks share along the older one, and the distance, m, of the younger's middle from it."""
     a, b = POSE + 2 * older, POSE + 2 * younger
     low, high = ends_of(walls, younger)
-    nx, ny = math.cos(mind.x[b + 1]), math.sin(mind.x[b + 1])
-    foot_x, foot_y = mind.anchors[younger, 0] + mind.x[b] * nx, mind.anchors[younger, 1] + mind.x[b] * ny
-    one = along_of(mind, older, foot_x - low * ny, foot_y + low * nx)
-    two = along_of(mind, older, foot_x - high * ny, foot_y + high * nx)
+    nx, ny = math.cos(ekf.x[b + 1]), math.sin(ekf.x[b + 1])
+    foot_x, foot_y = ekf.anchors[younger, 0] + ekf.x[b] * nx, ekf.anchors[younger, 1] + ekf.x[b] * ny
+    one = along_point(ekf, older, foot_x - low * ny, foot_y + low * nx)
+    two = along_point(ekf, older, foot_x - high * ny, foot_y + high * nx)
     least, most = ends_of(walls, older)
     overlap = min(max(one, two), most) - max(min(one, two), least)
-    if not settings.closes_loops or overlap < settings.min_overlap:
-        return False
-    between_x = mind.anchors[younger, 0] - mind.anchors[older, 0]
-    between_y = mind.anchors[younger, 1] - mind.anchors[older, 1]
-    cos, sin = math.cos(mind.x[a + 1]), math.sin(mind.x[a + 1])
+    cos, sin = math.cos(ekf.x[a + 1]), math.sin(ekf.x[a + 1])
     middle = 0.5 * (low + high)
     offset = abs(
-        (foot_x - middle * ny - mind.anchors[older, 0]) * cos + (foot_y + middle * nx - mind.anchors[older, 1]) * sin
-        - mind.x[a]
+        (foot_x - middle * ny - ekf.anchors[older, 0]) * cos + (foot_y + middle * nx - ekf.anchors[older, 1]) * sin
+        - ekf.x[a]
     )  # fmt: skip
-    turned = math.cos(mind.x[a + 1] - mind.x[b + 1]) < 0.0
-    sign = -1.0 if turned else 1.0
-    off = np.array([
-        sign * (mind.x[a] - between_x * cos - between_y * sin) - mind.x[b],
-        wrapped(mind.x[a + 1] - mind.x[b + 1] + (math.pi if turned else 0.0)),
-    ])  # fmt: skip
-    H = np.array([[sign, sign * (between_x * sin - between_y * cos), -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
-    columns = np.array([a, a + 1, b, b + 1])
-    S = H @ block_of(mind.top, mind.rest, columns) @ H.T
-    squared = quadratic(S, off, _STRAIGHTNESS)
+    return overlap, offset
+
+
+@algebra
+def closes_loop(ekf: Filter, walls: Walls, first: int, second: int, settings: Settings) -> bool:
+    """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
+    older, younger = min(first, second), max(first, second)
+    overlap, offset = separation(ekf, walls, older, younger)
+    if not settings.closes_loops or overlap < settings.min_overlap:
+        return False
+    off, jacobian, columns, covariance = difference(ekf, older, younger)
+    squared = squared_distance(covariance, off, STRAIGHTNESS)
     if squared > settings.one_wall_gate or abs(off[1]) > settings.max_angle or offset > settings.max_offset:
         return False
-    origin_x, origin_y = mind.anchors[younger, 0], mind.anchors[younger, 1]
-    equate(mind, H, columns, S, off)
-    factor = 1.0 if -ny * -math.sin(mind.x[a + 1]) + nx * math.cos(mind.x[a + 1]) > 0.0 else -1.0
-    absorb(walls, mind.counts, older, younger, factor, along_of(mind, older, origin_x, origin_y))
-    remove_wall(walls, younger, mind.counts[LINES])
-    remove_line(mind, younger)
-    mind.counts[CLOSURES] += 1
+    theta = ekf.x[POSE + 2 * younger + 1]
+    nx, ny = math.cos(theta), math.sin(theta)
+    origin_x, origin_y = ekf.anchors[younger, 0], ekf.anchors[younger, 1]
+    merge(ekf, younger, jacobian, columns, covariance, off)
+    theta = ekf.x[POSE + 2 * older + 1]
+    factor = 1.0 if -ny * -math.sin(theta) + nx * math.cos(theta) > 0.0 else -1.0
+    merge_walls(ekf, walls, older, younger, factor, along_point(ekf, older, origin_x, origin_y))
+    ekf.counts[CLOSURES] += 1
     return True
-
-
-@algebra
-def quadratic(S: FloatArray, off: FloatArray, more: tuple[float, float]) -> float:
-    """The square of an offset (2,) by its covariance and some more."""
-    a, b, c = S[0, 0] + more[0], 0.5 * (S[0, 1] + S[1, 0]), S[1, 1] + more[1]
-    return (c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b)
-
-
-@algebra
-def equate(mind: Filter, H: FloatArray, columns: IntArray, S: FloatArray, off: FloatArray) -> None:
-    """Correct two lines, and the whole state, by their being equal."""
-    size = size_of(mind)
-    HP, change = H @ gather_rows(mind.top, mind.rest, columns, size), np.empty(size)
-    # With S = L L^T and W = L^-1 H P, the gain's correction is W^T L^-1 y.
-    first = math.sqrt(S[0, 0] + _EXACT[0])
-    beside = S[1, 0] / first
-    second = math.sqrt(S[1, 1] + _EXACT[1] - beside * beside)
-    y = -off[0] / first
-    z = (-off[1] - beside * y) / second
-    for j in range(size):
-        HP[0, j] /= first
-        HP[1, j] = (HP[1, j] - beside * HP[0, j]) / second
-        change[j] = y * HP[0, j] + z * HP[1, j]
-    correct(mind, np.zeros((size, POSE)), HP, 2, change)
-
-
-@algebra
-def remove_line(mind: Filter, index: int) -> None:
-    """Let go of a line."""
-    size, row = size_of(mind), POSE + 2 * index
-    kept = np.empty(size - 2, dtype=np.int64)
-    for new in range(size - 2):
-        kept[new] = new if new < row else new + 2
-    keep(mind, kept, size - 2)
-    for place in range(index, mind.counts[LINES] - 1):
-        mind.anchors[place] = mind.anchors[place + 1]
-    mind.counts[LINES] -= 1

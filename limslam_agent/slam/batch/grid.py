@@ -1,7 +1,9 @@
-"""The occupancy grid of one robot, in a window that goes along: `occupancy` and the wrapper's crop, for kernels.
+"""Occupancy grids of robots: compiled counterpart of ``limslam_agent.grid.occupancy``.
 
-The cell (row, column) of the world, counted from its origin, is kept at those numbers modulo the side of the window.
-When something is seen outside of the window, it is moved there, and the cells that it leaves are forgotten.
+:func:`touched_cells` and :func:`change_cells` are shared with the training of exploration policies. The batch keeps
+each robot's grid in a window that moves along: the cell (row, column) of the world, counted from its origin, is stored
+at these numbers modulo the side of the window. When something is seen outside of the window, the window is moved, and
+the cells that leave it are forgotten.
 """
 
 import math
@@ -10,62 +12,116 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.grid.occupancy import BODY
 from limslam_agent.slam.batch.compilation import compiled
 from limslam_agent.slam.batch.state import FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y, Settings
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
-GridArray: TypeAlias = NDArray[np.int16]
-MarkArray: TypeAlias = NDArray[np.uint8]
+GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
+CropArray: TypeAlias = NDArray[np.uint8]
+StampArray: TypeAlias = NDArray[np.int32]
 
 FREE, OCCUPIED = 127, 255
-_CROSSED, _ENDED = 1, 2
-_AROUND = 8
-_BODY = 0.7  # share of the robot's radius
+SKIPPED, CROSSED, ENDED = 0, 1, 2
+"""What happened in a touched cell: nothing that counts, a beam or the body crossed it, or a beam ended in it."""
 
 
 @compiled
-def touched(
-    pose: FloatArray, ranges: FloatArray, measured: BoolArray, settings: Settings, beams: FloatArray
-) -> IntArray:
-    """The cells (n, 3) that beams and body touch: row, column, and whether a beam crossed or ended."""
+def touched_cells(
+    pose: FloatArray, ranges: FloatArray | ReadingArray, measured: BoolArray, beams: FloatArray, radius: float,
+    cell: float,
+) -> IntArray:  # fmt: skip
+    """The cells of the world that the beams and the body of a robot touch.
+
+    Parameters
+    ----------
+    pose
+        (3,), m, m, rad.
+    ranges, measured
+        Readings (b,), m, and which of them are new.
+    beams
+        (b, 6 or more): origin x, y (m), direction x, y, and the ranges (m) up to and from which nothing is measured.
+    radius, cell
+        Of the body, and side of a cell, m.
+
+    Returns
+    -------
+    cells
+        (n, 3): row and column, counted from the world's origin, and ``CROSSED`` or ``ENDED``. Cells may repeat, and
+        those in which a beam ended come first.
+    """
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    spacing, most = 0.5 * settings.cell, _AROUND + 1
+    spacing, most = 0.5 * cell, len(BODY)
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            most += math.floor(ranges[beam] / spacing) + 1
-    places, kinds, size = np.empty((most, 2)), np.full(most, _CROSSED), 0
+            most += math.floor(float(ranges[beam]) / spacing) + 1
+    cells, size = np.empty((most, 3), dtype=np.int64), 0
     for beam in range(len(ranges)):
-        length = ranges[beam]
+        length = float(ranges[beam])
+        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
+        if measured[beam] and beams[beam, TOO_NEAR] < length < beams[beam, TOO_FAR]:
+            px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
+            cells[size, 0] = math.floor((px * sin + py * cos + y) / cell)
+            cells[size, 1] = math.floor((px * cos - py * sin + x) / cell)
+            cells[size, 2] = ENDED
+            size += 1
+    for beam in range(len(ranges)):
+        length = float(ranges[beam])
         if not (measured[beam] and length > beams[beam, TOO_NEAR]):
             continue
-        count = math.floor(length / spacing)
-        ended = length < beams[beam, TOO_FAR]
-        for i in range(count + ended):
-            along = i * spacing if i < count else length
-            px = beams[beam, FROM_X] + along * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + along * beams[beam, TOWARDS_Y]
-            places[size, 0], places[size, 1] = px * cos - py * sin + x, px * sin + py * cos + y
+        first = size
+        for i in range(math.floor(length / spacing)):
+            px = beams[beam, FROM_X] + i * spacing * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + i * spacing * beams[beam, TOWARDS_Y]
+            row = math.floor((px * sin + py * cos + y) / cell)
+            column = math.floor((px * cos - py * sin + x) / cell)
+            # Samples are half a cell apart, so that many lie in the same cell as the one before.
+            if size > first and row == cells[size - 1, 0] and column == cells[size - 1, 1]:
+                continue
+            cells[size, 0], cells[size, 1], cells[size, 2] = row, column, CROSSED
             size += 1
-        if ended:
-            kinds[size - 1] = _ENDED
-    places[size, 0], places[size, 1] = x, y
-    for k in range(_AROUND):
+    for k in range(len(BODY)):
+        cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)
+        cells[size, 1] = math.floor((x + radius * BODY[k, 0]) / cell)
+        cells[size, 2] = CROSSED
         size += 1
-        places[size, 0] = x + settings.radius * (_BODY * math.cos(k * (np.pi / 4)))
-        places[size, 1] = y + settings.radius * (_BODY * math.sin(k * (np.pi / 4)))
-    cells = np.empty((size + 1, 3), dtype=np.int64)
-    for i in range(size + 1):
-        cells[i, 0] = math.floor(places[i, 1] / settings.cell)
-        cells[i, 1] = math.floor(places[i, 0] / settings.cell)
-        cells[i, 2] = kinds[i]
-    return cells
+    return cells[:size]
+
+
+@compiled
+def change_cells(
+    values: GridArray, cells: IntArray, stamps: StampArray, stamp: int, seen_through: int, hit: int, limit: int
+) -> None:
+    """Change the values of touched cells, each of them once, however many beams touch it.
+
+    Parameters
+    ----------
+    values
+        (rows, columns), changed: positive is free, negative is occupied, 0 is unknown.
+    cells
+        (n, 3): row and column in ``values``, and what happened there. Of a cell that repeats, the first row counts.
+    stamps, stamp
+        Scratch (rows, columns), and a number that it does not contain yet.
+    seen_through, hit, limit
+        What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value.
+    """
+    for i in range(len(cells)):
+        row, column = cells[i, 0], cells[i, 1]
+        if cells[i, 2] == SKIPPED or stamps[row, column] == stamp:
+            continue
+        stamps[row, column] = stamp
+        amount = -hit if cells[i, 2] == ENDED else seen_through
+        value = min(max(values[row, column] + amount, -limit), limit)
+        # The value 0 is reserved for unknown cells.
+        values[row, column] = value or (1 if amount > 0 else -1)
 
 
 @compiled
 def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> None:
-    """Move the window along an axis, no farther than it must, to hold the cells from ``low`` to ``high``.
+    """Move the window along an axis, no farther than necessary, to hold the cells from ``low`` to ``high``.
 
-    If both do not fit, the lower ones do.
+    If not all of them fit, the lower ones do.
     """
     side, first = grid.shape[0], window[axis]
     new = low if low < first else high - side + 1
@@ -78,41 +134,38 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 
 
 @compiled
-def see(
+def update(
     pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: Settings,
-    beams: FloatArray, marks: MarkArray,
+    beams: FloatArray, stamps: StampArray, stamp: int,
 ) -> None:  # fmt: skip
-    """Take in one step's readings (b,), m, of which some are new. ``marks`` (cells, cells) are zero, and stay so."""
-    cells, side = touched(pose, ranges, measured, settings, beams), grid.shape[0]
+    """Update a grid by one step's readings (b,), m, of which those ``measured`` (b,) are new.
+
+    ``stamps`` (cells, cells) is scratch, and ``stamp`` a number that it does not contain yet.
+    """
+    cells, side = touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell), grid.shape[0]
     for axis in range(2):
         low, high = cells[:, axis].min(), cells[:, axis].max()
         if low < window[axis] or high >= window[axis] + side:
             shift(grid, window, axis, low, high)
     top, right = window[0] + side, window[1] + side
     for i in range(len(cells)):
-        # What does not even fit into a window that has been moved is left out.
+        # A cell that does not fit into the window, even after it has been moved, is skipped.
         if not (window[0] <= cells[i, 0] < top and window[1] <= cells[i, 1] < right):
-            cells[i, 2] = 0
-        row, column = cells[i, 0] % side, cells[i, 1] % side
-        marks[row, column] = max(marks[row, column], cells[i, 2])
-    for i in range(len(cells)):
-        row, column = cells[i, 0] % side, cells[i, 1] % side
-        if not (cells[i, 2] and marks[row, column]):
-            continue
-        # Each cell counts once a step, however many beams touch it; where one ended, it is a wall.
-        amount = -settings.hit if marks[row, column] == _ENDED else settings.seen_through
-        marks[row, column] = 0
-        value = min(max(grid[row, column] + amount, -settings.limit), settings.limit)
-        # 0 is kept for cells about which nothing is known.
-        grid[row, column] = value or (1 if amount > 0 else -1)
+            cells[i, 2] = SKIPPED
+        cells[i, 0] %= side
+        cells[i, 1] %= side
+    change_cells(grid, cells, stamps, stamp, settings.seen_through, settings.hit, settings.limit)
 
 
 @compiled
-def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: MarkArray) -> None:
-    """The grid around the robot (size, size), which is in the middle and looks up: unknown, free or occupied."""
+def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: CropArray) -> None:
+    """Fill ``out`` (size, size) with the grid around the robot, which is in the middle and looks up.
+
+    Cells are 0 where unknown, ``FREE``, or ``OCCUPIED``.
+    """
     size, side, low, left_most = out.shape[0], grid.shape[0], window[0], window[1]
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    # Rows and columns of the window, and where they are kept.
+    # Where the window's first row and column are stored.
     low_at, left_at = low % side, left_most % side
     for i in range(size):
         ahead = (0.5 * (size - 1) - i) * cell

@@ -1,32 +1,137 @@
-"""Which readings of a line lie on one straight wall: `straight` once more, for kernels."""
+"""Segmentation of readings into straight wall segments: compiled counterpart of ``consistent.segmentation``.
+
+A wall segment is a row of numbers, whose columns are named here.
+"""
 
 import math
 
 import numpy as np
 
-from limslam_agent.slam.batch.algebra import dot, factorise, leave_beside, orthonormalise, quantile, whiten
-from limslam_agent.slam.batch.clone_ekf import clones_from
+from limslam_agent.slam.batch.algebra import block_of, dot, factorise, leave_beside, orthonormalise, quantile, whiten
+from limslam_agent.slam.batch.beam_model import expected_ranges, hit_points
+from limslam_agent.slam.batch.clone_ekf import clones_from, covariance_of, involved
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.batch.state import Filter, Settings
-from limslam_agent.slam.batch.update import GRAZING, block_of, columns_of, covariance_of, end_points, expect
+from limslam_agent.slam.consistent.beam_model import GRAZING
+from limslam_agent.slam.consistent.segmentation import (
+    AROUND_KINK,
+    DEEPEST,
+    FEWEST,
+    FEWEST_FOR_SHAPE,
+    KINKS_AT,
+    LEAST_GAIN,
+    LEAST_SPREAD,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-_FEWEST = 6
-_FEWEST_FOR_SHAPE = 10
-_DEEPEST = 4
-_MOST = 2**_DEEPEST
-_KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
-_AROUND_KINK = 0.02
+MOST_SEGMENTS = 2**DEEPEST
 
-# What a piece is told as: columns of a row.
+# Columns of a wall segment.
 THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD = 0, 1, 2, 3, 4
-# What is found out about a piece besides.
-_STATE, _BENT, _BEND_AT = 5, 6, 7
+# Further columns, which only this module uses: r, whether the segment is bent, and where.
+_R, _BENT, _BEND_AT = 5, 6, 7
+
+
+@algebra
+def wall_segments(
+    ekf: Filter, places: IntArray, readings: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    settings: Settings,
+) -> tuple[FloatArray, list[IntArray]]:  # fmt: skip
+    """Split readings near one line where they bend, and remove ends that bend away.
+
+    Returns the wall segments (k, 8) and the indices of the readings of each.
+    """
+    segments, own = np.empty((MOST_SEGMENTS, 8)), [members[:0]]
+    todo, lines, depths = [members], [line], [DEEPEST]
+    along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
+    while todo:
+        these, this, depth = todo.pop(), lines.pop(), depths.pop()
+        if len(these) < FEWEST:
+            continue
+        segment = segments[len(own) - 1]
+        if not fit_segment(ekf, places, readings, points, these, this, settings, segment, along, loose):
+            continue
+        here, is_loose = along[: len(these)], loose[: len(these)]
+        if depth and segment[_BENT] > 0.0:
+            # The first half is processed first.
+            for half in (these[here > segment[_BEND_AT] + AROUND_KINK], these[here < segment[_BEND_AT] - AROUND_KINK]):
+                if len(half) >= FEWEST:
+                    todo.append(half)
+                    lines.append(principal_line(points, half))
+                    depths.append(depth - 1)
+        elif depth and is_loose.any():
+            todo.append(these[~is_loose])
+            lines.append(np.array([segment[_R], segment[THETA]]))
+            depths.append(depth - 1)
+        else:
+            own.append(these)
+    return segments, own[1:]
+
+
+@algebra
+def fit_segment(
+    ekf: Filter, places: IntArray, readings: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    settings: Settings, segment: FloatArray, along: FloatArray, loose: BoolArray,
+) -> bool:  # fmt: skip
+    """Fit a line to readings by generalised least squares, and test whether they are straight; False if too few.
+
+    Fills the wall segment (8,), the position of each reading along it (n,), m, and which readings are ``loose`` (n,).
+    """
+    number, start = len(members), clones_from(ekf)
+    anchor, state, step = anchor_of(points, members, line[0], line[1]), np.array([0.0, line[1]]), np.empty(2)
+    foot, expected = (anchor[0], anchor[1]), np.empty((number, 7))
+    expected_ranges(ekf.x, start, places, readings, members, (0.0, line[1]), foot, expected)
+    clear, count = np.empty(number, dtype=np.int64), 0
+    for i in range(number):
+        if abs(expected[i, 6]) > GRAZING:
+            clear[count] = i
+            count += 1
+    if count < FEWEST - 1:
+        return False
+    clear = clear[:count]
+    columns, begins = involved(ekf, places, members[clear], -1)
+    factor = covariance_of(block_of(ekf.top, ekf.rest, columns), begins, expected[clear], settings.std**2)
+    factorise(factor, count)
+    values = np.empty((count, 3))
+    for iteration in range(2):
+        if iteration:
+            expected_ranges(ekf.x, start, places, readings, members, (state[0], state[1]), foot, expected)
+        for i in range(count):
+            seen = expected[clear[i]]
+            values[i, 0] = readings[members[clear[i]], 3] - seen[0]
+            values[i, 1], values[i, 2] = seen[4], seen[5]
+        whiten(factor, values, count, 3)
+        solve_line(values, count, step)
+        state = state + step
+    basis = values[:, 1:3].copy()
+    leave_beside(values, 0, 1, basis, count)
+    cos, sin = math.cos(state[1]), math.sin(state[1])
+    own_reads = readings[members]
+    met = own_reads[:, 3].copy()
+    met[clear] = expected[clear, 0]
+    where = hit_points(ekf.x, start, places[members], own_reads, met)
+    for i in range(number):
+        along[i] = (where[i, 0] - anchor[0]) * -sin + (where[i, 1] - anchor[1]) * cos
+    own, cosines, left = along[clear], expected[clear, 6], values[:, 0].copy()
+    spread = own - own.mean()
+    ordered = np.sort(along[:number])
+    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y] = (
+        state[1],
+        anchor[0] + state[0] * cos,
+        anchor[1] + state[0] * sin,
+    )
+    segment[EXTENT] = ordered[number - 2] - ordered[1]
+    segment[ANGLE_STD] = settings.std / max(math.sqrt((spread * spread).sum()), LEAST_SPREAD)
+    segment[_R] = segment[MIDDLE_X] * cos + segment[MIDDLE_Y] * sin
+    segment[_BENT] = bend(own, cosines, left, basis, factor, settings, segment)
+    loose[:number] = False
+    loose_ends(own, cosines, left, basis, factor, settings, clear, loose)
+    return True
 
 
 @algebra
 def solve_line(values: FloatArray, count: int, solution: FloatArray) -> FloatArray:
-    """Least squares of the first of three columns by the others (2,), which become orthonormal."""
+    """Least-squares solution (2,) of the first of three columns by the other two, which are made orthonormal."""
     before = values[:count, 1:3].copy()
     orthonormalise(values, 1, 3, count)
     a, b, c = 0.0, 0.0, 0.0
@@ -41,7 +146,7 @@ def solve_line(values: FloatArray, count: int, solution: FloatArray) -> FloatArr
 
 @algebra
 def anchor_of(points: FloatArray, members: IntArray, r: float, theta: float) -> FloatArray:
-    """The foot of the points' mean on a line (2,), m."""
+    """Projection (2,), m, of the points' mean on a line."""
     cos, sin, along = math.cos(theta), math.sin(theta), 0.0
     for i in range(len(members)):
         along += -sin * points[members[i], 0] + cos * points[members[i], 1]
@@ -50,76 +155,19 @@ def anchor_of(points: FloatArray, members: IntArray, r: float, theta: float) -> 
 
 
 @algebra
-def fit_straight(
-    mind: Filter, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
-    settings: Settings, piece: FloatArray, along: FloatArray, loose: BoolArray,
-) -> bool:  # fmt: skip
-    """The line through readings in generalised least squares, and whether they are straight; whether there is one.
-
-    Fills the piece (8,), where each reading falls along it (n,), and which (n,) are loose.
-    """
-    number, start = len(members), clones_from(mind)
-    anchor, state, step = anchor_of(points, members, line[0], line[1]), np.array([0.0, line[1]]), np.empty(2)
-    foot, expected = (anchor[0], anchor[1]), np.empty((number, 7))
-    expect(mind.x, start, places, reads, members, (0.0, line[1]), foot, expected)
-    clear, count = np.empty(number, dtype=np.int64), 0
-    for i in range(number):
-        if abs(expected[i, 6]) > GRAZING:
-            clear[count] = i
-            count += 1
-    if count < _FEWEST - 1:
-        return False
-    clear = clear[:count]
-    columns, begins = columns_of(mind, places, members[clear], -1)
-    factor = covariance_of(block_of(mind.top, mind.rest, columns), begins, expected[clear], settings.std**2)
-    factorise(factor, count)
-    values = np.empty((count, 3))
-    for iteration in range(2):
-        if iteration:
-            expect(mind.x, start, places, reads, members, (state[0], state[1]), foot, expected)
-        for i in range(count):
-            seen = expected[clear[i]]
-            values[i, 0] = reads[members[clear[i]], 3] - seen[0]
-            values[i, 1], values[i, 2] = seen[4], seen[5]
-        whiten(factor, values, count, 3)
-        solve_line(values, count, step)
-        state = state + step
-    basis = values[:, 1:3].copy()
-    leave_beside(values, 0, 1, basis, count)
-    cos, sin = math.cos(state[1]), math.sin(state[1])
-    own_reads = reads[members]
-    met = own_reads[:, 3].copy()
-    met[clear] = expected[clear, 0]
-    where = end_points(mind.x, start, places[members], own_reads, met)
-    for i in range(number):
-        along[i] = (where[i, 0] - anchor[0]) * -sin + (where[i, 1] - anchor[1]) * cos
-    own, cosines, left = along[clear], expected[clear, 6], values[:, 0].copy()
-    spread = own - own.mean()
-    ordered = np.sort(along[:number])
-    piece[THETA], piece[MIDDLE_X], piece[MIDDLE_Y] = state[1], anchor[0] + state[0] * cos, anchor[1] + state[0] * sin
-    piece[EXTENT] = ordered[number - 2] - ordered[1]
-    piece[ANGLE_STD] = settings.std / max(math.sqrt((spread * spread).sum()), 1e-6)
-    piece[_STATE] = piece[MIDDLE_X] * cos + piece[MIDDLE_Y] * sin
-    piece[_BENT] = bend(own, cosines, left, basis, factor, settings, piece)
-    loose[:number] = False
-    loosen(own, cosines, left, basis, factor, settings, clear, loose)
-    return True
-
-
-@algebra
 def bend(
     along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    settings: Settings, piece: FloatArray,
+    settings: Settings, segment: FloatArray,
 ) -> float:  # fmt: skip
-    """Whether (1 or 0) readings are explained much better by a bent line; where goes into the piece."""
+    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
     count = len(along)
     ordered = np.sort(along)
-    reach, kinks = ordered[count - 1] - ordered[0], len(_KINKS_AT)
-    if count < _FEWEST_FOR_SHAPE or reach <= 0.0:
+    reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
+    if count < FEWEST_FOR_SHAPE or reach <= 0.0:
         return 0.0
     shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
     for k in range(kinks):
-        places[k] = quantile(ordered, count, _KINKS_AT[k])
+        places[k] = quantile(ordered, count, KINKS_AT[k])
     for i in range(count):
         for k in range(kinks):
             shapes[i, k] = max(along[i] - places[k], 0.0) / cosines[i]
@@ -136,21 +184,21 @@ def bend(
         for i in range(count):
             product += left[i] * shapes[i, kinks + k]
         curved += product * product
-    piece[_BEND_AT] = places[best]
+    segment[_BEND_AT] = places[best]
     is_kinked = most > settings.kink_gate and abs(angle) > settings.min_kink
     return 1.0 if is_kinked or curved > settings.curve_gate else 0.0
 
 
 @algebra
 def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
-    """The most that a kink gains (chi-square), which one, and its angle, rad."""
+    """Largest chi-square that a kink gains, the index of that kink, and its angle, rad."""
     most, best, angle = -1.0, 0, 0.0
     for k in range(kinks):
         square, product = 0.0, 0.0
         for i in range(len(left)):
             square += shapes[i, k] * shapes[i, k]
             product += left[i] * shapes[i, k]
-        square = max(square, 1e-9)
+        square = max(square, LEAST_GAIN)
         gain = (product / square) ** 2 * square
         if gain > most:
             most, best, angle = gain, k, product / square
@@ -158,11 +206,11 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 
 
 @algebra
-def loosen(
+def loose_ends(
     along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
     settings: Settings, clear: IntArray, loose: BoolArray,
 ) -> None:  # fmt: skip
-    """Mark readings at either end that lie off the line all on one side."""
+    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
     count, shape = len(along), np.empty((len(along), 1))
     for end in (along.min(), along.max()):
         inside = 0
@@ -175,7 +223,7 @@ def loosen(
         square, product = dot(shape, 0, 0, count), 0.0
         for i in range(count):
             product += left[i] * shape[i, 0]
-        if inside < count and square > 1e-9 and product * product > settings.end_gate * square:
+        if inside < count and square > LEAST_GAIN and product * product > settings.end_gate * square:
             for i in range(count):
                 if abs(along[i] - end) < settings.end_zone:
                     loose[clear[i]] = True
@@ -183,41 +231,8 @@ def loosen(
 
 @algebra
 def principal_line(points: FloatArray, members: IntArray) -> FloatArray:
-    """The line (r, theta) through points."""
+    """(r, theta), not normalised, of the line through some points by total least squares."""
     own = points[members]
     middle = np.array([own[:, 0].mean(), own[:, 1].mean()])
-    across = np.linalg.svd(own - middle, False)[2][1]  # noqa: FBT003 (numba knows it by its place only)
+    across = np.linalg.svd(own - middle, False)[2][1]  # noqa: FBT003 (numba knows it as a positional argument only)
     return np.array([middle[0] * across[0] + middle[1] * across[1], math.atan2(across[1], across[0])])
-
-
-@algebra
-def straight_pieces(
-    mind: Filter, places: IntArray, reads: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
-    settings: Settings,
-) -> tuple[FloatArray, list[IntArray]]:  # fmt: skip
-    """Cut readings about one line where they bend, and cut off ends that bend away: the pieces, and their readings."""
-    pieces, own = np.empty((_MOST, 8)), [members[:0]]
-    todo, lines, depths = [members], [line], [_DEEPEST]
-    along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
-    while todo:
-        these, this, depth = todo.pop(), lines.pop(), depths.pop()
-        if len(these) < _FEWEST:
-            continue
-        piece = pieces[len(own) - 1]
-        if not fit_straight(mind, places, reads, points, these, this, settings, piece, along, loose):
-            continue
-        here, is_loose = along[: len(these)], loose[: len(these)]
-        if depth and piece[_BENT] > 0.0:
-            # The first half is looked at first.
-            for half in (these[here > piece[_BEND_AT] + _AROUND_KINK], these[here < piece[_BEND_AT] - _AROUND_KINK]):
-                if len(half) >= _FEWEST:
-                    todo.append(half)
-                    lines.append(principal_line(points, half))
-                    depths.append(depth - 1)
-        elif depth and is_loose.any():
-            todo.append(these[~is_loose])
-            lines.append(np.array([piece[_STATE], piece[THETA]]))
-            depths.append(depth - 1)
-        else:
-            own.append(these)
-    return pieces, own[1:]

@@ -1,4 +1,4 @@
-"""What is kept of each robot of a batch, in arrays of a fixed size, and the settings as kernels read them."""
+"""State of each robot of a batch in arrays of fixed size, and the settings as compiled functions read them."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -6,21 +6,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.consistent.pending_readings import SIDES, thinned
+from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.hough import bin_size, max_distance
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
-POSE = 3
-
-# Places in ``Filter.counts``.
-LINES, CLONES, NEXT_CLONE, STEP, FRESH, WAITING, CLOSURES, NO_PLACE, REFUSED = 0, 1, 2, 3, 4, 7, 10, 11, 12
-# Places in ``Minds.way``.
+# Places in ``Filter.counts``; those of FRESH and PENDING are followed by one place for each further side.
+LINES, CLONES, NEXT_CLONE, STEP, FRESH, PENDING, CLOSURES, OVERFLOWS, REFUSED = 0, 1, 2, 3, 4, 7, 10, 11, 12
+# Places in ``States.travel``; that of LAST_HIT is followed by one place for each further side.
 DRIVEN, TURNED, DRIVEN_AT, TURNED_AT, LAST_HIT = 0, 1, 2, 3, 4
-# Columns of ``Minds.waiting``.
+# Columns of ``States.pending``.
 CLONE, BEAM, RANGE, DRIVEN_THEN = 0, 1, 2, 3
-# Columns of ``Spec.beams``.
-FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, ANGLE, FARTHEST, TOO_NEAR, TOO_FAR, PERIOD, SIDE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+# Columns of ``Spec.beams``. The occupancy grid uses the first six.
+FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, TOO_NEAR, TOO_FAR, ANGLE, FARTHEST, PERIOD, SIDE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 # Columns of ``Walls.table``.
 LOW, LENGTH, GROUPS, READINGS = 0, 1, 2, 3
 # Rows of ``Walls.counted`` and of ``Walls.reached``.
@@ -30,25 +31,25 @@ LEAST, MOST = 0, 1
 
 @dataclass(frozen=True)
 class Capacity:
-    """How much there is room for, in each robot's mind.
+    """How much each robot's state has room for.
 
     Attributes
     ----------
     landmarks
-        Lines of the filter. A piece of wall for which there is no room founds no landmark.
+        Lines of the filter. A wall segment for which there is no room does not become a landmark.
     clones
-        Poses that are kept for readings that wait. If there is no room, the oldest and its readings are given up, as
-        ``CloneConfig.max_clones`` does from time to time. 0 is as many as can ever be wanted: then none is.
+        Poses that are cloned for pending readings. If there is no room, the oldest clone and its readings are removed,
+        as ``PendingReadingsConfig.max_clones`` does after each update. 0 means as many as can ever be needed.
     bins
-        Length of a landmark in bins of 5 cm. What lies farther is not counted.
+        Length of a landmark in bins of 5 cm. Hits beyond that length are not counted.
     cells
-        Side of the grid, in cells. It holds the places that were seen last: when more are seen, those at the far
-        side are forgotten.
+        Side of the grid, in cells. The grid holds the area that was seen last: when the robot sees beyond it, the grid
+        moves along, and cells at the opposite side are forgotten.
 
     Raises
     ------
     ValueError
-        If there is no room for anything.
+        If a capacity is too small.
     """
 
     landmarks: int = 80
@@ -63,21 +64,21 @@ class Capacity:
 
 
 class Filter(NamedTuple):
-    """The state of ``CloneEKF``, pose, lines and clones, for n robots; for one, the arrays without their first axis.
+    """The state of ``CloneEKF`` for n robots: pose, lines and clones. For one robot, the first axis is missing.
 
-    P is kept once, not twice: the pose's rows in ``top``, and of the others the part up to the diagonal, one row after
-    the other, in ``rest``. A prediction and a clone touch the former, which is short, and add to the end of the latter.
+    P is stored without its redundant half: the pose's rows in ``top``, and the lower triangle in ``rest``. A prediction
+    changes only ``top``, which is short, and a clone appends to the end of ``rest``.
 
     Attributes
     ----------
     x, top, rest
-        State (n, s) and covariance: (n, 3, s), and (n, s (s + 1) / 2) with row i from i (i + 1) / 2.
+        State (n, s) and covariance: (n, 3, s), and (n, s (s + 1) / 2) in which row i begins at i (i + 1) / 2.
     anchors
         Of the lines (n, landmarks, 2), m.
     clones
         Numbers of the clones (n, clones), in order.
     counts
-        (n, 13) how many there are of this and that.
+        (n, 13), numbers of lines, clones and so on, whose places are named above.
     """
 
     x: FloatArray
@@ -89,14 +90,14 @@ class Filter(NamedTuple):
 
 
 class Walls(NamedTuple):
-    """From where to where the landmarks go, as ``WallExtent`` counts it.
+    """Extents of the landmarks of n robots, as ``WallExtent`` counts them.
 
     Attributes
     ----------
     table
-        (n, landmarks, 4) first bin, number of bins, groups of readings, readings.
+        (n, landmarks, 4): first bin, number of bins, updates, readings.
     counted, reached
-        (n, landmarks, 2, bins) beams that ended and passed; least and most place of a hit, m.
+        (n, landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m.
     """
 
     table: IntArray
@@ -104,32 +105,33 @@ class Walls(NamedTuple):
     reached: FloatArray
 
 
-class Minds(NamedTuple):
-    """All that is known in the heads of n robots; of one robot, the same arrays without their first axis.
+class States(NamedTuple):
+    """All that is estimated for n robots. For one robot, the first axis of each array is missing.
 
     Attributes
     ----------
     filter, walls
-        What is believed of poses and lines, and where the walls are on them.
-    way
-        (n, 7) how far the robot has come, when it last read, and when it last saw something on each side.
-    waiting
-        (n, 3, most, 4) readings that wait, by side: clone, beam, range (m), distance driven (m).
+        Poses, lines and clones, and the extents of the landmarks.
+    travel
+        (n, 7): distance driven (m) and angle turned (rad), both now and at the last collection of readings, and the
+        distance driven at the last hit of each side.
+    pending
+        (n, 3, most, 4): the pending readings of each side: clone, beam, range (m), distance driven (m).
     grid, window
-        (n, cells, cells) occupancy, cell (row, column) of the world at those modulo ``cells``; (n, 2) row and column
-        of the world's cells from which on the grid holds them.
+        Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers modulo ``cells``.
+        Row and column (n, 2) of the lowest world cell that the grid holds.
     """
 
     filter: Filter
     walls: Walls
-    way: FloatArray
-    waiting: FloatArray
+    travel: FloatArray
+    pending: FloatArray
     grid: NDArray[np.int16]
     window: IntArray
 
 
 class Settings(NamedTuple):
-    """The numbers of ``AgentConfig`` and ``RobotSpec`` that kernels need, under the names that they have there."""
+    """The settings of ``AgentConfig`` and ``RobotSpec`` that compiled functions need, under the same names."""
 
     std: float
     wheel_variance: float
@@ -171,9 +173,9 @@ class Settings(NamedTuple):
     theta_step: float
     near_line: float
     near_corner: float
-    piece_gap: float
+    segment_gap: float
     gap_ahead: float
-    piece_length: float
+    segment_length: float
     only_best: bool
     kink_gate: float
     min_kink: float
@@ -190,74 +192,82 @@ _KINDS = Settings.__annotations__
 
 
 class Spec(NamedTuple):
-    """What kernels are told: an array of one ``Settings``, and the beams (b, 10), whose columns are named above."""
+    """What does not change: an array of one ``Settings``, and the beams (b, 10), whose columns are named above."""
 
     settings: NDArray[np.void]
     beams: FloatArray
 
 
-def spec_of(robot: RobotSpec, config: AgentConfig) -> Spec:
-    """What kernels need of a robot and of its settings."""
+def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
+    """The part of a robot and of its settings that compiled functions need."""
     std = config.range_std
-    clones = config.clones.for_ranges(std)
-    hough, straight = clones.hough, clones.straight
+    hough, update, extents = estimator.hough, estimator.update, estimator.extents
+    creation = estimator.for_ranges(std).creation
     sides = np.full(len(robot.beams), -1)
     for number, side in enumerate(SIDES):
-        sides[thinned([beam.side == side for beam in robot.beams], clones.beams)] = number
-    given = {name: getattr(clones, name) for name in Settings._fields if hasattr(clones, name)}
-    given |= {name: getattr(straight, name) for name in Settings._fields if hasattr(straight, name)}
-    given |= {name: getattr(config.grid, name) for name in Settings._fields if hasattr(config.grid, name)}
+        sides[thinned([beam.side == side for beam in robot.beams], estimator.pending.beams)] = number
+    by_name = (estimator.pending, estimator.segmentation, estimator.association, update, config.grid)
+    given = {name: getattr(group, name) for group in by_name for name in Settings._fields if hasattr(group, name)}
     given |= {
         "std": std,
         "wheel_variance": config.noise.wheel_variance,
         "axle": robot.axle,
         "radius": robot.radius,
-        "min_distance": config.buffer.min_distance,
-        "min_turn": config.buffer.min_turn,
-        "closes_loops": config.closing.enabled,
+        "passed": estimator.pending.complete_after,
+        "left_sigmas": update.residual_sigmas,
+        "new_length": creation.min_length,
+        "new_length_complete": creation.min_length_complete,
+        "new_readings": creation.readings_per_std,
+        "max_angle_std": creation.max_angle_std,
+        "first_iterations": creation.iterations,
+        "through_sigmas": extents.through_sigmas,
+        "through_slack": extents.through_slack,
+        "closes_loops": estimator.merging.enabled,
+        "one_wall_gate": estimator.merging.gate,
+        "min_overlap": estimator.merging.min_overlap,
         "min_votes": hough.min_votes,
-        "r_step": max(hough.r_step, 3.0 * std),
+        "r_step": bin_size(hough, std),
         "theta_step": hough.theta_step,
-        "near_line": max(hough.max_offset, 2.5 * std),
-        "near_corner": max(config.hough.max_offset, 2.5 * std),
-        "piece_gap": hough.max_gap,
-        "piece_length": hough.min_length,
+        "near_line": max_distance(hough, std),
+        "near_corner": max_distance(hough, std),
+        "segment_gap": hough.max_gap,
+        "segment_length": hough.min_length,
         "only_best": hough.only_best,
     }
     kinds = {"float": np.float64, "int": np.int64, "bool": np.bool_}
-    # One record is one argument to a kernel; a tuple of sixty numbers would be sixty.
+    # A record is one argument of a compiled function; a tuple of sixty numbers would be sixty arguments.
     fields = [(name, kinds[kind if isinstance(kind, str) else kind.__name__]) for name, kind in _KINDS.items()]
     settings = np.array([tuple(given[name] for name in _KINDS)], dtype=fields)
     return Spec(settings, beams_of(robot, sides))
 
 
 def beams_of(robot: RobotSpec, sides: IntArray) -> FloatArray:
-    """The beams (b, 10) as kernels read them."""
+    """The beams (b, 10) as compiled functions read them."""
     return np.ascontiguousarray(
         np.column_stack(
             (
-                robot.beam_origins, robot.beam_directions, robot.beam_angles, robot.max_ranges, robot.too_near,
-                robot.too_far, [beam.period for beam in robot.beams], sides,
+                robot.beam_origins, robot.beam_directions, robot.too_near, robot.too_far, robot.beam_angles,
+                robot.max_ranges, [beam.period for beam in robot.beams], sides,
             )
         )
     )  # fmt: skip
 
 
-def most_clones(robot: RobotSpec, config: AgentConfig) -> int:
-    """How many clones can ever be wanted at a time.
+def most_clones(robot: RobotSpec, config: ConsistentConfig) -> int:
+    """Largest number of clones that can be needed at a time.
 
-    A side that has ``batch`` fresh readings is looked through, and then no more than ``max_clones`` are kept. Each
-    clone since then has brought a fresh reading to a side, and no side has ``batch`` of them.
+    A side with ``batch`` fresh readings is processed, and then at most ``max_clones`` clones remain. Each clone since
+    then has brought a fresh reading to a side, and no side has ``batch`` of them.
     """
     del robot
-    return config.clones.max_clones + len(SIDES) * (config.clones.batch - 1) + 1
+    return config.pending.max_clones + len(SIDES) * (config.pending.batch - 1) + 1
 
 
-def minds_for(robot: RobotSpec, config: AgentConfig, num_envs: int, capacity: Capacity) -> Minds:
-    """Arrays for the minds of a number of robots, of which nothing is known."""
+def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capacity: Capacity) -> States:
+    """Arrays for the states of a number of robots, all zero."""
     clones = min(capacity.clones or most_clones(robot, config), most_clones(robot, config))
     size = POSE + 2 * capacity.landmarks + POSE * clones
-    widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.clones.beams)
+    widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams)
     shape, bins = (num_envs, capacity.landmarks), capacity.bins
     belief = Filter(
         x=np.zeros((num_envs, size)),
@@ -272,11 +282,11 @@ def minds_for(robot: RobotSpec, config: AgentConfig, num_envs: int, capacity: Ca
         counted=np.zeros((*shape, 2, bins), dtype=np.int32),
         reached=np.zeros((*shape, 2, bins)),
     )
-    return Minds(
+    return States(
         filter=belief,
         walls=walls,
-        way=np.zeros((num_envs, 7)),
-        waiting=np.zeros((num_envs, len(SIDES), clones * widest, 4)),
+        travel=np.zeros((num_envs, 7)),
+        pending=np.zeros((num_envs, len(SIDES), clones * widest, 4)),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),
     )

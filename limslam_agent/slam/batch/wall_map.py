@@ -1,4 +1,4 @@
-"""From where to where walls go: `wall_extent` and `wall_map` once more, for kernels, in a fixed number of bins."""
+"""The landmarks without their lines: compiled counterpart of ``consistent.wall_map``."""
 
 import math
 
@@ -11,30 +11,24 @@ from limslam_agent.slam.batch.state import (
     FROM_X,
     FROM_Y,
     GROUPS,
-    HITS,
     LEAST,
-    LENGTH,
     LINES,
-    LOW,
-    MISSES,
     MOST,
-    NO_PLACE,
-    POSE,
     READINGS,
     TOO_NEAR,
     Filter,
     Settings,
     Walls,
 )
-from limslam_agent.slam.batch.update import GRAZING
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-
-BIN = 0.05
+from limslam_agent.slam.batch.wall_extent import absorb, hit, pass_at
+from limslam_agent.slam.consistent.beam_model import GRAZING
+from limslam_agent.slam.core.ekf import POSE
+from limslam_env.geometry import BoolArray, FloatArray
 
 
 @compiled
-def forget_wall(walls: Walls, index: int) -> None:
-    """Nothing is known of this wall."""
+def add(walls: Walls, index: int) -> None:
+    """Clear the arrays of a landmark that has just been added."""
     walls.table[index] = 0
     walls.counted[index] = 0
     walls.reached[index, LEAST] = np.inf
@@ -42,100 +36,51 @@ def forget_wall(walls: Walls, index: int) -> None:
 
 
 @compiled
-def ends_of(walls: Walls, index: int) -> tuple[float, float]:
-    """The outermost hits, m along the line."""
-    length = walls.table[index, LENGTH]
-    if not length:
-        return np.inf, -np.inf
-    return walls.reached[index, LEAST, :length].min(), walls.reached[index, MOST, :length].max()
-
-
-@compiled
-def along_all(mind: Filter, index: int, points: FloatArray) -> FloatArray:
-    """Where points (n, 2) fall along a line (n,), m from its anchor."""
-    theta, along = mind.x[POSE + 2 * index + 1], np.empty(len(points))
-    cos, sin, x, y = math.cos(theta), math.sin(theta), mind.anchors[index, 0], mind.anchors[index, 1]
+def along_line(ekf: Filter, index: int, points: FloatArray) -> FloatArray:
+    """Positions (n,) of points (n, 2) along a landmark, m from its anchor."""
+    theta, along = ekf.x[POSE + 2 * index + 1], np.empty(len(points))
+    cos, sin, x, y = math.cos(theta), math.sin(theta), ekf.anchors[index, 0], ekf.anchors[index, 1]
     for i in range(len(points)):
         along[i] = (points[i, 0] - x) * -sin + (points[i, 1] - y) * cos
     return along
 
 
 @compiled
-def along_of(mind: Filter, index: int, x: float, y: float) -> float:
-    """Where a point falls along a line, m from its anchor."""
-    theta = mind.x[POSE + 2 * index + 1]
-    return (x - mind.anchors[index, 0]) * -math.sin(theta) + (y - mind.anchors[index, 1]) * math.cos(theta)
+def along_point(ekf: Filter, index: int, x: float, y: float) -> float:
+    """Position of one point along a landmark, m from its anchor."""
+    theta = ekf.x[POSE + 2 * index + 1]
+    return (x - ekf.anchors[index, 0]) * -math.sin(theta) + (y - ekf.anchors[index, 1]) * math.cos(theta)
 
 
 @compiled
-def reach(walls: Walls, counts: IntArray, index: int, place: int) -> int:
-    """Make room for a bin, and say which it is; -1 if there is no room."""
-    wall, counted, reached = walls.table[index], walls.counted[index], walls.reached[index]
-    length = wall[LENGTH]
-    if not length:
-        wall[LOW], length = place, 1
-    before, most = max(0, wall[LOW] - place), counted.shape[1]
-    length = max(length + before, place - wall[LOW] + 1)
-    if length > most:
-        counts[NO_PLACE] += 1
-        return -1
-    if before:
-        wall[LOW] -= before
-        for row in range(2):
-            counted[row, before:length] = counted[row, : length - before].copy()
-            counted[row, :before] = 0
-            reached[row, before:length] = reached[row, : length - before].copy()
-            reached[row, :before] = np.inf if row == LEAST else -np.inf
-    wall[LENGTH] = length
-    return place - wall[LOW]
+def grow(ekf: Filter, walls: Walls, index: int, points: FloatArray) -> None:
+    """Count beams that ended on a landmark at points (n, 2), m, and that have corrected the filter."""
+    for along in along_line(ekf, index, points):
+        hit(walls, ekf.counts, index, along)
+    walls.table[index, GROUPS] += 1
+    walls.table[index, READINGS] += len(points)
 
 
 @compiled
-def hit(walls: Walls, counts: IntArray, index: int, along: float) -> None:
-    """A beam ended at this place, m along the line."""
-    place = reach(walls, counts, index, math.floor(along / BIN))
-    if place >= 0:
-        walls.counted[index, HITS, place] += 1
-        walls.reached[index, LEAST, place] = min(walls.reached[index, LEAST, place], along)
-        walls.reached[index, MOST, place] = max(walls.reached[index, MOST, place], along)
-
-
-@compiled
-def absorb(walls: Walls, counts: IntArray, older: int, younger: int, factor: float, shift: float) -> None:
-    """Take over another wall's counts: its place s is ``factor`` (1 or -1) times s plus ``shift`` (m) here."""
-    for row in (GROUPS, READINGS):
-        walls.table[older, row] += walls.table[younger, row]
-    for other in range(walls.table[younger, LENGTH]):
-        middle = factor * BIN * (walls.table[younger, LOW] + other + 0.5) + shift
-        place = reach(walls, counts, older, math.floor(middle / BIN))
-        if place < 0:
-            continue
-        for row in range(2):
-            walls.counted[older, row, place] += walls.counted[younger, row, other]
-        if walls.counted[younger, HITS, other]:
-            first = factor * walls.reached[younger, LEAST, other] + shift
-            last = factor * walls.reached[younger, MOST, other] + shift
-            walls.reached[older, LEAST, place] = min(walls.reached[older, LEAST, place], first, last)
-            walls.reached[older, MOST, place] = max(walls.reached[older, MOST, place], first, last)
-
-
-@compiled
-def remove_wall(walls: Walls, index: int, number: int) -> None:
-    """Close the gap that one of a number of walls leaves."""
-    for place in range(index, number - 1):
+def merge(ekf: Filter, walls: Walls, older: int, younger: int, factor: float, shift: float) -> None:
+    """Merge two landmarks into the older one, after the filter has merged their lines; ``absorb`` says the rest."""
+    for column in (GROUPS, READINGS):
+        walls.table[older, column] += walls.table[younger, column]
+    absorb(walls, ekf.counts, older, younger, factor, shift)
+    for place in range(younger, ekf.counts[LINES]):
         walls.table[place] = walls.table[place + 1]
         walls.counted[place] = walls.counted[place + 1]
         walls.reached[place] = walls.reached[place + 1]
 
 
 @compiled
-def see_through(
-    mind: Filter, walls: Walls, ranges: FloatArray, measured: BoolArray, settings: Settings, beams: FloatArray
+def clear_along_beams(
+    ekf: Filter, walls: Walls, ranges: FloatArray, measured: BoolArray, settings: Settings, beams: FloatArray
 ) -> None:
-    """Take back what beams have gone through: `consistent._see_through`."""
-    state, anchors, number = mind.x, mind.anchors, mind.counts[LINES]
+    """Count the places of landmarks that new beams with ranges (b,), m, have passed through."""
+    state, anchors, number = ekf.x, ekf.anchors, ekf.counts[LINES]
     x, y, heading, (cos, sin) = state[0], state[1], state[2], (math.cos(state[2]), math.sin(state[2]))
-    shift, turn = mind.top[0, 0] + mind.top[1, 1], mind.top[2, 2]
+    shift, turn = ekf.top[0, 0] + ekf.top[1, 1], ekf.top[2, 2]
     rays = np.empty((len(ranges), 6))
     for beam in range(len(ranges)):
         far = min(ranges[beam], beams[beam, FARTHEST])
@@ -156,12 +101,3 @@ def see_through(
             if ahead > 0.0 and ahead + rays[beam, 5] / abs(cosine) + settings.through_slack < rays[beam, 4]:
                 to_x, to_y = from_x + ahead * ux - anchor_x, from_y + ahead * uy - anchor_y
                 pass_at(walls, index, to_x * -ny + to_y * nx)
-
-
-@compiled
-def pass_at(walls: Walls, index: int, along: float) -> None:
-    """A beam went through at a place, m; between the wall's ends that says something."""
-    low, high = ends_of(walls, index)
-    if low < along < high:
-        place = math.floor(along / BIN) - walls.table[index, LOW]
-        walls.counted[index, MISSES, min(max(place, 0), walls.table[index, LENGTH] - 1)] += 1

@@ -1,8 +1,8 @@
-"""What a beam should measure when it meets a line, and how that changes with the pose and the line.
+"""Measurement model of a range beam that meets a line, with its derivatives.
 
-A line is kept as (d, theta) about an anchor a, a fixed point of the world near it: n . (p - a) = d with
-n = (cos theta, sin theta). Unlike (r, theta) about the world's origin, d and theta hardly interact there, d may change
-its sign without harm, and nothing is special about lines through the origin.
+A line is stored as (d, theta) relative to an anchor a, a fixed point of the world near the line:
+n . (p - a) = d with n = (cos theta, sin theta). This form has three advantages over (r, theta) relative to the world's
+origin: d and theta are nearly uncorrelated, d may change its sign, and lines through the origin are not singular.
 """
 
 from typing import NamedTuple
@@ -12,24 +12,25 @@ import numpy as np
 from limslam_env.geometry import FloatArray, IntArray
 
 GRAZING = 0.2
-"""Cosine between a beam and a line's normal below which a reading says next to nothing."""
+"""Least cosine between a beam and a line's normal. A reading at a flatter angle says too little about the line."""
 
-_ALONG = 1e-9
+LEAST_COSINE = 1e-9
+"""Least cosine that a range is divided by. A beam parallel to a line meets it very far away, at a finite range."""
 
 
 class Readings(NamedTuple):
-    """Readings of beams, each taken from a pose that the filter has kept.
+    """Readings of beams, each taken from a pose that the filter has cloned.
 
     Attributes
     ----------
     clones
-        Which kept pose (n,) each was taken from.
+        Number of the clone (n,) that each reading was taken from.
     origins, angles
-        Where the beams begin (n, 2), m, and point (n,), rad, on the body.
+        Where the beams begin (n, 2), m, and their directions (n,), rad, in the robot's frame.
     ranges
-        What they measured (n,), m.
+        Measured ranges (n,), m.
     sources
-        (n, 2): step and beam.
+        Step and beam of each reading (n, 2).
     """
 
     clones: IntArray
@@ -39,16 +40,23 @@ class Readings(NamedTuple):
     sources: IntArray
 
     def select(self, chosen: IntArray) -> "Readings":
-        """Some of them, by index."""
+        """The readings with the given indices."""
         return Readings(
             self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen]
         )
 
 
 class Expected(NamedTuple):
-    """What beams should measure: ranges (n,), m, their derivatives by pose (n, 3) and line (n, 2), and cosines (n,).
+    """Predicted measurements.
 
-    The cosine is that between a beam and the line's normal: near zero the beam grazes the line.
+    Attributes
+    ----------
+    ranges
+        Predicted ranges (n,), m.
+    by_pose, by_line
+        Derivatives of the ranges by the pose (n, 3) and by the line (n, 2).
+    cosines
+        Cosine between each beam and the line's normal (n,). It is near zero where the beam grazes the line.
     """
 
     ranges: FloatArray
@@ -58,25 +66,24 @@ class Expected(NamedTuple):
 
 
 def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray) -> Expected:
-    """How far beams should see to a line.
+    """Predict the ranges of beams that meet a line.
 
     With p the beam's origin and u its direction in the world, r = (d - n . (p - a)) / (n . u).
 
     Parameters
     ----------
     poses
-        Where each reading was taken (n, 3), m and rad.
+        Pose from which each reading was taken (n, 3), m and rad.
     readings
-        Of which beams.
+        The beams. Their measured ranges are not used.
     line, anchor
-        (d, theta) and the point (2,) that d counts from, m and rad.
+        (d, theta), m and rad, and the anchor (2,), m.
     """
     (offset_x, offset_y), origin, direction = _offsets(poses, readings)
     nx, ny = np.cos(line[1]), np.sin(line[1])
     ux, uy = direction.T
     cosines = nx * ux + ny * uy
-    # A beam exactly along the line would meet it nowhere; very far away will do, and stays a number.
-    divisors = np.copysign(np.maximum(np.abs(cosines), _ALONG), cosines)
+    divisors = np.copysign(np.maximum(np.abs(cosines), LEAST_COSINE), cosines)
     ranges = (line[0] - nx * (origin[:, 0] - anchor[0]) - ny * (origin[:, 1] - anchor[1])) / divisors
     hit_x, hit_y = origin[:, 0] + ranges * ux - anchor[0], origin[:, 1] + ranges * uy - anchor[1]
     turning = (-offset_y * nx + offset_x * ny) + ranges * (-uy * nx + ux * ny)
@@ -86,13 +93,13 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
-    """Where readings end in the world (n, 2), m, taken from poses (n, 3)."""
+    """End points of readings in the world (n, 2), m, for readings taken from poses (n, 3)."""
     _, origin, direction = _offsets(poses, readings)
     return np.asarray(origin + readings.ranges[:, None] * direction)
 
 
 def _offsets(poses: FloatArray, readings: Readings) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
-    """From body to beam in the world's axes, the beams' origins (n, 2), and their directions (n, 2)."""
+    """Vectors from body to beam in the world's axes, the beams' origins (n, 2), and their directions (n, 2)."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     offset_x = cos * readings.origins[:, 0] - sin * readings.origins[:, 1]
     offset_y = sin * readings.origins[:, 0] + cos * readings.origins[:, 1]

@@ -1,29 +1,49 @@
-"""The filter of the consistent estimator: poses, lines, and clones of poses at which beams were read.
+"""The filter of the consistent estimator: poses, lines, and clones of the poses at which beams were read.
 
-State: x = [poses of the robots, factors of their odometry if asked for, lines (d, theta), clones], covariance P. A
-clone is a copy of a pose, as sure and as unsure as it, and from then on correlated with all else (S. Roumeliotis and
-J. Burdick, "Stochastic cloning", 2002). A beam is a measurement of the clone it was read from, however late one finds
-out which wall it hit, and no noise of the odometry in between is counted twice.
+The state is x = [poses of the robots, calibrations of their odometry if these are estimated, lines (d, theta), clones]
+with covariance P. A clone is a copy of a pose with the same uncertainty, and correlated with all else from then on
+(S. Roumeliotis and J. Burdick, "Stochastic cloning", 2002). A range is a measurement of the clone from which it was
+read, even if the wall that the beam hit becomes known much later. So the noise of the odometry in between enters only
+once.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm
 
 from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings, expected_ranges
 from limslam_agent.slam.core.ekf import POSE, LineEKF
+from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
 
-_PRIOR = np.array([10.0**2, 3.0**2])
-_EXACT = np.array([1e-4, 1e-5]) ** 2
+LINE_PRIOR = (10.0**2, 3.0**2)
+"""Variances of a new line's d and theta, m^2 and rad^2: large, so that the readings alone determine the line."""
+
+EQUALITY_NOISE = (1e-4**2, 1e-5**2)
+"""Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
+
+FEWEST_TO_COMPARE = 4
+"""Least number of readings that are compared with a line."""
+
+LEAST_RESIDUAL = 1e-9
+"""Least residual that the Huber weight divides by, m."""
 
 
 class Disagreement(NamedTuple):
-    """How badly readings fit a line: by where it lies (two degrees of freedom), beside that, and how many were used."""
+    """How badly readings fit a line, as chi-squares.
+
+    Attributes
+    ----------
+    of_line
+        Due to the line's position and direction (two degrees of freedom).
+    left
+        Not explained by any line.
+    used
+        Number of readings that were compared.
+    """
 
     of_line: float
     left: float
@@ -37,17 +57,17 @@ class CloneEKF(LineEKF):
     ----------
     pose
         Start (3,), m, m, rad; of several robots (n, 3).
-    factors
-        What is known beforehand of each robot's ``Factors``, as a covariance (3, 3) about
-        zero; None to take odometry at its word.
+    calibration
+        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``; None if the odometry's calibration
+        is not estimated.
     """
 
-    def __init__(self, pose: FloatArray, factors: FloatArray | None = None) -> None:
+    def __init__(self, pose: FloatArray, calibration: FloatArray | None = None) -> None:
         super().__init__(pose)
-        if factors is not None:
+        if calibration is not None:
             self._first = 2 * self._poses_end
             self.x, self.dim_x = np.concatenate((self.x, np.zeros(self._poses_end))), self._first
-            self.P = np.kron(np.diag([0.0, 1.0]), np.kron(np.eye(self._poses_end // POSE), factors))
+            self.P = np.kron(np.diag([0.0, 1.0]), np.kron(np.eye(self._poses_end // POSE), calibration))
         self._anchors = np.zeros((0, 2))
         self._memory = [np.empty(0), np.empty(0)]
         self._clones: list[int] = []
@@ -87,25 +107,35 @@ class CloneEKF(LineEKF):
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
         return np.asarray(by_line @ self.P[part, part] @ by_line.T)
 
-    def factors(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
-        """A robot's odometry factors (3,) and their covariance (3, 3), if they are part of the state."""
-        part = self._factors_part(robot)
+    def calibration(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
+        """A robot's odometry calibration (3,) and its covariance (3, 3); None if it is not part of the state."""
+        part = self._calibration_part(robot)
         return (np.array(self.x[part]), np.array(self.P[part, part])) if self._first > self._poses_end else None
 
     def predict(
-        self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_factors: FloatArray | None = None
+        self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_calibration: FloatArray | None = None
     ) -> None:
-        """Move a robot by an increment (3,) in its frame, with its covariance and derivative by the factors (3, 3)."""
-        if by_factors is None:
+        """Move a robot.
+
+        Parameters
+        ----------
+        increment, covariance
+            The motion in the robot's frame (3,), m, m, rad, and its covariance (3, 3).
+        robot
+            Which robot moves.
+        by_calibration
+            Derivative (3, 3) of the increment by the odometry's calibration, where that is part of the state.
+        """
+        if by_calibration is None:
             super().predict(increment, covariance, robot)
             return
         moved = slice(POSE * robot, POSE * robot + POSE)
         by_pose, by_increment = compose_jacobians(self.x[moved], increment)
-        F, columns = np.hstack((by_pose, by_increment @ by_factors)), np.r_[moved, self._factors_part(robot)]
+        F, columns = np.hstack((by_pose, by_increment @ by_calibration)), np.r_[moved, self._calibration_part(robot)]
         self._move(moved, increment, F, by_increment @ covariance @ by_increment.T, columns)
 
     def clone(self, robot: int = 0) -> int:
-        """Keep a copy of a robot's pose, and give back the copy's number."""
+        """Add a copy of a robot's pose to the state, and return the copy's number."""
         moved, old = slice(POSE * robot, POSE * robot + POSE), len(self.x)
         P = self._spare(old + POSE)
         P[:old, :old] = self.P
@@ -118,7 +148,7 @@ class CloneEKF(LineEKF):
         return self._clones[-1]
 
     def keep_clones(self, wanted: set[int]) -> None:
-        """Let go of all other clones: what they told stays in what they are correlated with."""
+        """Marginalise all clones but the wanted ones. What they contributed to other states remains."""
         kept = [place for place, number in enumerate(self._clones) if number in wanted]
         if len(kept) == len(self._clones):
             return
@@ -127,11 +157,14 @@ class CloneEKF(LineEKF):
         self._clones = [self._clones[place] for place in kept]
 
     def clone_poses(self, clones: IntArray) -> FloatArray:
-        """Where clones (n,) are believed to be (n, 3)."""
+        """Estimated poses (n, 3) of clones (n,), m, m, rad."""
         return np.asarray(self.x[self._columns(clones)])
 
     def add_line(self, theta: float, anchor: FloatArray) -> int:
-        """A new line through a point (2,), m, with the normal at ``theta``, of which nothing is known yet."""
+        """Add a line with an uninformative prior, and return its index.
+
+        It goes through ``anchor`` (2,), m, with its normal at ``theta``, rad.
+        """
         at, old = self._clones_from, len(self.x)
         places = np.concatenate((np.arange(at), np.arange(at + 2, old + 2)))
         x, P = np.zeros(old + 2), self._spare(old + 2)
@@ -139,45 +172,55 @@ class CloneEKF(LineEKF):
         x[places] = self.x
         P[np.ix_(places, places)] = 0.5 * (self.P + self.P.T)
         x[at + 1] = theta
-        P[[at, at + 1], [at, at + 1]] = _PRIOR
+        P[[at, at + 1], [at, at + 1]] = LINE_PRIOR
         self.x, self.P, self.dim_x = x, P, old + 2
         self._anchors = np.vstack((self._anchors, anchor))
         return self.num_lines - 1
 
     def observe(self, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
-        """Update by readings of one line, linearised anew at each iteration (the iterated EKF).
+        """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 
-        Readings farther off than ``huber`` standard deviations count less, after Huber.
+        Parameters
+        ----------
+        readings, index
+            The readings, and the line that they show.
+        std
+            Standard deviation of a range, m.
+        iterations
+            Number of iterations.
+        huber
+            Residuals larger than so many standard deviations are down-weighted (P. Huber, "Robust estimation of a
+            location parameter", 1964); 0 for no weights.
         """
         readings = readings.select(self._clear(readings, index))
         if not len(readings.ranges):
             return
         columns, places = self._involved(readings, index)
-        start, carried, moved = self.x.copy(), self._carried(), np.zeros((len(self.x), POSE))
+        start, transport, moved = self.x.copy(), self._error_transport(), np.zeros((len(self.x), POSE))
         change, weights = np.zeros_like(start), np.ones(len(readings.ranges))
         for _ in range(iterations):
             self.x += change
-            # Jacobian and covariance belong to one and the same place.
-            moved = self._carried() - carried
+            # The covariance is transported to the state at which the Jacobian is taken.
+            moved = self._error_transport() - transport
             expected = self._expected(self.x[columns], places, readings, index)
             H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
-            HP, so_far = H @ self._carried_rows(columns, moved), self.x - start
+            HP, so_far = H @ self._transported_rows(columns, moved), self.x - start
             S = HP[:, columns] @ H.T + np.diag(std**2 / weights)
             change = np.linalg.solve(S, off + H @ so_far[columns]) @ HP - so_far
-            weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), 1e-9)) if huber else weights
+            weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), LEAST_RESIDUAL)) if huber else weights
         factor = np.linalg.cholesky(S)
-        self._carry(moved)
-        self._subtract_square(np.ascontiguousarray(solve_triangular(factor, HP, lower=True, check_finite=False)))
+        self._transport(moved)
+        self._subtract_square(np.ascontiguousarray(solve_lower(factor, HP)))
         self._correct(change)
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
-        """How badly readings fit a line; None if too few of them meet it well enough to say.
+        """How badly readings fit a line; None if too few of them meet it at a sufficient angle.
 
-        The generalised likelihood ratio of "it is this line" and "it is another one", both with all that is
-        unsure about poses and line, and what "another one" leaves unexplained.
+        This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
+        line", both with the joint uncertainty of poses and line, and the chi-square that "another line" leaves.
         """
         readings = readings.select(self._clear(readings, index))
-        if len(readings.ranges) < 4:
+        if len(readings.ranges) < FEWEST_TO_COMPARE:
             return None
         columns, places = self._involved(readings, index)
         expected = self._expected(self.x[columns], places, readings, index)
@@ -195,18 +238,18 @@ class CloneEKF(LineEKF):
         return np.asarray(self.P[np.ix_(columns, columns)])
 
     def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
-        """How far two lines are from being one (2,), about the younger's anchor, and the covariance of that (2, 2)."""
+        """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2, 2)."""
         off, H, columns = self._equality(older, younger)
         return off, H @ self.P[np.ix_(columns, columns)] @ H.T
 
-    def unite(self, older: int, younger: int) -> None:
-        """Make two lines one: both are corrected by their being equal, and the younger is let go."""
+    def merge(self, older: int, younger: int) -> None:
+        """Merge two lines: update by the constraint that they are equal, and marginalise the younger one."""
         off, H, columns = self._equality(older, younger)
         HP = H @ self.P[columns]
-        S = HP[:, columns] @ H.T + np.diag(_EXACT)
+        S = HP[:, columns] @ H.T + np.diag(EQUALITY_NOISE)
         gain = np.linalg.solve(S, HP)
         factor = np.linalg.cholesky(S)
-        self._subtract_square(solve_triangular(factor, HP, lower=True, check_finite=False))
+        self._subtract_square(solve_lower(factor, HP))
         self._correct(-off @ gain)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
@@ -217,20 +260,21 @@ class CloneEKF(LineEKF):
         return self._first + 2 * self.num_lines
 
     def _correct(self, change: FloatArray) -> None:
-        """Change the state after an update, and carry what is unsure along with it.
+        """Add the correction (n,) of an update to the state, and transport the error of P to the new state.
 
-        When the whole world is turned or shifted, no range changes. The plain filter forgets that once a correction
-        has moved what Jacobians are taken at, and seems to learn its heading from nothing. An error is therefore kept
-        as what it is beside the first robot's own, as an invariant filter would (A. Barrau and S. Bonnabel, "An
-        EKF-SLAM algorithm with consistency properties", 2015), and P follows when the state moves.
+        A rotation or shift of the whole world changes no range, so the global pose is unobservable and an update must
+        not reduce its uncertainty. A standard EKF does reduce it once a correction has moved the point at which
+        Jacobians are taken. Here each error is defined relative to the first robot's error, as in an invariant filter
+        (A. Barrau and S. Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015), and P is transformed
+        when the state changes.
         """
-        before = self._carried()
+        before = self._error_transport()
         self.x += change
-        self._carry(self._carried() - before)
+        self._transport(self._error_transport() - before)
         self._restore_angles()
 
-    def _carried(self) -> FloatArray:
-        """How all of the state (n, 3) moves with the first robot when the whole world does."""
+    def _error_transport(self) -> FloatArray:
+        """Derivative (n, 3) of the state by the first robot's pose when robot and world move together rigidly."""
         moved = np.zeros((len(self.x), POSE))
         x, y, _ = self.x[:POSE]
         for part in (slice(0, self._poses_end), slice(self._clones_from, None)):
@@ -243,19 +287,19 @@ class CloneEKF(LineEKF):
         by_line[:, 1, 2] = 1.0
         return moved
 
-    def _carry(self, moved: FloatArray) -> None:
-        """P after what moves with the first robot's error (n, 3) has changed by ``moved``, in place."""
+    def _transport(self, moved: FloatArray) -> None:
+        """Transform P, in place, when the derivative of :meth:`_error_transport` has changed by ``moved`` (n, 3)."""
         rows = self.P[:POSE].copy()
         dgemm(1.0, rows.T, moved.T, beta=1.0, c=self.P.T, overwrite_c=1)
         columns = np.ascontiguousarray(self.P[:, :POSE])
         dgemm(1.0, moved, columns.T, beta=1.0, c=self.P.T, overwrite_c=1)
 
-    def _carried_rows(self, columns: IntArray, moved: FloatArray) -> FloatArray:
-        """Some rows of what P would then be."""
+    def _transported_rows(self, columns: IntArray, moved: FloatArray) -> FloatArray:
+        """Some rows of P as :meth:`_transport` would change them."""
         rows = self.P[columns] + moved[columns] @ self.P[:POSE]
         return np.asarray(rows + rows[:, :POSE] @ moved.T)
 
-    def _factors_part(self, robot: int) -> slice:
+    def _calibration_part(self, robot: int) -> slice:
         first = self._poses_end + POSE * robot
         return slice(first, first + POSE)
 
@@ -265,28 +309,29 @@ class CloneEKF(LineEKF):
         return np.column_stack((lines[:, 0] + np.sum(normals * self._anchors, axis=1), lines[:, 1]))
 
     def _spare(self, size: int) -> FloatArray:
-        """A matrix (size, size) to fill, in memory that P is not in: asking for new takes longer than filling it."""
+        """An uninitialised matrix (size, size) outside of P's memory. Allocating one takes longer than filling it."""
         self._memory.reverse()
         if self._memory[0].size < size**2:
             self._memory[0] = np.empty(2 * size**2)
         return self._memory[0][: size**2].reshape(size, size)
 
     def _keep(self, places: IntArray) -> None:
+        """Marginalise all of the state but some places of it, in ascending order."""
         P = self._spare(len(places))
-        # Mostly the last ones go; rows and columns by number take five times as long as a block.
+        # Usually the last states are removed. Copying a block is five times as fast as indexing rows and columns.
         is_block = int(places[-1]) == len(places) - 1
         P[:] = self.P[: len(places), : len(places)] if is_block else self.P[np.ix_(places, places)]
-        # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
+        # Rounding makes P asymmetric over thousands of updates. P is copied here in any case.
         P[:] = 0.5 * (P + P.T)
         self.x, self.P, self.dim_x = self.x[places], P, len(places)
 
     def _columns(self, clones: IntArray) -> IntArray:
-        """The numbers of the state (n, 3) that clones (n,) are."""
+        """Indices (n, 3) of clones (n,) in the state."""
         places = np.searchsorted(self._clones, clones)
         return np.asarray(self._clones_from + POSE * places[:, None] + np.arange(POSE))
 
     def _involved(self, readings: Readings, index: int) -> tuple[IntArray, IntArray]:
-        """The numbers of the state that readings of a line depend on, and each reading's clone among them (n,)."""
+        """Indices in the state of all that readings of a line depend on, and the place of each reading's clone (n,)."""
         clones, places = np.unique(readings.clones, return_inverse=True)
         part = self._part(index)
         return np.append(self._columns(clones).ravel(), [part.start, part.start + 1]), places
@@ -296,7 +341,7 @@ class CloneEKF(LineEKF):
         return expected_ranges(poses, readings, state[-2:], self._anchors[index])
 
     def _clear(self, readings: Readings, index: int) -> IntArray:
-        """Which readings do not graze a line."""
+        """Indices of the readings that meet a line ahead of the beam and do not graze it."""
         line = self.x[self._part(index)]
         expected = expected_ranges(self.clone_poses(readings.clones), readings, line, self._anchors[index])
         return np.nonzero((np.abs(expected.cosines) > GRAZING) & (expected.ranges > 0.0))[0]
@@ -324,6 +369,6 @@ class CloneEKF(LineEKF):
         return off, H, np.array([first.start, first.start + 1, second.start, second.start + 1])
 
     def _restore_angles(self) -> None:
-        """Wrap the robots' headings; lines and clones are only ever used through sines and cosines."""
+        """Wrap the robots' headings. Angles of lines and clones only enter through sines and cosines."""
         for heading in range(2, self._poses_end, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))

@@ -1,22 +1,29 @@
-"""How far a robot has come, and which of its readings wait until it is clear which wall they show."""
+"""Readings of one robot that are pending: they are kept until the wall that they show is known.
+
+Readings are collected by side of the robot. Each is stored with the number of the clone of the pose that it was taken
+from, so that it can correct that pose later.
+"""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.consistent import PendingReadingsConfig
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec, Side
 
 SIDES: tuple[Side, ...] = ("left", "right", "none")
-"""The beams to the left, to the right, and those ahead or behind."""
+"""Beams to the left, beams to the right, and beams that point ahead or behind."""
+
+AHEAD = SIDES.index("none")
+"""Index in ``SIDES`` of the beams that point ahead or behind."""
 
 
-class Pending(NamedTuple):
-    """One reading that waits: its clone, step, beam, range (m), and how far the robot had driven (m)."""
+class PendingReading(NamedTuple):
+    """One pending reading: its clone, step, beam, range (m), and the distance driven until then (m)."""
 
     clone: int
     step: int
@@ -25,66 +32,68 @@ class Pending(NamedTuple):
     driven: float
 
 
-class Track:
-    """One robot's way and its readings that wait, by side.
+class PendingReadings:
+    """The distance that one robot has driven, and its pending readings by side.
 
     Parameters
     ----------
     robot
         Body and beams.
     config
-        How far the robot must move between two readings.
+        Distance and turn that the robot must move between two collections.
     most
-        At most so many beams of a side are used, evenly thinned out.
+        Largest number of beams of one side that are used; more are thinned out evenly.
 
     Attributes
     ----------
     driven
-        How far it has come, m.
-    waiting
-        What waits, by side.
+        Distance driven so far, m.
+    by_side
+        The pending readings of each side, oldest first.
     fresh
-        How many of them have come since they were last looked through, by side.
+        Number of readings of each side that were collected since that side was last processed.
     """
 
-    def __init__(self, robot: RobotSpec, config: BufferConfig, most: int) -> None:
+    def __init__(self, robot: RobotSpec, config: PendingReadingsConfig, most: int) -> None:
         self._robot, self._config = robot, config
         self._beams = {side: thinned([beam.side == side for beam in robot.beams], most) for side in SIDES}
         self.driven = self._turned = 0.0
-        self._read_at = (-math.inf, -math.inf)
-        self.waiting: dict[Side, list[Pending]] = {side: [] for side in SIDES}
+        self._collected_at = (-math.inf, -math.inf)
+        self.by_side: dict[Side, list[PendingReading]] = {side: [] for side in SIDES}
         self.fresh: dict[Side, int] = dict.fromkeys(SIDES, 0)
         self._last_hit: dict[Side, float] = dict.fromkeys(SIDES, 0.0)
 
     def move(self, increment: FloatArray) -> None:
-        """The robot has moved (3,), m and rad."""
+        """Count a motion of the robot (3,), m and rad."""
         self.driven += math.hypot(float(increment[0]), float(increment[1]))
         self._turned += abs(float(increment[2]))
 
-    def wants(self, front: FrontEnd) -> bool:
-        """Whether there are new hits, and the robot has moved enough since the last ones that were kept."""
+    def is_due(self, front: FrontEnd) -> bool:
+        """Whether there are new hits, and the robot has moved far enough since the last collection."""
         for side, beams in self._beams.items():
             if front.hits[beams].any():
                 self._last_hit[side] = self.driven
-        driven, turned = self._read_at
+        driven, turned = self._collected_at
         has_moved = self.driven - driven >= self._config.min_distance or self._turned - turned >= self._config.min_turn
         return has_moved and any(front.hits[beams].any() for beams in self._beams.values())
 
     def collect(self, front: FrontEnd, clone: int) -> None:
-        """Let the new hits wait, with the clone of the pose they were read from."""
-        self._read_at = self.driven, self._turned
+        """Add the new hits, which were taken from the pose of a clone."""
+        self._collected_at = self.driven, self._turned
         for side, beams in self._beams.items():
             for beam in beams[front.hits[beams]].tolist():
-                self.waiting[side].append(Pending(clone, front.step, beam, float(front.ranges[beam]), self.driven))
+                self.by_side[side].append(
+                    PendingReading(clone, front.step, beam, float(front.ranges[beam]), self.driven)
+                )  # fmt: skip
                 self.fresh[side] += 1
 
     def has_ended(self, side: Side, gap: float) -> bool:
-        """Whether nothing was seen on a side for ``gap`` (m), so that the wall there has ended."""
-        return bool(self.waiting[side]) and self.driven - self._last_hit[side] > gap
+        """Whether a side has pending readings but no hit within the last ``gap`` (m): the wall there has ended."""
+        return bool(self.by_side[side]) and self.driven - self._last_hit[side] > gap
 
     def readings(self, side: Side) -> Readings:
-        """What waits on a side, for the filter."""
-        rows = np.array(self.waiting[side], dtype=float).reshape(-1, len(Pending._fields))
+        """The pending readings of a side, as the filter takes them."""
+        rows = np.array(self.by_side[side], dtype=float).reshape(-1, len(PendingReading._fields))
         clones, steps, beams = rows[:, :3].T.astype(int)
         return Readings(
             clones, self._robot.beam_origins[beams], self._robot.beam_angles[beams], rows[:, 3],
@@ -93,7 +102,7 @@ class Track:
 
 
 def thinned(chosen: list[bool], most: int) -> IntArray:
-    """The chosen beams, or ``most`` of them evenly spread."""
+    """Indices of the chosen beams, or of ``most`` of them that are evenly spread."""
     beams = np.flatnonzero(np.array(chosen))
     places = np.unique(np.linspace(0, len(beams) - 1, min(most, len(beams))).round().astype(int))
     return np.asarray(beams[places])

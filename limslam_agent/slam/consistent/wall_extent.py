@@ -1,4 +1,4 @@
-"""From where to where a wall goes along its line: where beams hit it, and where they passed through."""
+"""Extent of a wall along its line: counts of beams that ended on it, and of beams that passed through it."""
 
 import math
 from typing import Self
@@ -12,10 +12,10 @@ BIN = 0.05
 
 
 class WallExtent:
-    """Counts along a line, a bin each 5 cm: of beams that ended there, and of beams that went on.
+    """Counts along a line, in bins of ``BIN``: of beams that ended there, and of beams that passed.
 
-    What was once a wall is taken back where enough beams go through: a door that was closed by mistake opens again, and
-    a wall that never was vanishes.
+    A bin where more beams passed than ended is no longer drawn as wall. So a doorway that was drawn as wall by
+    mistake is removed again, and so is a wall that never existed.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,17 @@ class WallExtent:
 
     @classmethod
     def counted(cls, low: int, counts: IntArray, reached: FloatArray) -> Self:
-        """What was counted elsewhere: hits and misses (2, n) from bin ``low`` on, least and most places (2, n), m."""
+        """Extent from given counts.
+
+        Parameters
+        ----------
+        low
+            Number of the first bin.
+        counts
+            Hits and misses of each bin (2, n).
+        reached
+            Least and largest position of a hit in each bin (2, n), m.
+        """
         extent = cls()
         extent._low = low
         extent._hits, extent._misses = np.array(counts, dtype=np.int64)
@@ -36,11 +46,11 @@ class WallExtent:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The outermost hits, m along the line."""
+        """Positions of the outermost hits, m along the line."""
         return float(self._least.min()), float(self._most.max())
 
     def hit(self, along: FloatArray) -> None:
-        """Beams ended at these places (n,), m along the line."""
+        """Count beams that ended at positions (n,), m along the line."""
         places = np.floor(along / BIN).astype(np.int64)
         self._reach(int(places.min()), int(places.max()))
         np.add.at(self._hits, places - self._low, 1)
@@ -48,33 +58,38 @@ class WallExtent:
         np.maximum.at(self._most, places - self._low, along)
 
     def pass_at(self, along: float) -> bool:
-        """A beam went through at a place, m; whether that is between the wall's ends, where alone it says something."""
+        """Count a beam that passed at a position, m. Only positions between the ends count; returns whether it did."""
         low, high = self.ends
         is_between = low < along < high
         if is_between:
-            # Bins that were taken over from another wall lie up to half a bin off its exact ends.
+            # Bins that were taken over from another wall may lie up to half a bin outside the exact ends.
             place = math.floor(along / BIN) - self._low
             self._misses[min(max(place, 0), len(self._misses) - 1)] += 1
         return is_between
 
-    def pieces(self, max_gap: float, tolerance: float) -> FloatArray:
-        """Where the wall is (k, 2), m: where no more than ``tolerance`` beams passed for each that ended there.
+    def intervals(self, max_gap: float, tolerance: float) -> FloatArray:
+        """Intervals (k, 2), m, in which there is wall.
 
-        What nobody has looked at between two of them belongs to it up to ``max_gap`` (m).
+        Parameters
+        ----------
+        max_gap
+            Longest gap between two hits that is drawn as wall if no beam has passed through it, m.
+        tolerance
+            Number of beams that may pass through a bin for each beam that ended in it.
         """
         is_wall = (self._hits > 0) & (self._misses <= tolerance * self._hits)
         bins = np.nonzero(is_wall)[0]
         if not len(bins):
             return np.zeros((0, 2))
-        seen_through = np.concatenate(([0], np.cumsum((self._misses > 0) & ~is_wall)))
-        between = seen_through[bins[1:]] - seen_through[bins[:-1] + 1]
+        passed = np.concatenate(([0], np.cumsum((self._misses > 0) & ~is_wall)))
+        between = passed[bins[1:]] - passed[bins[:-1] + 1]
         gaps = self._least[bins[1:]] - self._most[bins[:-1]]
         cuts = np.nonzero((between > 0) | (gaps > max_gap))[0] + 1
         parts = np.split(bins, cuts)
         return np.array([(self._least[part[0]], self._most[part[-1]]) for part in parts])
 
     def absorb(self, other: Self, factor: float, shift: float) -> None:
-        """Take over another's counts: its place s is ``factor`` (1 or -1) times s plus ``shift`` (m) here."""
+        """Add another extent's counts. Its position s is ``factor`` (1 or -1) times s plus ``shift`` (m) here."""
         middles = factor * BIN * (other._low + np.arange(len(other._hits)) + 0.5) + shift
         bins, was_hit = np.floor(middles / BIN).astype(np.int64), other._hits > 0
         self._reach(int(bins.min()), int(bins.max()))
@@ -86,7 +101,7 @@ class WallExtent:
         np.maximum.at(self._most, places[was_hit], ends[1])
 
     def _reach(self, low: int, high: int) -> None:
-        """Make room for bins from ``low`` to ``high``."""
+        """Extend the arrays to hold the bins from ``low`` to ``high``."""
         if not len(self._hits):
             self._low = low
         before, after = max(0, self._low - low), max(0, high - (self._low + len(self._hits) - 1))

@@ -1,10 +1,10 @@
-"""What the consistent estimator knows of its landmarks besides their lines: extents, and how often they were read."""
+"""The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from limslam_agent.config.presets import CloneConfig
+from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.slam.consistent.beam_model import GRAZING
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import WallExtent
@@ -16,7 +16,17 @@ from limslam_env.geometry.segment import lengths
 
 @dataclass(eq=False)
 class Wall:
-    """One landmark: its number, where it is a wall, and how many groups of readings, and readings, it was made of."""
+    """One landmark.
+
+    Attributes
+    ----------
+    number
+        Identifies the landmark; an older landmark has a smaller number.
+    extent
+        Where along the line there is wall.
+    groups, readings
+        Number of updates by a wall segment, and of readings in them.
+    """
 
     number: int
     extent: WallExtent = field(default_factory=WallExtent)
@@ -30,12 +40,12 @@ class WallMap:
     Parameters
     ----------
     belief
-        The filter: where the lines are.
+        The filter, which holds the lines.
     config
-        When something is a wall of the map.
+        When a landmark is a wall of the map.
     """
 
-    def __init__(self, belief: CloneEKF, config: CloneConfig) -> None:
+    def __init__(self, belief: CloneEKF, config: ExtentConfig) -> None:
         self._belief, self._config = belief, config
         self.walls: list[Wall] = []
         self._numbers = 0
@@ -48,23 +58,28 @@ class WallMap:
         return self.walls[index]
 
     def add(self) -> Wall:
-        """The landmark whose line the filter has just been given."""
+        """Add a landmark for the line that was last added to the filter."""
         self.walls.append(Wall(self._numbers))
         self._numbers += 1
         return self.walls[-1]
 
     def grow(self, index: int, points: FloatArray) -> None:
-        """Beams have ended on a landmark at points (n, 2), m, and corrected the filter."""
+        """Count beams that ended on a landmark at points (n, 2), m, and that have corrected the filter."""
         wall = self.walls[index]
         wall.extent.hit(self.along(index, points))
         wall.groups += 1
         wall.readings += len(points)
         self._drawn = None
 
-    def unite(self, older: int, younger: int, origin: FloatArray, tangent: FloatArray) -> None:
-        """The younger of two landmarks has become the older one.
+    def merge(self, older: int, younger: int, origin: FloatArray, tangent: FloatArray) -> None:
+        """Merge two landmarks into the older one, after the filter has merged their lines.
 
-        ``origin`` (2,), m, and ``tangent`` (2,) are where the younger's places counted from and to, in the world.
+        Parameters
+        ----------
+        older, younger
+            Indices of the landmarks. The younger one is removed.
+        origin, tangent
+            Point of the world (2,), m, from which the younger landmark's positions counted, and their direction (2,).
         """
         wall, other = self.walls[older], self.walls.pop(younger)
         factor = 1.0 if tangent @ direction(self._belief.anchored[older]) > 0.0 else -1.0
@@ -74,7 +89,7 @@ class WallMap:
         self._drawn = None
 
     def along(self, index: int, points: FloatArray) -> FloatArray:
-        """Where points (..., 2) fall along a landmark (...), m from its anchor."""
+        """Positions (...) of points (..., 2) along a landmark, m from its anchor."""
         return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.anchored[index]))
 
     def ends(self, index: int) -> FloatArray:
@@ -83,20 +98,20 @@ class WallMap:
 
     @property
     def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m: where beams ended, and none went through."""
-        shown = [pieces for wall, pieces in zip(self.walls, self._pieces, strict=True) if self._is_shown(wall)]
+        """The walls of the map (N, 4), m: where beams ended, and none passed."""
+        shown = [each for wall, each in zip(self.walls, self._segments, strict=True) if self._is_shown(wall)]
         every = np.concatenate((np.zeros((0, 4)), *shown))
-        return np.asarray(every[lengths(every) >= self._config.shown_length])
+        return np.asarray(every[lengths(every) >= self._config.min_length])
 
     @property
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
-        marked = zip(self.all_landmarks, self.walls, self._pieces, strict=True)
-        return [mark for mark, wall, pieces in marked if self._is_shown(wall) and len(pieces)]
+        marked = zip(self.all_landmarks, self.walls, self._segments, strict=True)
+        return [mark for mark, wall, drawn in marked if self._is_shown(wall) and len(drawn)]
 
     @property
     def all_landmarks(self) -> list[Landmark]:
-        """The same, and those that are provisional, by number."""
+        """All landmarks, provisional ones included, by number."""
         lines = self._belief.lines
         return [
             Landmark(
@@ -106,15 +121,15 @@ class WallMap:
             for index, wall in enumerate(self.walls)
         ]  # fmt: skip
 
-    def see_through(self, origins: FloatArray, towards: FloatArray, ranges: FloatArray, stds: FloatArray) -> None:
-        """Take back what beams have gone through.
+    def clear_along_beams(self, origins: FloatArray, towards: FloatArray, ranges: FloatArray, stds: FloatArray) -> None:
+        """Count the places of landmarks that beams have passed through.
 
         Parameters
         ----------
         origins, towards
-            Where the beams begin (n, 2), m, and their directions (n, 2), in the world.
+            Where the beams begin (n, 2), m, and their unit directions (n, 2), in the world.
         ranges, stds
-            How far they went (n,), and how unsure that is (n,), m.
+            How far the beams went (n,), and the standard deviations of that (n,), m.
         """
         if not self.walls:
             return
@@ -125,26 +140,26 @@ class WallMap:
             ahead = (lines[:, 0] + np.sum(anchors * normals, axis=1) - origins @ normals.T) / cosines
         margin = self._config.through_sigmas * stds[:, None] / np.maximum(np.abs(cosines), GRAZING)
         is_clear = (np.abs(cosines) > GRAZING) & (ahead > 0.0)
-        went_on = is_clear & (ahead + margin + self._config.through_slack < ranges[:, None])
-        for beam, index in np.argwhere(went_on).tolist():
+        passed = is_clear & (ahead + margin + self._config.through_slack < ranges[:, None])
+        for beam, index in np.argwhere(passed).tolist():
             place = self.along(index, origins[beam] + ahead[beam, index] * towards[beam])
             if self.walls[index].extent.pass_at(float(place)):
                 self._drawn = None
 
     def _is_shown(self, wall: Wall) -> bool:
-        return wall.readings >= self._config.shown_readings
+        return wall.readings >= self._config.min_readings
 
     @property
-    def _pieces(self) -> list[FloatArray]:
-        # Lines only change when one is observed, and the map is asked for at every step.
+    def _segments(self) -> list[FloatArray]:
+        """Segments (k, 4), m, of each landmark; kept until a landmark changes, because every step asks for them."""
         if self._drawn is None:
             gap, tolerance = self._config.max_gap, self._config.through_tolerance
             self._drawn = [
-                self._points(index, wall.extent.pieces(gap, tolerance)).reshape(-1, 4)
+                self._points(index, wall.extent.intervals(gap, tolerance)).reshape(-1, 4)
                 for index, wall in enumerate(self.walls)
             ]
         return self._drawn
 
     def _points(self, index: int, along: FloatArray) -> FloatArray:
-        """Points (..., 2) of the world at places (...) along a landmark."""
+        """Points (..., 2) of the world, m, at positions (...) along a landmark."""
         return np.asarray(self._belief.anchors[index] + at(self._belief.anchored[index], along))

@@ -1,4 +1,4 @@
-"""What an estimator notes down for those who watch or score it."""
+"""Diagnostics: what an estimator reports about its stages, for pictures and for scores."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from limslam_env.interface import Side
 
 @dataclass(frozen=True, eq=False)
 class AssociationRecord:
-    """What became of one observed line.
+    """Association of one observed line with a landmark.
 
     Attributes
     ----------
     landmark
-        The landmark that it was taken for, or that it became.
+        Number of the landmark.
     is_new
-        Whether it became a new landmark.
+        Whether the observation created the landmark.
     readings
-        (n, 2): step and beam of each point on it.
+        Step and beam of each of the line's points (n, 2).
     robot
-        Whose readings they are.
+        Which robot made the observation.
     """
 
     landmark: int
@@ -35,13 +35,13 @@ class Extraction:
     Attributes
     ----------
     robot, side, step
-        Whose scan it was, of which side, and when.
+        The robot, side and step of the scan.
     pose
-        Where the robot believed to be (3,).
+        Estimated pose of the robot (3,), m, m, rad.
     points
         The scan (n, 2), m, in the robot's frame.
     lines, ends
-        What was found in it (k, 2): r and theta, in the robot's frame, and the end points (k, 2, 2), m.
+        The lines (k, 2) as (r, theta) in the robot's frame, m and rad, and their end points (k, 2, 2), m.
     """
 
     robot: int
@@ -54,17 +54,17 @@ class Extraction:
 
 
 @dataclass(frozen=True, eq=False)
-class Waiting:
-    """Points that wait to become lines.
+class PendingPoints:
+    """Points that are pending: no line has been extracted from them yet.
 
     Attributes
     ----------
     robot, side
-        Whose points they are, of which side.
+        The robot and side of the points.
     points
         (n, 2), m, in the world.
     enough
-        At so many of them lines are looked for.
+        Number of points at which lines are extracted.
     """
 
     robot: int
@@ -75,18 +75,18 @@ class Waiting:
 
 @dataclass(frozen=True)
 class Closure:
-    """Two landmarks that were taken for one wall.
+    """A loop closure: two landmarks that were found to be one wall.
 
     Attributes
     ----------
     older, younger
-        The landmarks.
+        Numbers of the landmarks.
     step
-        When it happened.
+        Step of the closure.
     distance_before, distance_after
         Squared Mahalanobis distance between the two, before and after the whole state was corrected.
     offset_before, offset_after
-        How far apart they were, m: the middle of the younger from the older's line.
+        Distance of the younger landmark's middle from the older one's line, before and after, m.
     """
 
     older: int

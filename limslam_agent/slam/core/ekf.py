@@ -1,7 +1,7 @@
-"""The extended Kalman filter over the poses of robots and the lines that they share, without dense work.
+"""Extended Kalman filter over the poses of robots and the lines that they share, with sparse Jacobians.
 
 State (the paper's eq. 1): x = [x, y, theta, ..., r_1, theta_1, ..., r_N, theta_N], one pose a robot, covariance P.
-Letters x, P, F, Q, H, R, S are the literature's and appear in this module only.
+Letters x, P, F, Q, H, R, S are those of the literature. They are used in this module and in ``clone_ekf`` only.
 """
 
 import math
@@ -21,12 +21,11 @@ _BLOCK = 130_000
 
 
 class LineEKF(ExtendedKalmanFilter):
-    """filterpy's filter for a state that grows, in O(n) a prediction and O(n^2) an update.
+    """filterpy's filter for a growing state of length n: O(n) for a prediction and O(n^2) for an update.
 
-    The motion moves only the pose and an observed line depends on five numbers of the state, so
-    ``F`` and ``Q`` hold the pose's (3, 3) block alone, ``update`` takes the non-zero columns of
-    the Jacobian, and P changes in place by a product of rank two. The result equals the dense
-    filter's.
+    A motion changes only the pose, and an observed line depends on five entries of the state. So ``F`` and ``Q`` hold
+    only the pose's (3, 3) block, ``update`` takes the non-zero columns of the Jacobian, and P changes in place by a
+    product of rank two. The result equals that of the dense filter.
 
     Parameters
     ----------
@@ -39,7 +38,7 @@ class LineEKF(ExtendedKalmanFilter):
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
         super().__init__(dim_x=np.size(pose), dim_z=2)
         self.x = np.array(pose, dtype=float).ravel()
-        # Where the numbers of the poses end, and where the lines begin: a subclass may keep something in between.
+        # The poses end at the first index and the lines begin at the second; a subclass may use what is in between.
         self._poses_end = self._first = len(self.x)
         self.P = np.zeros((self._first,) * 2) if covariance is None else np.array(covariance, dtype=float, order="C")
 
@@ -111,8 +110,7 @@ class LineEKF(ExtendedKalmanFilter):
         residual
             Difference of two measurements, for angles.
         columns
-            The k numbers of the state that the measurement depends on; the Jacobian's other
-            columns are zero.
+            Indices (k,) in the state of all that the measurement depends on. The Jacobian's other columns are zero.
         """
         H = HJacobian(self.x, *args)
         self.z, self.R = z, R
@@ -126,7 +124,7 @@ class LineEKF(ExtendedKalmanFilter):
         self._restore_angles()
 
     def predict_update(self, *_: Any, **__: Any) -> None:
-        """Not available: filterpy's version ignores angles.
+        """Not available, because filterpy's version does not wrap angles.
 
         Raises
         ------
@@ -136,7 +134,7 @@ class LineEKF(ExtendedKalmanFilter):
         raise NotImplementedError("call predict, then update")
 
     def columns_of(self, index: int, robot: int = 0) -> IntArray:
-        """The numbers of the state that a robot's observation of one line depends on."""
+        """Indices (5,) in the state of all that a robot's observation of one line depends on."""
         first, pose = self._first + 2 * index, POSE * robot
         return np.array([pose, pose + 1, pose + 2, first, first + 1])
 
@@ -162,7 +160,7 @@ class LineEKF(ExtendedKalmanFilter):
         )  # fmt: skip
 
     def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
-        """How far two landmarks are from being one (2,), in the younger's form, and the covariance of that (2, 2)."""
+        """Difference (2,) of two landmarks in the younger's form, m and rad, and its covariance (2, 2)."""
         columns = np.concatenate((self.columns_of(older)[POSE:], self.columns_of(younger)[POSE:]))
         line, other = self.x[columns[:2]], self.x[columns[2:]]
         form = nearest_form(line, other)
@@ -170,9 +168,9 @@ class LineEKF(ExtendedKalmanFilter):
         return form - other, H @ self.P[np.ix_(columns, columns)] @ H.T
 
     def observe_landmark(self, older: int, younger: int) -> None:
-        """Update by the older of two landmarks as if it were an observation of the younger, as the paper has it.
+        """Update by the older of two landmarks as if it were an observation of the younger, as the paper does.
 
-        What the two have in common is counted twice by this.
+        This ignores the correlation of the two landmarks and therefore counts shared information twice.
         """
         line, R = self.lines[older], self.line_covariance(older)
         columns = self.columns_of(younger)[POSE:]
@@ -182,13 +180,13 @@ class LineEKF(ExtendedKalmanFilter):
     def augment(self, line: FloatArray, R: FloatArray, robot: int = 0) -> int:
         """Add a new landmark, observed as ``line`` in a robot's frame, and return its index.
 
-        Its covariance with all that is known follows from the pose it was seen from.
+        Its covariance with the rest of the state follows from the pose from which it was observed.
         """
         pose = slice(POSE * robot, POSE * robot + POSE)
         by_pose, by_line = from_frame_jacobians(line, self.x[pose])
         old = len(self.x)
         P = np.empty((old + 2, old + 2))
-        # Rounding makes P drift from symmetry over thousands of updates; here a copy is due anyway.
+        # Rounding makes P asymmetric over thousands of updates. P is copied here in any case.
         P[:old, :old] = 0.5 * (self.P + self.P.T)
         P[old:, :old] = by_pose @ P[pose, :old]
         P[:old, old:] = P[old:, :old].T
@@ -201,7 +199,7 @@ class LineEKF(ExtendedKalmanFilter):
     def _move(
         self, moved: slice, increment: FloatArray, F: FloatArray, Q: FloatArray, columns: slice | IntArray
     ) -> None:
-        """Move a pose by an increment (3,); it depends by F (3, k) on k numbers of the state, with noise Q (3, 3)."""
+        """Move a pose by an increment (3,), with Jacobian F (3, k) by ``columns`` of the state, and noise Q (3, 3)."""
         self.F, self.Q = F, Q
         self.x[moved] = compose(self.x[moved], increment)
         rows = F @ self.P[columns]
@@ -212,9 +210,9 @@ class LineEKF(ExtendedKalmanFilter):
     def _subtract_square(self, W: FloatArray) -> None:
         """P -= W^T W, in place.
 
-        P is symmetric and stored by rows, so the transpose of some of its rows is in the column order
-        that BLAS changes in place. Blocks stay below the size from which it would use threads, which
-        take longer to wake than this takes to do.
+        P is symmetric and stored by rows, so the transpose of some of its rows is in the column order that BLAS can
+        change in place. Blocks are smaller than the size from which BLAS uses threads, because starting the threads
+        takes longer than the product.
         """
         rows = max(1, _BLOCK // self.P.shape[0])
         for first in range(0, self.P.shape[0], rows):
@@ -234,7 +232,7 @@ class LineEKF(ExtendedKalmanFilter):
         return np.hstack(to_frame_jacobians(x[columns[POSE:]], x[columns[:POSE]]))
 
     def _restore_angles(self) -> None:
-        """Wrap the angles, and turn lines round that crossed the origin: r >= 0 again, P with it."""
+        """Wrap the angles, and normalise lines that crossed the origin to r >= 0, P included."""
         for heading in range(2, self._poses_end, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))
         r, theta = self.x[self._first :: 2], self.x[self._first + 1 :: 2]
@@ -250,7 +248,7 @@ class LineEKF(ExtendedKalmanFilter):
 def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """``L^-1 HP`` (m, n) and ``L^-1 y`` (m,) with the Cholesky factor L of S (m, m).
 
-    By hand: m is one or two, and LAPACK's calls would cost more than the rest of an update.
+    Written without LAPACK: m is one or two, and the overhead of its calls would exceed the rest of an update.
     """
     rows: list[list[float]] = S.tolist()
     L = [[0.0] * len(rows) for _ in rows]
@@ -269,12 +267,12 @@ def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, F
 
 
 def _in_form_jacobian(line: FloatArray, form: FloatArray) -> FloatArray:
-    """Derivative (2, 2) of a line's other form by the line: r changes its sign, theta turns by pi."""
+    """Derivative (2, 2) of a line's equivalent form (-r, theta + pi), or of the line itself, by the line."""
     opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
     return np.diag([-1.0, 1.0]) if opposite else np.eye(2)
 
 
 def _in_form(R: FloatArray, line: FloatArray, form: FloatArray) -> FloatArray:
-    """The covariance of a line brought into another form, in which r may have changed its sign."""
+    """Covariance (2, 2) of a line in an equivalent form, in which r may have the other sign."""
     turned = _in_form_jacobian(line, form)
     return np.asarray(turned @ R @ turned)

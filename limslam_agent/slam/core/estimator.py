@@ -1,21 +1,20 @@
-"""What all estimators have in common: poses and walls out of motions and readings."""
+"""The interface of the estimators, which compute poses and walls from motions and readings."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Factors, Motion
+from limslam_agent.slam.core.motion import Motion, OdometryCalibration
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 
 class Estimator:
-    """The part of SLAM that two methods do in two ways.
+    """Base class of the estimators.
 
     Parameters
     ----------
@@ -29,22 +28,22 @@ class Estimator:
     Attributes
     ----------
     closures
-        Pairs of landmarks that were taken for one wall, in order.
+        Pairs of landmarks that were found to be one wall, in order.
     last_extraction
-        What was found in the latest scan; None before the first.
+        The lines of the latest scan; None before the first.
     on_association
-        Told what became of each observed line, for those who keep a record.
+        Called with the association of each observed line.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, belief: LineEKF) -> None:
-        self.robot, self.config, self._belief = robot, config, belief
+    def __init__(self, robot: RobotSpec, belief: LineEKF) -> None:
+        self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
         self.on_association: Callable[[AssociationRecord], None] | None = None
 
     @property
     def poses(self) -> FloatArray:
-        """The believed poses of all robots (n, 3)."""
+        """Estimated poses of all robots (n, 3), m, m, rad."""
         return self._belief.poses
 
     @property
@@ -70,26 +69,26 @@ class Estimator:
 
     @property
     def all_landmarks(self) -> list[Landmark]:
-        """The same, and those that are provisional, by number."""
+        """All landmarks, provisional ones included, by number."""
         raise NotImplementedError
 
-    def factors(self, robot: int) -> tuple[Factors, FloatArray] | None:
-        """What a robot's odometry is wrong by, and the covariance (3, 3); None where that is not estimated."""
+    def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
+        """A robot's odometry calibration and its covariance (3, 3); None if it is not estimated."""
         del robot
         return None
 
     def predict(self, motion: Motion, robot: int) -> None:
-        """A robot has moved."""
+        """Predict the pose of a robot that has moved."""
         self._belief.predict(motion.increment, motion.covariance, robot)
 
     def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
-        """Use the new readings of a robot, which has just moved."""
+        """Use the new readings of a robot after its motion has been predicted."""
         raise NotImplementedError
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
-        """Use what still waits: nothing more will come."""
+        """Use all pending readings at the end of a run."""
         raise NotImplementedError
 
-    def waiting(self, fronts: Sequence[FrontEnd]) -> list[Waiting]:
-        """What still waits, for those who want to watch."""
+    def pending_points(self, fronts: Sequence[FrontEnd]) -> list[PendingPoints]:
+        """The pending points of each robot and side, in the world."""
         raise NotImplementedError

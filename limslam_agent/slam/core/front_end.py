@@ -1,4 +1,4 @@
-"""The readings of one robot: checked, counted, and those of other robots left out."""
+"""Front end of one robot: checks its readings, counts the steps, and drops beams that may have hit other robots."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from limslam_env.interface import Observation, RobotSpec
 
 
 class FrontEnd:
-    """The readings of one robot.
+    """The latest readings of one robot.
 
     Parameters
     ----------
@@ -21,9 +21,9 @@ class FrontEnd:
     ranges, measured
         The latest readings (n_beams,), m, and which of them are new and finite.
     dropped
-        Which of them (n_beams,) may have hit another robot; they are not ``measured``.
+        Readings (n_beams,) that may have hit another robot. They are not ``measured``.
     refused_readings
-        How many readings were not finite, since the start.
+        Number of readings since the start that were not finite.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
@@ -35,19 +35,19 @@ class FrontEnd:
         self.refused_readings = 0
 
     def check(self, observation: Observation) -> None:
-        """Make sure that readings can be accepted.
+        """Check that an observation can be accepted.
 
         Raises
         ------
         ValueError
-            If there are ranges of the wrong shape.
+            If its ranges have the wrong shape.
         """
         if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
             shape = np.shape(observation["ranges"])
             raise ValueError(f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}")
 
     def accept(self, observation: Observation) -> None:
-        """Take in the readings of the next step, which have been checked."""
+        """Store the readings of the next step, which have been checked."""
         self.step += 1
         self.dropped = np.zeros(len(self._robot.beams), dtype=bool)
         if "ranges" not in observation:
@@ -59,12 +59,12 @@ class FrontEnd:
         self.ranges, self.measured = ranges, finite & self._robot.measures(self.step)
 
     def drop(self, beams: BoolArray) -> None:
-        """Leave out those of the new readings that show a wall and may have hit another robot (n_beams,)."""
+        """Drop those of the given beams (n_beams,) that hit something: they may have hit another robot."""
         self.dropped = beams & self.hits
         self.measured = self.measured & ~self.dropped
 
     @property
     def hits(self) -> BoolArray:
-        """Readings (n_beams,) that show a wall: neither nothing seen, nor too near to be measured."""
+        """New readings (n_beams,) that show a wall: not at the sensor's limits."""
         near_enough = self.ranges < self._robot.too_far
         return np.asarray(self.measured & (self.ranges > self._robot.too_near) & near_enough)

@@ -1,4 +1,4 @@
-"""Lines in a buffer of points: the Hough transform finds them, total least squares sharpens them."""
+"""Line extraction from points: the Hough transform finds lines, and total least squares refines them."""
 
 import math
 from dataclasses import dataclass
@@ -7,17 +7,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from limslam_agent.config.presets import HoughConfig
+from limslam_agent.config.shared import HoughConfig
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import along, distance
 
-_MAX_CANDIDATES = 200
+MAX_CANDIDATES = 200
+"""Largest number of lines that the Hough transform returns."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExtractedLine:
-    """One wall, or part of it, in a buffer.
+    """A line segment that was found in a buffer of points.
 
     Attributes
     ----------
@@ -31,8 +32,18 @@ class ExtractedLine:
     members: IntArray
 
 
+def bin_size(config: HoughConfig, std: float) -> float:
+    """Size of a bin of r, m, for points with noise ``std``, m."""
+    return max(config.r_step, 3.0 * std)
+
+
+def max_distance(config: HoughConfig, std: float) -> float:
+    """Largest distance of a point from its line, m, for points with noise ``std``, m."""
+    return max(config.max_offset, 2.5 * std)
+
+
 def hough_votes(points: FloatArray, config: HoughConfig, std: float) -> FloatArray:
-    """Every line (r, theta) with enough votes, best first.
+    """Lines (r, theta) with enough votes, best first (R. Duda and P. Hart, "Use of the Hough transformation", 1972).
 
     Parameters
     ----------
@@ -41,7 +52,7 @@ def hough_votes(points: FloatArray, config: HoughConfig, std: float) -> FloatArr
     config
         Bins and threshold.
     std
-        Of the points off their wall, m.
+        Standard deviation of the points' distances from their wall, m.
 
     Returns
     -------
@@ -49,12 +60,12 @@ def hough_votes(points: FloatArray, config: HoughConfig, std: float) -> FloatArr
         (k, 3): votes, r (m, may be negative), theta in [0, pi).
     """
     reach = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
-    step = max(config.r_step, 3.0 * std)
-    # OpenCV's types leave out that nothing found is None.
+    step = bin_size(config, std)
+    # OpenCV returns None if there is no line, which its type annotations do not say.
     found: Any = cv2.HoughLinesPointSet(
         points.astype(np.float32).reshape(-1, 1, 2),
-        lines_max=_MAX_CANDIDATES,
-        threshold=config.min_votes - 1,  # OpenCV wants more votes than this
+        lines_max=MAX_CANDIDATES,
+        threshold=config.min_votes - 1,  # OpenCV returns lines with more votes than this
         min_rho=-reach - step,
         max_rho=reach + step,
         rho_step=step,
@@ -71,39 +82,38 @@ def hough_votes(points: FloatArray, config: HoughConfig, std: float) -> FloatArr
 def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[ExtractedLine]:
     """All lines in a buffer of points (n, 2), m, whose ranges have noise ``std`` (m), best first.
 
-    Each point belongs to one line: a line takes its points away, and what is left of a weaker
-    candidate must still pass the threshold. So one wall cannot appear twice, neither as
-    neighbouring bins nor across theta = 0, where (r, theta) and (-r, theta + pi) meet.
+    Each point belongs to at most one line. The points of a line are removed, and the remaining points of a weaker
+    candidate must still pass the threshold. So one wall cannot appear twice, neither in neighbouring bins nor across
+    theta = 0, where (r, theta) and (-r, theta + pi) are the same line.
     """
     if len(points) < config.min_votes:
         return []
     centre = points.mean(axis=0)
     free = np.ones(len(points), dtype=bool)
     lines: list[ExtractedLine] = []
-    # Votes are counted about the middle of the points, where r and theta hardly interact.
+    # Votes are counted relative to the points' centre, where r and theta are nearly independent.
     for _, r, theta in hough_votes(points - centre, config, std):
         shifted = r + centre[0] * math.cos(theta) + centre[1] * math.sin(theta)
-        pieces = _pieces(points, free, np.array([shifted, theta]), config, std)
-        lines += pieces
-        for piece in pieces:
-            free[piece.members] = False
-        if pieces and config.only_best:
+        segments = _segments(points, free, np.array([shifted, theta]), config, std)
+        lines += segments
+        for segment in segments:
+            free[segment.members] = False
+        if segments and config.only_best:
             break
         if np.count_nonzero(free) < config.min_votes:
             break
     return lines
 
 
-def _pieces(
+def _segments(
     points: FloatArray,
     free: np.ndarray[tuple[int], np.dtype[np.bool_]],
     line: FloatArray,
     config: HoughConfig,
     std: float,
 ) -> list[ExtractedLine]:
-    """Refine a candidate on its inliers, and cut it where a hole is."""
-    bin_size = max(config.r_step, 3.0 * std)
-    tolerances = (bin_size, max(config.max_offset, 2.5 * std))
+    """Refine a candidate line on its inliers, and split it at gaps."""
+    tolerances = (bin_size(config, std), max_distance(config, std))
     for tolerance in tolerances:
         members = np.nonzero(free & (np.abs(distance(line, points)) <= tolerance))[0]
         if len(members) < config.min_votes:
@@ -113,10 +123,10 @@ def _pieces(
     position = along(line, points[members])
     order = np.argsort(position, kind="stable")
     cuts = np.nonzero(np.diff(position[order]) > config.max_gap)[0] + 1
-    pieces = []
+    segments = []
     for part in np.split(members[order], cuts):
         if len(part) >= config.min_votes:
             fit = fit_line(points[part], std)
             if fit.length >= config.min_length:
-                pieces.append(ExtractedLine(fit, part))
-    return pieces
+                segments.append(ExtractedLine(fit, part))
+    return segments

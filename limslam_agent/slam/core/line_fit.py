@@ -1,4 +1,4 @@
-"""A line through points by total least squares, and how well it is known."""
+"""A line through points by total least squares, with its covariance."""
 
 import math
 from dataclasses import dataclass

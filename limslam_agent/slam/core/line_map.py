@@ -1,10 +1,10 @@
-"""What the map knows of its landmarks besides the filter's state: end points and how often they were seen."""
+"""The landmarks of the published method, without their lines: end points, and numbers of observations."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.presets import MapConfig
+from limslam_agent.config.published import MapConfig
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
 from limslam_env.geometry.segment import lengths
@@ -12,7 +12,7 @@ from limslam_env.geometry.segment import lengths
 
 @dataclass(frozen=True, eq=False)
 class Landmark:
-    """A wall of the map, as a snapshot.
+    """A landmark at one moment.
 
     Attributes
     ----------
@@ -23,9 +23,9 @@ class Landmark:
     ends
         End points (2, 2), m.
     observations
-        How many observed lines it was made of.
+        Number of observed lines that the landmark was estimated from.
     number
-        Which landmark of the filter it is: the older, the smaller.
+        Identifies the landmark; an older landmark has a smaller number.
     """
 
     r: float
@@ -39,8 +39,8 @@ class Landmark:
 class LineMap:
     """End points of the landmarks, by their index in the filter.
 
-    End points are kept as points of the world and put on the line when asked for: the line
-    moves with every update, and they move with it.
+    End points are stored as points of the world, and projected on the line when they are requested, because every
+    update changes the line.
     """
 
     def __init__(self) -> None:
@@ -51,28 +51,28 @@ class LineMap:
         return len(self._ends)
 
     def observations(self, index: int) -> int:
-        """How many observed lines a landmark was made of."""
+        """Number of observed lines that a landmark was estimated from."""
         return self._observations[index]
 
     def confirmed(self, segments: FloatArray, config: MapConfig) -> IntArray:
-        """Landmarks (k,) that are walls of the map by now, given all of them as segments (N, 4), m."""
+        """Indices (k,) of the landmarks that are walls of the map, given all landmarks as segments (N, 4), m."""
         enough = np.array(self._observations, dtype=int) >= config.min_observations
         return np.nonzero(enough & (lengths(segments) >= config.min_length))[0]
 
     def add(self, ends: FloatArray) -> None:
-        """A new landmark with end points (2, 2), m."""
+        """Add a landmark with end points (2, 2), m."""
         self._ends.append(ends)
         self._observations.append(1)
 
     def grow(self, index: int, line: FloatArray, ends: FloatArray) -> None:
-        """Let landmark ``index``, now on ``line``, reach over further end points (2, 2)."""
+        """Extend landmark ``index``, which now lies on ``line``, to further end points (2, 2), m."""
         points = np.vstack((self._ends[index], ends))
         position = points @ direction(line)
         self._ends[index] = at(line, np.array([position.min(), position.max()]))
         self._observations[index] += 1
 
     def segments(self, lines: FloatArray) -> FloatArray:
-        """The landmarks with their end points on the lines (N, 2), as (N, 4), m."""
+        """The landmarks as segments (N, 4), m, with their end points projected on the lines (N, 2)."""
         if not self._ends:
             return np.zeros((0, 4))
         ends = np.array(self._ends)

@@ -1,13 +1,12 @@
-"""Beams that may have hit another robot of the team: they must not become walls."""
+"""Detection of beams that may have hit another robot of the team, and must not become walls."""
 
 import numpy as np
 
-from limslam_agent.config.presets import TeamConfig
+from limslam_agent.config.exploration import TeamConfig
+from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
-
-_POSE = 3
 
 
 def may_hit_others(
@@ -21,23 +20,23 @@ def may_hit_others(
 ) -> BoolArray:
     """Which beams (n_beams,) of one robot may end on another robot's body.
 
-    A beam may when the place where it ends lies no farther from where another robot is believed to be than the
-    body's radius, and what neither place is known to.
+    A beam may have hit another robot if its end point is closer to that robot's estimated position than the body's
+    radius plus a margin for the uncertainty of both positions.
 
     Parameters
     ----------
     index
-        Which robot's beams.
+        The robot that measured.
     ranges
         Its readings (n_beams,), m.
     poses, covariance
-        Believed poses of all robots (n, 3), and their joint covariance (3 n, 3 n).
+        Estimated poses of all robots (n, 3), m, m, rad, and their joint covariance (3 n, 3 n).
     robot
-        What each of them is.
+        Body and beams of each robot.
     range_std
         Standard deviation of a range, m.
     config
-        How much is allowed for.
+        Size of the margin.
     """
     ends = transform_points(poses[index], robot.beam_origins + ranges[:, None] * robot.beam_directions)
     suspicious = np.zeros(len(ranges), dtype=bool)
@@ -56,12 +55,12 @@ def may_hit_others(
 def _variance_along(toward: FloatArray, arms: FloatArray, index: int, other: int, covariance: FloatArray) -> FloatArray:
     """Variance (k,), m^2, of the distance between beams' ends and another robot, along unit vectors (k, 2).
 
-    ``arms`` (k, 2) lead from the measuring robot to the ends, which turn about it with its heading.
+    ``arms`` (k, 2), m, are the vectors from the measuring robot to the end points, which rotate with its heading.
     """
     # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x and y.
     turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
     jacobian = np.column_stack((toward, turning, -toward))
-    first, second = _POSE * index, _POSE * other
+    first, second = POSE * index, POSE * other
     columns = [first, first + 1, first + 2, second, second + 1]
     block = covariance[np.ix_(columns, columns)]
     return np.asarray(np.maximum(np.einsum("ki,ij,kj->k", jacobian, block, jacobian), 0.0))

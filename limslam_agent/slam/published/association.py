@@ -1,11 +1,11 @@
-"""Which landmark an observed line is: the Mahalanobis distance, and four ways to rule a pair out."""
+"""Association of an observed line with landmarks: the Mahalanobis distance, and four exclusion tests."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.presets import AssociationConfig
+from limslam_agent.config.published import AssociationConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.line import direction, from_frame, normal
 from limslam_env.geometry.se2 import transform_points, wrap_angle
@@ -14,7 +14,7 @@ from limslam_env.geometry.segment import distances as segment_distances
 
 @dataclass(frozen=True, eq=False)
 class ObservedLine:
-    """A line as the robot sees it, in its present frame.
+    """A line that the robot has observed, in its present frame.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class ObservedLine:
     ends
         End points (2, 2), m.
     origins, points
-        Where the beams that saw it began and ended (n, 2), m.
+        Origins and end points (n, 2), m, of the beams that observed the line.
     """
 
     line: FloatArray
@@ -35,17 +35,17 @@ class ObservedLine:
 
 @dataclass(frozen=True)
 class Match:
-    """A landmark that an observation may be, and the squared Mahalanobis distance to it."""
+    """A landmark that an observation may show, and the squared Mahalanobis distance between them."""
 
     landmark: int
     distance: float
 
 
 _BEHIND = 0.05
-"""A beam may begin this far, m, behind a line that noise has moved."""
+"""A beam may begin this far behind a line, m, because noise moves the line."""
 
 _MOST_UNSEEN = 0.35
-"""A landmark may go on this far, m, beyond its known ends, and what noise adds to that."""
+"""A landmark may continue this far beyond its known ends, m, besides the effect of noise."""
 
 Innovation = Callable[[FloatArray, FloatArray, int], tuple[FloatArray, FloatArray]]
 
@@ -59,28 +59,28 @@ def associate(
     max_range: float,
     config: AssociationConfig,
 ) -> list[Match]:
-    """Landmarks that an observation may be, nearest first.
+    """Landmarks that an observation may show, nearest first.
 
     Parameters
     ----------
     observed
-        The observation.
+        The observed line.
     pose
-        The believed pose (3,).
+        Estimated pose (3,), m, m, rad.
     lines, segments
         The landmarks in the world: (N, 2), and with their end points (N, 4), m.
     innovation
         From observed line, its covariance and a landmark's index to their difference (2,) and
         the total covariance of both (2, 2).
     max_range
-        Farthest that the robot's beams see from its centre, m.
+        Largest distance from the robot's centre that its beams measure, m.
     config
         Gate and thresholds.
     """
     if len(lines) == 0:
         return []
     ends = transform_points(pose, observed.ends)
-    # Without the gate for ends, beams must still meet the landmark.
+    # Beams must meet the landmark even where the test of the ends is disabled.
     seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
     possible = (
         near_ends(ends, lines, segments, config.max_end_gap)
@@ -100,7 +100,7 @@ def associate(
 def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap: float) -> BoolArray:
     """Exclusion 1: landmarks (N,) whose end points lie near the observation's ends (2, 2), along the wall.
 
-    Two walls on one line with a door between them stay two landmarks by this.
+    So two walls on one line with a door between them remain two landmarks.
     """
     directions = direction(lines)
     observed = np.sort(directions @ ends.T, axis=1)
@@ -118,8 +118,8 @@ def visible(
     """Exclusion 2: landmarks (N,) that the beams which made the observation can see.
 
     Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and
-    within ``max_range`` (m). A landmark behind another one counts: around a loop the same wall may stand
-    in the map twice, and the older one must not be hidden by the younger.
+    within ``max_range`` (m). A landmark behind another one counts as visible, because after a loop the map may hold the
+    same wall twice, and the younger landmark must not hide the older one.
     """
     origins = transform_points(pose, observed.origins)
     reaches = transform_points(pose, observed.points) - origins
@@ -128,7 +128,7 @@ def visible(
 
 
 def _crossings(origins: FloatArray, directions: FloatArray, segments: FloatArray, slack: float) -> FloatArray:
-    """How far (n, N), m, beams go to each lengthened segment; infinite where they do not meet it."""
+    """Ranges (n, N), m, at which beams meet each lengthened segment; infinite where they do not meet it."""
     start = segments[:, :2]
     span = segments[:, 2:] - start
     length = np.maximum(np.linalg.norm(span, axis=1), 1e-12)

@@ -1,24 +1,24 @@
-"""Loop closing as published (step 7): two landmarks that turn out to be one wall.
+"""Loop closing of the published method (step 7): detects two landmarks that are one wall.
 
-Around a loop a wall that comes into view again is at first a new landmark: the robot has drifted, and the old
-one does not fit. Later observations fit the young landmark best and, once the two have come close enough, the old
-one second. If these two agree, they are the same wall.
+After a loop, a wall that is observed again first becomes a new landmark, because the drift of the pose keeps it from
+being associated with the old one. Later observations fit the new landmark best, and the old landmark second best if
+the two are close enough. If the two landmarks agree, they are the same wall.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.config.presets import LoopClosingConfig
+from limslam_agent.config.published import LoopClosingConfig
 from limslam_agent.slam.published.association import alike, near_ends
 from limslam_env.geometry import FloatArray
 
 
 def closing_pair(landmarks: Sequence[int]) -> tuple[int, int] | None:
-    """Of the landmarks that an observation may be, nearest first, the first two as (older, younger); else None."""
+    """The first two landmarks that an observation may show, nearest first, as (older, younger); None if fewer."""
     if len(landmarks) < 2:
         return None
-    # Landmarks are numbered as they come.
+    # An older landmark has a smaller number.
     return min(landmarks[:2]), max(landmarks[:2])
 
 
@@ -50,12 +50,13 @@ def agree(
 def squared_distance(difference: FloatArray, covariance: FloatArray, floor: FloatArray) -> float:
     """Squared Mahalanobis distance of a difference (2,); ``floor`` (2,) are the least standard deviations, m and rad.
 
-    Two landmarks that were seen together all the time have a difference that is known better than any wall is straight.
+    Without the floor, the difference of two landmarks that were always seen together would be known more exactly than
+    any wall is straight.
     """
     return float(difference @ np.linalg.solve(covariance + np.diag(floor**2), difference))
 
 
 def offset(line: FloatArray, segment: FloatArray) -> float:
-    """How far the middle of a segment (4,) lies from a line (r, theta), m."""
+    """Distance, m, of the middle of a segment (4,) from a line (r, theta)."""
     middle = segment.reshape(2, 2).mean(axis=0)
     return abs(float(np.cos(line[1]) * middle[0] + np.sin(line[1]) * middle[1] - line[0]))

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, Waiting
+from limslam_agent.config.published import PublishedConfig
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
@@ -23,7 +23,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class PublishedEstimator(Estimator):
-    """Points of a few beams are collected by odometry, and the lines in them observed as if independent of it.
+    """The published method, which treats lines from points collected by odometry as independent of the odometry.
 
     Parameters
     ----------
@@ -32,11 +32,12 @@ class PublishedEstimator(Estimator):
     config
         Settings of every stage.
     start
-        Where the robots begin (n, 3), m, m, rad.
+        Start poses of the robots (n, 3), m, m, rad.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
-        super().__init__(robot, config, LineEKF(start))
+    def __init__(self, robot: RobotSpec, config: PublishedConfig, range_std: float, start: FloatArray) -> None:
+        super().__init__(robot, LineEKF(start))
+        self._config, self._std = config, range_std
         self._map = LineMap()
         self._buffers = [{side: ScanBuffer(robot, side, config.buffer) for side in SIDES} for _ in start]
         association = config.association
@@ -45,23 +46,23 @@ class PublishedEstimator(Estimator):
         self._drawn: FloatArray | None = None
 
     def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
-        """Collect points, and use each buffer that is full."""
+        """Add points to the buffers, and use each buffer that is full."""
         for side, buffer in self._buffers[number].items():
-            buffer.carry(motion.increment, float(motion.covariance[2, 2]))
+            buffer.move(motion.increment, float(motion.covariance[2, 2]))
             for scan in buffer.add(front.ranges, front.measured, front.hits, front.step):
                 self._use(number, front.step, side, scan)
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
-        """Use the points that are left in the buffers."""
+        """Use the points that remain in the buffers."""
         for number, front in enumerate(fronts):
             for side, buffer in self._buffers[number].items():
                 self._use(number, front.step, side, buffer.take())
 
-    def waiting(self, fronts: Sequence[FrontEnd]) -> list[Waiting]:
-        """What is in the buffers."""
+    def pending_points(self, fronts: Sequence[FrontEnd]) -> list[PendingPoints]:
+        """The points in the buffers, by robot and side."""
         del fronts
         return [
-            Waiting(number, side, transform_points(pose, buffer.scan.points), self.config.buffer.size)
+            PendingPoints(number, side, transform_points(pose, buffer.scan.points), self._config.buffer.size)
             for number, (pose, buffers) in enumerate(zip(self.poses, self._buffers, strict=True))
             for side, buffer in buffers.items()
         ]
@@ -73,13 +74,13 @@ class PublishedEstimator(Estimator):
 
     @property
     def landmarks(self) -> list[Landmark]:
-        """The walls of the map with all that is known of them."""
+        """The walls of the map as landmarks, with covariances."""
         every = self.all_landmarks
         return [every[index] for index in self._confirmed.tolist()]
 
     @property
     def all_landmarks(self) -> list[Landmark]:
-        """The walls of the map, and those that are provisional, by number."""
+        """All landmarks, provisional ones included, by number."""
         lines, segments = self._belief.lines, self._all_segments
         return [
             Landmark(
@@ -91,17 +92,17 @@ class PublishedEstimator(Estimator):
 
     @property
     def _all_segments(self) -> FloatArray:
-        # Lines only change when one is observed, and the map is asked for at every step.
+        # Lines only change when one is observed, but every step asks for the map.
         if self._drawn is None:
             self._drawn = self._map.segments(self._belief.lines)
         return self._drawn
 
     @property
     def _confirmed(self) -> IntArray:
-        return self._map.confirmed(self._all_segments, self.config.map)
+        return self._map.confirmed(self._all_segments, self._config.map)
 
     def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
-        lines = extract_lines(scan.points, self.config.hough, self.config.range_std)
+        lines = extract_lines(scan.points, self._config.hough, self._std)
         found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
         ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
         pose = self._belief.poses[robot]
@@ -110,19 +111,19 @@ class PublishedEstimator(Estimator):
             self._incorporate(robot, step, line, scan.select(line.members))
 
     def _incorporate(self, robot: int, step: int, line: ExtractedLine, scan: Scan) -> None:
-        """Take an observed line for a landmark that is known, or for a new one; or close a loop with it."""
+        """Associate an observed line with a known landmark or a new one, or close a loop with it."""
         fit, pose = line.fit, self._belief.poses[robot]
-        covariance = fit.covariance + np.diag([0.0, self.config.filter.drift_share * float(scan.drift.mean())])
+        covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
         matches = associate(
             ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points), pose, self._belief.lines,
             self._all_segments, lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
-            self.robot.reach, self.config.association,
+            self.robot.reach, self._config.association,
         )  # fmt: skip
         if self._closes_loop([match.landmark for match in matches], step):
             return
         if matches:
             landmark = matches[0].landmark
-            if self.config.filter.correct:
+            if self._config.filter.correct:
                 self._belief.observe_line(fit.line, covariance, landmark, robot)
             pose = self._belief.poses[robot]
             self._map.grow(landmark, self._belief.lines[landmark], transform_points(pose, fit.ends))
@@ -136,13 +137,13 @@ class PublishedEstimator(Estimator):
             self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
 
     def _closes_loop(self, landmarks: list[int], step: int) -> bool:
-        """Whether the two landmarks nearest to an observation are one wall; then the younger is corrected by the older.
+        """Whether the two landmarks nearest to an observation are one wall; then the younger is updated by the older.
 
-        The observation has done its duty by that. A pair is closed once: the two are not merged, but the older one
-        would otherwise be taken for a new measurement again and again.
+        The observation is not used further. Each pair is closed only once: the two landmarks are not merged, and the
+        older one would otherwise be used as a new measurement again and again.
         """
-        config, pair = self.config.closing, closing_pair(landmarks)
-        if pair is None or pair in self._closed or not (config.enabled and self.config.filter.correct):
+        config, pair = self._config.closing, closing_pair(landmarks)
+        if pair is None or pair in self._closed or not (config.enabled and self._config.filter.correct):
             return False
         before = self._distance(*pair)
         lines, segments = self._belief.lines, self._all_segments
@@ -160,5 +161,5 @@ class PublishedEstimator(Estimator):
         return True
 
     def _distance(self, older: int, younger: int) -> float:
-        floor = np.array([self.config.closing.floor_distance, self.config.closing.floor_angle])
+        floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
         return squared_distance(*self._belief.difference(older, younger), floor)

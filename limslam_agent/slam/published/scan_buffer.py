@@ -1,10 +1,10 @@
-"""Pseudo-dense scans: points of a few beams, collected on the way and carried along by odometry."""
+"""Pseudo-dense scans: points of a few beams, collected while driving and moved by odometry into the present frame."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.published import BufferConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
@@ -17,13 +17,13 @@ class Scan:
     Attributes
     ----------
     points
-        Where the beams ended (n, 2), m.
+        End points of the beams (n, 2), m.
     origins
-        Where each of those beams began (n, 2), m.
+        Origins of those beams (n, 2), m.
     readings
-        (n, 2): the step and the beam that each point comes from.
+        Step and beam of each point (n, 2).
     drift
-        How uncertain the heading has become by odometry since each point was measured (n,), rad^2.
+        Variance of the heading's change by odometry since each point was measured (n,), rad^2.
     """
 
     points: FloatArray
@@ -48,9 +48,9 @@ class ScanBuffer:
     Parameters
     ----------
     robot
-        Its beams of this side fill the buffer.
+        The robot, whose beams of this side fill the buffer.
     side
-        ``"left"`` or ``"right"``: the two never see the same wall at once.
+        ``"left"`` or ``"right"``. The two sides never see the same wall at once.
     config
         Size and gap.
     """
@@ -66,10 +66,10 @@ class ScanBuffer:
 
     @property
     def scan(self) -> Scan:
-        """What is in the buffer now."""
+        """The points in the buffer."""
         return self._scan
 
-    def carry(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
+    def move(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
         """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
         back = inverse(increment)
         scan = self._scan
@@ -95,12 +95,12 @@ class ScanBuffer:
         Returns
         -------
         scans
-            What is handed on: the points of a wall that has ended, and those of a full buffer.
+            Scans to extract lines from: the points of a wall that has ended, and those of a full buffer.
         """
         chosen = hit[self._beams]
         self._missed |= bool(measured[self._beams].any()) and not chosen.any()
         handed_on = []
-        # A long way between two measurements that both hit is no gap; one with a miss in it is.
+        # A long distance between two hits is a gap only if a beam missed in between.
         if self._missed and self._since_hit > self._config.max_gap and len(self._scan):
             handed_on.append(self.take())
         if chosen.any():
@@ -111,7 +111,7 @@ class ScanBuffer:
         return handed_on
 
     def take(self) -> Scan:
-        """Empty the buffer, and give back what was in it."""
+        """Empty the buffer, and return its points."""
         scan, self._scan = self._scan, _EMPTY
         return scan
 

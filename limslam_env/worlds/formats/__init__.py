@@ -1,1 +1,1 @@
-"""File formats of worlds, in and out: map_server, wall lists, HouseExpo."""
+"""File formats of worlds: TOML, map_server, wall lists and HouseExpo; ``loading`` reads any of them."""

@@ -1,12 +1,16 @@
-"""Any world: by the name of a shipped one, or from a file in any format that can be read."""
+"""Reads any world: one that comes with the package, by its name, or a file in any supported format."""
 
 import os
 from importlib import resources
 from pathlib import Path
 from typing import TypeAlias
 
-from limslam_env.worlds.formats.readers import read_json, read_text
-from limslam_env.worlds.world import MAX_FILE_BYTES, World, WorldError, named, parse_world
+from limslam_env.worlds.formats.house_expo import house_world
+from limslam_env.worlds.formats.json_files import read_table
+from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, read_text
+from limslam_env.worlds.formats.toml import parse_world
+from limslam_env.worlds.formats.wall_list import wall_list_world
+from limslam_env.worlds.world import World, WorldError, named
 
 WorldSource: TypeAlias = str | os.PathLike[str] | World
 
@@ -44,11 +48,28 @@ def _load_file(path: Path) -> World:
     if path.suffix == ".json":
         return read_json(path)
     if path.suffix in {".yaml", ".yml"}:
-        # Brings OpenCV and YAML, which worlds of TOML and JSON can do without.
+        # Needs OpenCV and YAML, which worlds in TOML and JSON do without.
         from limslam_env.worlds.formats.map_server import read_map_server
 
         return read_map_server(path)
     raise WorldError(f"{path}: not a world file that can be read (.toml, .yaml, .json)")
+
+
+def read_json(path: str | os.PathLike[str]) -> World:
+    """The world in a JSON file, which is HouseExpo's if it has the key ``verts`` and a wall list otherwise.
+
+    Raises
+    ------
+    WorldError
+        If the file is neither, or cannot be used; the message names file and reason.
+    """
+    with named(path):
+        table = read_table(Path(path))
+        if "verts" in table:
+            return house_world(table)
+        if "walls" in table:
+            return wall_list_world(table)
+        raise WorldError("holds neither 'walls', as a wall list, nor 'verts', as a house of HouseExpo")
 
 
 def shipped_worlds() -> list[str]:

@@ -1,4 +1,4 @@
-"""Maps of ROS's map_server: a picture of cells (PGM) and what it means (YAML), read as straight walls."""
+"""Worlds from maps of ROS's map_server: a picture of cells (PGM) and a description of it (YAML)."""
 
 import math
 import os
@@ -7,31 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.segment import polygon_edges
-from limslam_env.worlds.formats.readers import read_bytes, read_text
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.worlds.formats.outlines import outlines_of
+from limslam_env.worlds.formats.pgm import read_pgm
+from limslam_env.worlds.formats.text_files import read_text
 from limslam_env.worlds.world import World, WorldError, named
 
-MAX_PIXELS = 36_000_000
 FINEST, COARSEST = 0.001, 10.0
 """Smallest and largest side of a cell, m."""
 
 _YAML_BYTES = 100_000  # a map's YAML has six lines, and PyYAML takes its time
 _YAML_DEPTH = 2  # a table, and the origin's three numbers in it
-_HEADER_BYTES = 65_536
-_PLAIN_SAMPLE_BYTES = 8  # of a P2 file, the spaces around included
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
-_HEADER = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\n\r]*[\n\r])+(\d{1,9})" + rb"\s")
 # YAML 1.1 as PyYAML knows it takes 5e-2 for a text; map_server and YAML 1.2 take it for a number.
 _EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")
-# Noise has a patch or a corner at every other cell, and would take minutes; floor plans stay far below.
-_MAX_OUTLINES, _MAX_CORNERS = 20_000, 1_000_000
-_PILLAR_CORNERS = 100
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ class MapInfo:
 
 
 def read_map_server(path: str | os.PathLike[str]) -> World:
-    """The world that a map_server's ``.yaml`` and the ``.pgm`` beside it show.
+    """The world in a map of map_server: a ``.yaml`` file and the ``.pgm`` picture that it names.
 
     Walls run along the outlines of the occupied cells, a quarter of a cell within them, and are straightened by up to
     one cell. A solid patch is an obstacle. Cells that are unknown are not walls.
@@ -82,58 +74,6 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
         # A file's name may hold bytes that are no text.
         name = path.stem.encode("utf-8", "replace").decode()
         return _world(name, (shade > info.occupied_thresh)[samples], info)
-
-
-def read_pgm(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
-    """Read a PGM file, binary (P5) or plain (P2), of 8 or 16 bits.
-
-    Returns
-    -------
-    samples
-        (rows, columns), the uppermost row first.
-    largest
-        The level that stands for white.
-
-    Raises
-    ------
-    WorldError
-        If it is no PGM file, has too many pixels, too few samples, or one above its own white.
-    """
-    header = _HEADER.match(read_bytes(path, _HEADER_BYTES))
-    if not header:
-        raise WorldError("no PGM file: its header is neither that of P5 nor of P2")
-    columns, rows, largest = (int(number) for number in header.groups()[1:])
-    if not 1 <= rows * columns <= MAX_PIXELS:
-        raise WorldError(f"{columns} x {rows} pixels; 1 to {MAX_PIXELS} can be read")
-    if not 1 <= largest <= 65_535:
-        raise WorldError(f"white is {largest}; it must lie between 1 and 65535")
-    if header[1] == b"2":
-        samples = _plain(path, header.end(), rows * columns)
-    else:
-        samples = _binary(path, header.end(), rows * columns, ">u1" if largest < 256 else ">u2")
-    if len(samples) < rows * columns:
-        raise WorldError(f"ends after {len(samples)} of {rows * columns} pixels")
-    if samples.max() > largest:
-        raise WorldError(f"holds the level {samples.max()}, above its white of {largest}")
-    return samples.reshape(rows, columns), largest
-
-
-def _binary(path: Path, start: int, count: int, kind: str) -> NDArray[np.integer[Any]]:
-    size = np.dtype(kind).itemsize
-    content = read_bytes(path, start + count * size)[start:]
-    return np.frombuffer(content, dtype=kind, count=len(content) // size)
-
-
-def _plain(path: Path, start: int, count: int) -> NDArray[np.integer[Any]]:
-    most = start + count * _PLAIN_SAMPLE_BYTES + _HEADER_BYTES
-    content = read_bytes(path, most + 1)
-    if len(content) > most:
-        raise WorldError(f"too long for {count} pixels")
-    content = re.sub(rb"#[^\n\r]*", b" ", content[start:])
-    odd = re.search(rb"[^\d\s]|\d{6}", content)
-    if odd:
-        raise WorldError(f"{odd[0].decode('latin-1')!r} is no sample")
-    return np.fromstring(content, dtype=np.int32, sep=" ")[:count]
 
 
 def _info(text: str) -> MapInfo:
@@ -190,7 +130,7 @@ def _number(value: Any, key: str, low: float, high: float) -> float:
 
 
 def _world(name: str, occupied: BoolArray, info: MapInfo) -> World:
-    polygons, walls = _outlines(occupied)
+    polygons, walls = outlines_of(occupied)
     x, y, yaw = info.origin
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     width, height = np.abs(turn.T) @ (np.array(occupied.shape[::-1]) * info.resolution)
@@ -204,82 +144,3 @@ def _world(name: str, occupied: BoolArray, info: MapInfo) -> World:
         placed(walls.reshape(-1, 2)).reshape(-1, 4),
         tuple(placed(polygon) for polygon in polygons),
     )
-
-
-def _outlines(occupied: BoolArray) -> tuple[list[FloatArray], FloatArray]:
-    """Polygons around the solid patches, each (k, 2), and the walls (n, 4) that make up the others' outlines.
-
-    Lengths are in cells, from the lower left corner of ``occupied`` (rows, columns), uppermost row first; y is up.
-    """
-    rows, columns = (np.nonzero(occupied.any(axis=axis))[0] for axis in (1, 0))
-    if not rows.size:
-        raise WorldError("no cell is occupied")
-    part = occupied[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    if _corner_count(part) > _MAX_CORNERS:
-        raise WorldError(f"its walls have more than {_MAX_CORNERS} corners: noise, or no floor plan")
-    # Twice as fine: the outline of a wall of one cell would otherwise run forth and back on one line.
-    doubled = part.astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
-    contours, hierarchy = cv2.findContours(doubled, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    if len(contours) > _MAX_OUTLINES:
-        raise WorldError(
-            f"{len(contours)} separate outlines: noise, or no floor plan; up to {_MAX_OUTLINES} can be used"
-        )
-    polygons, walls = [], [np.zeros((0, 4))]
-    for contour, (_, _, hole, around) in zip(contours, hierarchy[0], strict=True):
-        is_solid = hole < 0 and around < 0
-        outline = _with_corners(contour[:, 0].astype(np.int32), doubled)
-        corners = cv2.approxPolyDP(outline[:, None], 2.0, closed=True)[:, 0].astype(np.int64)
-        if is_solid and len(corners) == 1:  # a patch of a cell or so is still in the way
-            corners = outline
-        placed = (corners + 0.5) / 2.0 + (columns[0], rows[0])
-        placed[:, 1] = len(occupied) - placed[:, 1]
-        if is_solid and _is_simple(corners):
-            polygons.append(placed)
-        elif len(corners) > 1:
-            # The outline of a thin wall is one line, there and back.
-            walls.append(polygon_edges(placed)[: None if len(corners) > 2 else 1])
-    return polygons, np.vstack(walls)
-
-
-def _corner_count(occupied: BoolArray) -> int:
-    """How often the outlines of the occupied cells (rows, columns) turn, those along the border left out."""
-    change = occupied[1:] ^ occupied[:-1]
-    # Along an outline that runs straight on, two cells beside each other differ from those below alike.
-    turns = change[:, 1:] ^ change[:, :-1]
-    touching = change[:, 1:] & change[:, :-1] & (occupied[1:, 1:] ^ occupied[1:, :-1])
-    return int(np.count_nonzero(turns) + 2 * np.count_nonzero(touching))
-
-
-def _with_corners(outline: IntArray, occupied: NDArray[np.uint8]) -> IntArray:
-    """An outline (k, 2) of columns and rows with the inner corners, which OpenCV cuts off by a diagonal step."""
-    step = np.roll(outline, -1, axis=0) - outline
-    at = np.nonzero(np.abs(step).min(axis=1) == 1)[0]
-    ahead, aside = outline[at] + step[at] * (1, 0), outline[at] + step[at] * (0, 1)
-    # One side of the step is open, and the corner is on the other; where two patches touch, both are open.
-    corner = np.where(occupied[ahead[:, 1], ahead[:, 0], None] > 0, ahead, aside)
-    inner = occupied[corner[:, 1], corner[:, 0]] > 0
-    return np.insert(outline, at[inner] + 1, corner[inner], axis=0)
-
-
-def _is_simple(corners: IntArray) -> bool:
-    """Whether a polygon (k, 2) of whole numbers has an area and touches itself nowhere."""
-    if not 3 <= len(corners) <= _PILLAR_CORNERS:
-        return False
-    a, b = corners, np.roll(corners, -1, axis=0)
-    span, after = b - a, np.roll(b - a, -1, axis=0)
-    turns = span[:, 0] * after[:, 1] - span[:, 1] * after[:, 0]
-    if ((turns == 0) & ((span * after).sum(axis=1) < 0)).any():  # it runs back on itself
-        return False
-
-    def side(points: IntArray) -> IntArray:
-        """On which side of edge i point j lies: -1, 0, 1."""
-        offset = points[None] - a[:, None]
-        return np.asarray(np.sign(span[:, None, 0] * offset[..., 1] - span[:, None, 1] * offset[..., 0]))
-
-    straddles = side(a) * side(b) <= 0
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=-1)
-    index = np.arange(len(corners))
-    apart = (index[:, None] - index[None]) % len(corners)
-    strangers = (apart != 0) & (apart != 1) & (apart != len(corners) - 1)
-    return not (straddles & straddles.T & overlap & strangers).any()

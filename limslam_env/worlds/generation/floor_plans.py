@@ -1,4 +1,4 @@
-"""Random floor plans: rooms, corridors, doors, slanted walls and obstacles, each in a measure that can be set."""
+"""Random floor plans: rooms, corridors, doors, slanted walls and obstacles, with settings for each."""
 
 import math
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ MOST_OBSTACLES = 20.0
 SMALLEST_OBSTACLE = 0.2
 
 SPARE = 0.25
-"""Beyond a robot's diameter, m: the least space between things in a room."""
+"""Least space between objects in a room beyond the robot's diameter, m."""
 
 DOOR_SPARE = 0.10
 """Beyond a robot's diameter, m: the least width of doors and corridors."""

@@ -1,4 +1,4 @@
-"""What stands in a room: slanted walls and polygons, placed so that a robot can get around all of them.
+"""The content of rooms: slanted walls and polygons, placed so that a robot can drive around all of them.
 
 Lengths are whole millimetres and distances are compared as squares, without rounding. Corners of polygons come from
 sums, products and quotients of floats alone, which every machine rounds alike; sines and cosines it may not.
@@ -29,7 +29,7 @@ _AT_WALL_SHARE, _RECTANGLE_SHARE, _UPRIGHT_SHARE = 0.4, 0.3, 0.7
 
 
 class Furniture(NamedTuple):
-    """How much to put into rooms.
+    """The amount of obstacles in rooms.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Furniture(NamedTuple):
 def furnish(
     room: Room, doors: list[Segment], cuts: list[Segment], furniture: Furniture, generator: np.random.Generator
 ) -> tuple[list[Segment], list[Polygon]]:
-    """Slanted walls and obstacles for a room with its doors and cut corners; what finds no place is left out.
+    """Slanted walls and obstacles for a room with its doors and cut corners; objects that do not fit are left out.
 
     All keep the clearance from everything but the one wall that they may stand at. So what is free is still one
     piece, for every robot that the clearance lets pass. Corridors stay empty.
@@ -95,7 +95,7 @@ class _Disc(NamedTuple):
 
 @dataclass
 class _Contents:
-    """What a room holds so far.
+    """The content of a room during generation.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class _Contents:
 
 
 def _put_slanted_wall(contents: _Contents, clearance: int, generator: np.random.Generator) -> None:
-    """A stub that leans out of a wall, or now and then a slanted wall on its own."""
+    """A stub that starts at a wall, or sometimes a free-standing slanted wall."""
     if generator.random() < _STUB_SHARE:
         for _ in range(_STUB_TRIES):
             stub = _stub(contents.room, clearance, generator)
@@ -190,7 +190,7 @@ def _box_at_wall(contents: _Contents, radius: int, clearance: int, generator: np
 
 
 def _drawn_quarter(generator: np.random.Generator) -> float:
-    """Where on a quarter of a circle a rectangle has its corner: not too near to either end."""
+    """The angle of a rectangle's corner on a quarter circle, not too near to either end."""
     return 0.05 + 0.15 * float(generator.random())
 
 
@@ -240,7 +240,7 @@ def _polygon(disc: _Disc, generator: np.random.Generator) -> Polygon:
 
 
 def _on_circle(turn: float) -> tuple[float, float]:
-    """A point of the unit circle, about a share ``turn`` (0 to 1) of the way round."""
+    """A point of the unit circle, at a fraction ``turn`` (0 to 1) of the circle."""
     quarter = int(4.0 * turn)
     half = 4.0 * turn - quarter  # stands for the tangent of half the angle
     x, y = (1.0 - half * half) / (1.0 + half * half), 2.0 * half / (1.0 + half * half)

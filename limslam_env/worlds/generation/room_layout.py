@@ -29,7 +29,7 @@ _Interval: TypeAlias = tuple[int, int]
 
 
 class Span(NamedTuple):
-    """A piece of a line parallel to an axis.
+    """A line segment parallel to an axis.
 
     Attributes
     ----------
@@ -72,14 +72,14 @@ class Room(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A piece of wall that two rooms share, and the numbers of the rooms."""
+    """A wall segment that two rooms share, and the numbers of the rooms."""
 
     span: Span
     rooms: tuple[int, int]
 
 
 class Measures(NamedTuple):
-    """What a layout keeps to: shortest side of a room and width of corridors, mm; chance of a corridor."""
+    """The constraints of a layout: shortest side of a room and width of corridors, mm; chance of a corridor."""
 
     min_room: int
     corridor_width: _Interval
@@ -115,7 +115,7 @@ _Part: TypeAlias = tuple[Room, int | None]
 
 
 class _Cutter:
-    """The cuts of one layout, and where further walls may meet those that stand."""
+    """The cuts of one layout, and the intervals where further walls may meet existing ones."""
 
     def __init__(self, measures: Measures, generator: np.random.Generator) -> None:
         self.rooms: list[Room] = []
@@ -175,7 +175,7 @@ class _Cutter:
         return [interval for side in sides for interval in self._blocked[across, side]]
 
     def _add_wall(self, part: Room, along: int, at: int) -> None:
-        """Put up a wall through a part, and keep later walls from meeting others right beside it."""
+        """Add a wall through a part, and forbid that later walls meet others close to it."""
         wall = Span(along, at, part.low[along], part.high[along])
         self.walls.append(wall)
         for side in (wall.low, wall.high):
@@ -192,7 +192,7 @@ class _Cutter:
 
 
 def sections(rooms: list[Room], shortest: int) -> list[Section]:
-    """Pieces of wall of at least ``shortest`` mm that two rooms share; two rectangles share one at most."""
+    """Wall segments of at least ``shortest`` mm that two rooms share; two rectangles share one at most."""
     found = []
     for axis in (0, 1):
         across = 1 - axis
@@ -209,7 +209,7 @@ def sections(rooms: list[Room], shortest: int) -> list[Section]:
 
 
 def opened(candidates: list[Section], rooms: list[Room], loops: float, generator: np.random.Generator) -> list[Section]:
-    """The sections that get a door: a random tree over all rooms, and a share ``loops`` of those left over."""
+    """The sections that get a door: a random tree over all rooms, and a fraction ``loops`` of the remaining ones."""
     weights = generator.random(len(candidates)).tolist()
     for number, section in enumerate(candidates):
         weights[number] *= _CORRIDOR_WEIGHT ** sum(rooms[room].is_corridor for room in section.rooms)
@@ -233,7 +233,7 @@ def door_in(section: Section, width: _Interval, generator: np.random.Generator) 
 
 
 def with_openings(walls: Iterable[Span], doors: Iterable[Span]) -> list[Span]:
-    """What is left of walls between the doors in them."""
+    """The parts of walls between their doors."""
     in_line = defaultdict(list)
     for door in sorted(doors):
         in_line[door.axis, door.at].append(door)

@@ -4,24 +4,25 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 from support.bags import odometry, scan, write_bag
+from support.command_line import call
+
+from limslam_agent.cli.main import main
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
+    "run.toml",
 }  # fmt: skip
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
 SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
 
 
-def limslam(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "limslam_agent.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, check=False, cwd=cwd,
-    )  # fmt: skip
+limslam = partial(call, main)
 
 
 def carmen_line(x, time):
@@ -114,7 +115,7 @@ def test_results_are_only_replaced_by_force(tmp_path):
 def test_force_never_replaces_what_is_no_run(tmp_path):
     (tmp_path / "thesis.txt").write_text("years of work")
     result = limslam("run", "--max-time", "1", "--out", tmp_path, "--force")
-    assert_refused(result, "holds no run's results")
+    assert_refused(result, "does not hold the results of a run")
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 
@@ -150,8 +151,10 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("run", "--world", "atlantis"), "atlantis"),
         (("run", "--world", "missing.toml"), "missing.toml"),
         (("run", "--preset", "magic"), "magic"),
-        (("run", "--max-time", "0"), "0 s"),
-        (("run", "--laps", "-1"), "-1"),
+        (("run", "--max-time", "0"), "--max-time must be a number from 0.001 to 1e+06, not 0.0"),
+        (("run", "--laps", "-1"), "--laps must be"),
+        (("run", "--robots", "9"), "--robots must be a number from 1 to 8, not 9"),
+        (("replay",), "a log is needed"),
         (("run", "--seed", "-3"), "-3"),
         (("run", "--policy", "magic"), "no policy is called 'magic'"),
         (("run", "--policy", "random", "--laps", "2"), "laps"),
@@ -169,7 +172,7 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
         (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
         (("replay", "{log}", "--calibrate", "{log}", "--calibrate-until", "nan"), "--calibrate-until"),
-        (("replay", "{log}", "--odometry-topic", "/odom"), "is no ROS bag"),
+        (("replay", "{log}", "--odometry-topic", "/odom"), "is not a ROS bag"),
         (("replay", "{log}", "--range-topics", "/left:somewhere"), "'somewhere' is no direction"),
     ],
 )
@@ -299,7 +302,7 @@ def assert_refused(result, words):
 
 
 def test_importing_the_command_line_is_light():
-    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags'}"
+    heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags', 'numpy', 'tomli_w'}"
     loaded = f"import sys, limslam_agent.cli.main; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -174,7 +174,7 @@ def test_several_robots_wheels_become_a_path_each(tmp_path):
     for odometry, length in zip(run.odometry, (0.29, 0.58), strict=True):
         assert np.hypot(*(odometry[-1] - odometry[0])[:2]) == pytest.approx(length, rel=1e-6)
     np.savez(folder / "log.npz", wheels=wheels[:-1])
-    with pytest.raises(FolderError, match="does not go with"):
+    with pytest.raises(FolderError, match="does not fit the trajectories"):
         read_run(folder)
 
 
@@ -197,7 +197,7 @@ def test_a_summary_leaves_out_what_is_not_known():
         "speed       80 x real time",
     ]
     assert len(run_summary({**METRICS, "exploration_time_s": None}, {})) == 4
-    assert run_summary({}, {}) == ["stopped     nobody knows why"]
+    assert run_summary({}, {}) == ["stopped     for an unknown reason"]
     relations = {
         f"{prefix}relation_error_{unit}": 0.5 for prefix in ("", "loop_", "odometry_") for unit in ("m", "deg")
     }
@@ -232,11 +232,11 @@ def write(name, words):
     ("spoil", "words"),
     [
         (drop("result.json"), "no result.json"),
-        (spoil_json, "is no JSON"),
+        (spoil_json, "is not JSON"),
         (list_instead, "does not hold"),
         (drop_metrics, "no metrics"),
-        (write("result.json", "[" * 100_000), "is no JSON"),
-        (lambda folder: (folder / "result.json").write_bytes(b"\xff\xfe{}"), "is no JSON"),
+        (write("result.json", "[" * 100_000), "is not JSON"),
+        (lambda folder: (folder / "result.json").write_bytes(b"\xff\xfe{}"), "is not JSON"),
         (drop("map.json"), "map.json"),
         (write("map.json", '{"segments": [[1, 2, 3]]}'), "four numbers"),
         (write("map.json", '{"segments": [[1, 2, 3, NaN]]}'), "four numbers"),
@@ -247,7 +247,7 @@ def write(name, words):
         (write("trajectory_est.tum", "0 1 2 3\n"), "line 1 is not t x y z"),
         (write("trajectory_est.tum", "0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 one\n"), "line 2 is not"),
         (write("trajectory_est.tum", "0 inf 0 0 0 0 0 1\n"), "line 1 is not"),
-        (write("trajectory_true.tum", "0 0 0 0 0 0 0 1\n"), "not of the same robots"),
+        (write("trajectory_true.tum", "0 0 0 0 0 0 0 1\n"), "have other robots or times"),
         (lambda folder: (folder / "trajectory_est.tum").write_bytes(b"\xff\x00\xff"), "cannot be read"),
     ],
 )

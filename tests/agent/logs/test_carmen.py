@@ -2,7 +2,6 @@
 
 import gzip
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.data import data_folder
+from support.work import count_calls
 
 from limslam_agent.logs.carmen import MIN_RANGE, beam_angles_deg, read_carmen
 from limslam_agent.logs.log_reader import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE, read_log
@@ -337,7 +337,7 @@ def test_a_log_without_odometry_is_refused(write: Any) -> None:
 
 
 def test_a_log_without_a_scan_is_refused(write: Any) -> None:
-    assert "has no scan: not one FLASER line" in refusal(write(odom(at=1.0), odom(at=2.0)))
+    assert "has no scan: there is no FLASER line" in refusal(write(odom(at=1.0), odom(at=2.0)))
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
@@ -572,11 +572,11 @@ def test_refusals_come_through_the_dispatch(write: Any, tmp_path: Path) -> None:
     ("name", "events", "scans", "seconds", "metres"),
     [("fr079/fr079_raw.clf.gz", 4934, 4791, 1061.5, 392.9), ("csail/mit-csail.clf.gz", 1988, 1988, 424.0, 373.6)],
 )
-def test_a_real_log_is_read_whole_and_fast(name: str, events: int, scans: int, seconds: float, metres: float) -> None:
+def test_a_real_log_is_read_whole_and_with_little_work(
+    name: str, events: int, scans: int, seconds: float, metres: float
+) -> None:
     path = data_folder() / name
-    begin = time.perf_counter()
-    log = read_carmen(path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
-    taken = time.perf_counter() - begin
+    calls, log = count_calls(read_carmen, path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
     assert (len(log), int(log.has_scan.sum())) == (events, scans)
     assert log.time[-1] - log.time[0] == pytest.approx(seconds, abs=0.1)
     assert log.odometry is not None
@@ -584,7 +584,8 @@ def test_a_real_log_is_read_whole_and_fast(name: str, events: int, scans: int, s
     assert [beam.side for beam in log.robot.beams] == ["right", "right", "none", "none", "left", "left"]
     assert np.all(log.ranges[~log.has_scan] == 5.0)
     assert 0.02 < np.mean(log.ranges[log.has_scan] == 5.0) < 0.5
-    assert taken < 1.5
+    # 67 calls for each event, which take a tenth of a millisecond; a call for each value of a scan would make 360.
+    assert calls < 130 * events
 
 
 def test_a_real_log_agrees_with_the_same_beams_taken_by_someone_else() -> None:

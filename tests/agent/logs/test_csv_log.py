@@ -154,7 +154,7 @@ def test_small_steps_back_in_time_stay_as_they_are(write):
         ("0.2,0,0,0,1,-,1", "line 3: a range is not a number: '-'"),
         ("-2.0,0,0,0,1,1,1", "line 3: the time steps back by 2.0 s"),
         ("0.2,1e4,0,0,1,1,1", "odometry jumps by 1e+04 m in row 1"),
-        ("0.2,1e200,0,0,1,1,1", "the odometry in row 1 is no pose: 1e+200, 0, 0"),
+        ("0.2,1e200,0,0,1,1,1", "the odometry in row 1 is not a pose: 1e+200, 0, 0"),
     ],
 )
 def test_a_bad_row_is_refused_with_its_line(write, row, words):
@@ -186,10 +186,10 @@ def test_a_bad_header_is_refused(write, head, words):
 
 
 def test_files_without_rows_are_refused(write):
-    assert "is empty: not even a header" in refusal(write(""))
-    assert "is empty: not even a header" in refusal(write("\n# nothing\n"))
-    assert "holds no ranges: not one row" in refusal(write(HEAD))
-    assert "holds no ranges: not one row" in refusal(write(HEAD + "0,0,0,0,-\n"))
+    assert "is empty: it has no header" in refusal(write(""))
+    assert "is empty: it has no header" in refusal(write("\n# nothing\n"))
+    assert "has no row with ranges" in refusal(write(HEAD))
+    assert "has no row with ranges" in refusal(write(HEAD + "0,0,0,0,-\n"))
 
 
 def test_files_that_cannot_be_read_are_refused(write, tmp_path):
@@ -217,7 +217,7 @@ def test_a_gzip_stream_that_is_cut_is_refused(write):
 def test_other_texts_are_no_tables(write):
     for text in ("ODOM 1 2 3\n", "# t x y\nODOM 1\n", "FLASER 180\n", "", "t x y yaw\n"):
         assert is_csv(write(text, "other.log")) == (text == "t x y yaw\n")
-    assert "has no odometry: not one ODOM or FLASER line" in refusal(write("# a note\n", "carmen.log"))
+    assert "has no odometry: there is no ODOM or FLASER line" in refusal(write("# a note\n", "carmen.log"))
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -64,7 +64,7 @@ def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, words:
 def test_files_that_hold_no_relations_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "none.relations"
     path.write_text("# nothing\n")
-    assert "holds no relations" in refusal(path)
+    assert "has no relations" in refusal(path)
     path.write_bytes(bytes(100))
     assert "line 1: this is not a text file" in refusal(path)
     assert "No such file" in refusal(tmp_path / "absent")

@@ -148,7 +148,7 @@ def test_range_topics_may_be_given_with_their_directions(tmp_path):
     messages = [odometry(10.0 + step, 0.1 * step) for step in range(3)]
     messages += [each for step in range(3) for each in four_ranges(10.0 + step, names=("a", "b", "c", "left"))]
     path = write_bag(tmp_path, messages)
-    assert "where /range/a points is not known: say it as --range-topics /range/a:DEGREES" in refusal(path)
+    assert "where /range/a points is unknown: set it with --range-topics /range/a:DEGREES" in refusal(path)
     log = read_log(path, None, None, Topics(ranges={"/range/c": 30.0, "range/left": None}))
     np.testing.assert_allclose(degrees(log), [30.0, 90.0])
     np.testing.assert_allclose(log.ranges[0], [1.5, 2.0])
@@ -169,7 +169,7 @@ def test_a_sensor_that_fell_silent_is_named(tmp_path):
     messages = [odometry(10.0 + step, 0.1 * step) for step in range(20)]
     messages += [distance(10.0 + step, 1.0, "/left") for step in range(20)]
     messages += [distance(10.0 + 0.1 * step, 2.0, "/right") for step in range(25)]
-    assert "/right is silent most of the time" in refusal(write_bag(tmp_path, messages))
+    assert "/right has no messages for most of the time" in refusal(write_bag(tmp_path, messages))
 
 
 def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
@@ -244,7 +244,7 @@ def test_scans_outside_of_the_odometrys_time_are_left_out(tmp_path):
     early = [scan(9.0, FIVE), scan(9.9, FIVE), scan(12.0, FIVE)]
     assert len(read_log(write_bag(tmp_path, drive() + early))) == 10
     apart = [odometry(10.0, 0.0, stamp=0.0), odometry(11.0, 0.1, stamp=0.0), scan(12.0, FIVE), scan(13.0, FIVE)]
-    assert "do not meet in time: ranges from 12.000 to 13.000 s, odometry from 10.000 to 11.000 s" in refusal(
+    assert "do not overlap: ranges from 12.000 to 13.000 s, odometry from 10.000 to 11.000 s" in refusal(
         write_bag(tmp_path, apart, name="apart")
     )
 
@@ -256,13 +256,13 @@ def test_scans_outside_of_the_odometrys_time_are_left_out(tmp_path):
     ("bad", "words"),
     [
         (odometry(10.55, math.nan), "/odom: message 7: the position is nan, 0: not finite"),
-        (odometry(10.55, 0.0, 0.0, math.nan), "/odom: message 7: the quaternion is no rotation"),
+        (odometry(10.55, 0.0, 0.0, math.nan), "/odom: message 7: the quaternion is not a rotation"),
         (Message("/odom", "nav_msgs/msg/Odometry", 10.55, {"header": bags.header(10.55)}), "0, 0, 0, 0"),
         (odometry(10.55, 1e12), "the odometry in row"),
         (odometry(10.55, 1e5), "odometry jumps by"),
         (scan(10.6, []), "/scan: message 7: the scan has no ranges"),
-        (scan(10.6, FIVE, angle_min=math.nan), "/scan: message 7: the scan's angles are no angles"),
-        (scan(10.6, FIVE, angle_increment=0.0), "/scan: message 7: the scan's angles are no angles"),
+        (scan(10.6, FIVE, angle_min=math.nan), "/scan: message 7: the scan's angles are invalid"),
+        (scan(10.6, FIVE, angle_increment=0.0), "/scan: message 7: the scan's angles are invalid"),
     ],
 )
 def test_messages_that_make_no_sense_are_refused_with_their_number(tmp_path, bad, words):
@@ -327,7 +327,7 @@ def test_a_sensor_that_looks_up_is_no_beam(tmp_path):
 def test_topics_are_for_bags_alone(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,x,y,theta,r_0\n0,0,0,0,1\n")
-    assert "is no ROS bag, so no topics can be chosen" in refusal(path, None, None, Topics(odometry="/odom"))
+    assert "is not a ROS bag, so topics cannot be chosen" in refusal(path, None, None, Topics(odometry="/odom"))
 
 
 @pytest.mark.parametrize("max_range", [0.0, -1.0, math.nan, math.inf])
@@ -341,16 +341,16 @@ def test_a_largest_range_that_makes_no_sense_is_refused(tmp_path, max_range):
 def test_an_ending_that_is_not_the_contents_is_refused(tmp_path):
     bag = write_bag(tmp_path, drive(2))
     renamed = bag.rename(tmp_path / "some.mcap")
-    assert "is a .bag file by its content: its name must end so" in refusal(renamed)
+    assert "has the content of a .bag file, so its name must end in .bag" in refusal(renamed)
     stored = storage_of(write_bag(tmp_path, drive(2), "mcap", "folder"))
-    assert "is a .mcap file by its content" in refusal(stored.rename(tmp_path / "log.txt"))
+    assert "has the content of a .mcap file" in refusal(stored.rename(tmp_path / "log.txt"))
     text = tmp_path / "text.bag"
     text.write_text("ODOM 1 2 3\n")
-    assert "is no bag: it begins like neither of .bag, .mcap, .db3" in refusal(text)
+    assert "is not a bag: its first bytes are not those of .bag, .mcap, .db3" in refusal(text)
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):
-    assert "is a folder, but no ROS 2 bag: it has no metadata.yaml" in refusal(tmp_path)
+    assert "is a folder, but not a ROS 2 bag: it has no metadata.yaml" in refusal(tmp_path)
     assert "No such file" in refusal(tmp_path / "absent.bag")
     bag = write_bag(tmp_path, drive(2), "sqlite")
     storage_of(bag).unlink()

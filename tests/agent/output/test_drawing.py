@@ -87,7 +87,7 @@ def test_a_map_without_walls_of_a_robot_that_stood_still(tmp_path, place):
 
 
 def test_paths_that_do_not_go_together_are_refused():
-    with pytest.raises(ValueError, match="2 estimated paths go with 1 odometry"):
+    with pytest.raises(ValueError, match="2 estimated paths do not go with 1 odometry"):
         MapPicture("two", WALLS, [path(1.0), path(2.0)], path(1.0))
     with pytest.raises(ValueError, match="true"):
         MapPicture("two", WALLS, path(1.0), path(1.0), WALLS, [path(1.0), path(2.0)])

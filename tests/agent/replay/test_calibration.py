@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.data import data_folder
 
-from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent import LimSlamAgent, LimSlamTeam, evaluate, medians, preset
-from limslam_agent.policies.policies import FrontierPolicy
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.wrappers.single import SlamObservation
@@ -166,7 +166,7 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
         (lambda _: (np.nan, 0.0), "LimSlam-Env1-v0", {}, "two finite numbers"),
         (spin, "LimSlam-Env9-v0", {}, "Env9"),
         (spin, "limslam/Env9-v0", {}, "no environment 'limslam/Env9-v0'"),
-        (spin, "CartPole-v1", {}, "no environment of LimSLAM"),
+        (spin, "CartPole-v1", {}, "is not a LimSLAM environment"),
         (spin, "LimSlam-Env1-v0", {"max_time": 0.0}, "above 0 s"),
         (spin, "LimSlam-World-v0", {"world": "atlantis"}, "atlantis"),
     ],

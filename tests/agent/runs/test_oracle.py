@@ -1,15 +1,15 @@
-"""Who drives a run: policies by name, and pilots that know the truth."""
+"""The policies of a run by their names, and the oracle, which knows the truth."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.belief import Belief
 from limslam_agent.runs.episode import RunConfig, run_episode
-from limslam_agent.runs.oracle import Pilot
+from limslam_agent.runs.oracle import Oracle
 from limslam_agent.runs.results import score, title_of
 from limslam_env.bounds.tours import top_speeds
 from limslam_env.interface import RobotSpec
@@ -45,7 +45,7 @@ def test_every_estimator_listens_to_the_same_drive(policy, settings, request):
     assert not np.array_equal(one.estimated, other.estimated)
 
 
-def test_noise_moves_no_pilot_off_its_way(tour):
+def test_noise_moves_no_oracle_off_its_path(tour):
     np.testing.assert_array_equal(run("tour", noise=0.0, seed=4).true, tour.true)
 
 
@@ -101,8 +101,8 @@ def test_titles_name_the_policy():
             {"policy": "magic"},
             "no policy is called 'magic'; there are frontier, frontier_fast, wall_follower, random, learned, .*oracle",
         ),
-        ({"policy": "oracle", "laps": 2}, "not by 'oracle'"),
-        ({"policy": "random", "laps": 1}, "not by 'random'"),
+        ({"policy": "oracle", "laps": 2}, "not with 'oracle'"),
+        ({"policy": "random", "laps": 1}, "not with 'random'"),
         ({"policy": "tour", "robots": 2}, "'tour' is for one robot"),
         ({"policy": "oracle", "robots": 3}, "'oracle' is for one robot"),
         ({"laps": 1}, "no loop"),
@@ -116,39 +116,39 @@ def test_what_cannot_be_driven_is_refused_before_it_begins(settings, words):
 
 @dataclasses.dataclass
 class SeenCells:
-    """What a pilot asks an environment."""
+    """The part of an environment that an oracle uses an environment."""
 
     seen: np.ndarray
 
 
-def test_a_pilot_plans_again_what_its_drive_did_not_show():
+def test_an_oracle_plans_again_for_what_its_drive_did_not_show():
     asked = []
 
     def planner(pose, seen):
         asked.append((pose.copy(), seen))
         return np.array([[1.0, 0.0]]) if len(asked) < 3 else np.zeros((0, 2))
 
-    env, pilot = SeenCells(np.ones((2, 2), dtype=bool)), Pilot(ROBOT, top_speeds(ROBOT), planner, tours=4, goal=0.9)
-    pilot.look(env, np.zeros(3), 0.1)
-    np.testing.assert_allclose(pilot.act(BELIEF), [1.0, 1.0])
+    env, oracle = SeenCells(np.ones((2, 2), dtype=bool)), Oracle(ROBOT, top_speeds(ROBOT), planner, tours=4, goal=0.9)
+    oracle.observe_truth(env, np.zeros(3), 0.1)
+    np.testing.assert_allclose(oracle.act(BELIEF), [1.0, 1.0])
     # It has arrived; the second plan leads to where it stands, the third nowhere.
-    pilot.look(env, np.array([1.0, 0.0, 0.0]), 0.5)
+    oracle.observe_truth(env, np.array([1.0, 0.0, 0.0]), 0.5)
     assert [given is env.seen for _, given in asked] == [False, True, True]
     assert asked[0][1] is None
-    assert pilot.stop_reason == "the tour is driven"
-    np.testing.assert_array_equal(pilot.act(BELIEF), [0.0, 0.0])
+    assert oracle.stop_reason == "the tour is driven"
+    np.testing.assert_array_equal(oracle.act(BELIEF), [0.0, 0.0])
 
 
-def test_a_pilot_stops_at_its_goal_and_turns_before_it_drives():
-    pilot = Pilot(ROBOT, top_speeds(ROBOT), lambda *_: np.array([[0.0, 1.0]]), goal=0.9)
+def test_an_oracle_stops_at_its_goal_and_turns_before_it_drives():
+    oracle = Oracle(ROBOT, top_speeds(ROBOT), lambda *_: np.array([[0.0, 1.0]]), goal=0.9)
     env = SeenCells(np.ones((2, 2), dtype=bool))
-    pilot.look(env, np.zeros(3), 0.1)
-    np.testing.assert_allclose(pilot.act(BELIEF), [-1.0, 1.0])  # to the left, as fast as it can, on the spot
-    pilot.look(env, np.array([0.0, 0.0, 1.4]), 0.2)
-    left, right = pilot.act(BELIEF)
+    oracle.observe_truth(env, np.zeros(3), 0.1)
+    np.testing.assert_allclose(oracle.act(BELIEF), [-1.0, 1.0])  # to the left, as fast as it can, on the spot
+    oracle.observe_truth(env, np.array([0.0, 0.0, 1.4]), 0.2)
+    left, right = oracle.act(BELIEF)
     assert right == pytest.approx(1.0)
     # 0.17 rad in 0.1 s take 0.136 m/s more on the right.
     assert left == pytest.approx(1.0 - 1.7079632679 * 0.16 / 0.3)
-    pilot.look(env, np.array([0.0, 0.0, 1.4]), 0.9)
-    assert pilot.stop_reason == "90% of what can be seen was seen"
-    np.testing.assert_array_equal(pilot.act(BELIEF), [0.0, 0.0])
+    oracle.observe_truth(env, np.array([0.0, 0.0, 1.4]), 0.9)
+    assert oracle.stop_reason == "90% of what can be seen was seen"
+    np.testing.assert_array_equal(oracle.act(BELIEF), [0.0, 0.0])

@@ -14,10 +14,10 @@ import pytest
 from scipy.stats import chi2
 from support.drives import FOUR_BEAMS, LapLog, laps_of_square
 
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.pending_readings import SIDES, Pending, Track
+from limslam_agent.slam.consistent.pending_readings import SIDES, PendingReading, PendingReadings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.slam import LineSlam
@@ -38,9 +38,11 @@ class OracleEstimator:
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, start: FloatArray) -> None:
         self.robot, self.config, self.filter = robot, config, CloneEKF(start)
-        self._front, self._track = FrontEnd(robot), Track(robot, config.buffer, config.clones.beams)
-        self._new_length = config.clones.for_ranges(config.range_std).new_length
-        self._waiting: dict[int, list[Pending]] = {}
+        settings = config.estimator
+        assert isinstance(settings, ConsistentConfig)
+        self._front, self._pending = FrontEnd(robot), PendingReadings(robot, settings.pending, settings.pending.beams)
+        self._min_length = settings.for_ranges(config.range_std).creation.min_length
+        self._waiting: dict[int, list[PendingReading]] = {}
         self._index: dict[int, int] = {}
 
     def step(self, observation: Observation, wall_seen: IntArray) -> None:
@@ -48,37 +50,38 @@ class OracleEstimator:
         wheels = np.asarray(observation["wheels"], dtype=float)
         motion = motion_from_wheels(wheels, self.robot, self.config.noise)
         self.filter.predict(motion.increment, motion.covariance)
-        self._track.move(motion.increment)
-        if self._track.wants(self._front):
-            self._track.collect(self._front, self.filter.clone())
+        self._pending.move(motion.increment)
+        if self._pending.is_due(self._front):
+            self._pending.collect(self._front, self.filter.clone())
         for side in SIDES:
-            for reading in self._track.waiting[side]:
+            for reading in self._pending.by_side[side]:
                 self._waiting.setdefault(int(wall_seen[reading.beam]), []).append(reading)
-            self._track.waiting[side] = []
+            self._pending.by_side[side] = []
         for wall in list(self._waiting):
             self._use(wall)
         wanted = {reading.clone for waiting in self._waiting.values() for reading in waiting}
         self.filter.keep_clones(wanted)
 
     def _use(self, wall: int) -> None:
-        settings, waiting = self.config.clones, self._waiting[wall]
-        oldest = self._track.driven - settings.max_age
+        settings, waiting = self.config.estimator, self._waiting[wall]
+        assert isinstance(settings, ConsistentConfig)
+        oldest = self._pending.driven - settings.pending.max_age
         self._waiting[wall] = waiting = [reading for reading in waiting if reading.driven >= oldest]
-        if len(waiting) < settings.batch:
+        if len(waiting) < settings.pending.batch:
             return
-        readings, iterations = self._readings(waiting), settings.iterations
+        readings, iterations = self._readings(waiting), settings.update.iterations
         if wall not in self._index:
             points = hit_points(self.filter.clone_poses(readings.clones), readings)
             middle = points.mean(axis=0)
             across = np.linalg.svd(points - middle, full_matrices=False)[2]
-            if np.ptp((points - middle) @ across[0]) < self._new_length:
+            if np.ptp((points - middle) @ across[0]) < self._min_length:
                 return
             self._index[wall] = self.filter.add_line(math.atan2(across[1][1], across[1][0]), middle)
-            iterations = settings.first_iterations
-        self.filter.observe(readings, self._index[wall], self.config.range_std, iterations, settings.huber)
+            iterations = settings.creation.iterations
+        self.filter.observe(readings, self._index[wall], self.config.range_std, iterations, settings.update.huber)
         self._waiting[wall] = []
 
-    def _readings(self, waiting: list[Pending]) -> Readings:
+    def _readings(self, waiting: list[PendingReading]) -> Readings:
         beams = np.array([reading.beam for reading in waiting])
         return Readings(
             np.array([reading.clone for reading in waiting]),

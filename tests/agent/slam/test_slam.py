@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import AgentConfig, AssociationConfig, BufferConfig, HoughConfig, MapConfig, preset
+from limslam_agent.config.presets import AgentConfig, HoughConfig, preset
+from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.slam import AssociationRecord, LineSlam
 from limslam_env.geometry import FloatArray
@@ -17,7 +19,14 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSp
 ROBOT = RobotSpec()
 # Every observed line counts here; when a landmark becomes a wall of the map is tested in test_loop_closing.
 EVERY_LINE = MapConfig(min_observations=1, min_length=0.0)
-CONFIG = replace(preset("paper"), map=EVERY_LINE)
+
+
+def published(**stages: Any) -> AgentConfig:
+    """Settings of the published method that draw every landmark."""
+    return AgentConfig(estimator=PublishedConfig(map=EVERY_LINE, **stages))
+
+
+CONFIG = published()
 
 
 def corridor(half: float) -> FloatArray:
@@ -313,7 +322,7 @@ def test_a_larger_buffer_waits_longer_for_its_first_wall() -> None:
     observations, _ = drive(CORRIDOR, start, straight(2.0))
     firsts = []
     for size in (20, 60):
-        _, records = recorded(observations, AgentConfig(map=EVERY_LINE, buffer=BufferConfig(size=size)), start)
+        _, records = recorded(observations, published(buffer=BufferConfig(size=size)), start)
         firsts.append(int(records[0].readings[:, 0].max()))
     assert firsts[0] + 15 < firsts[1]
 
@@ -344,7 +353,7 @@ def test_finish_uses_what_is_left_in_the_buffers() -> None:
     start = np.array([1.0, 2.0, 2.5])
     walls = placed(CORRIDOR, start)
     observations, _ = drive(walls, start, straight(2.0))
-    slam, records = recorded(observations, AgentConfig(map=EVERY_LINE, buffer=BufferConfig(size=10_000)), start)
+    slam, records = recorded(observations, published(buffer=BufferConfig(size=10_000)), start)
     assert records == []
     slam.finish()
     assert [record.is_new for record in records] == [True, True]
@@ -362,7 +371,7 @@ def test_finish_uses_what_is_left_in_the_buffers() -> None:
 def test_finish_loses_no_reading_and_uses_none_twice() -> None:
     start = np.zeros(3)
     observations, _ = drive(CORRIDOR, start, straight(2.425))
-    slam, records = recorded(observations, AgentConfig(map=EVERY_LINE, buffer=BufferConfig(size=20)), start)
+    slam, records = recorded(observations, published(buffer=BufferConfig(size=20)), start)
     before = max(int(record.readings[:, 0].max()) for record in records)
     slam.finish()
     readings = np.vstack([record.readings for record in records])
@@ -384,9 +393,7 @@ def test_a_short_line_that_matches_nothing_is_no_new_landmark(least: float, wall
     # Sideways from 0 to 0.6 m, slanted from 0.4 to 1.0 m.
     start = np.zeros(3)
     observations, _ = drive(CORRIDOR, start, straight(0.6))
-    config = AgentConfig(
-        map=EVERY_LINE, buffer=BufferConfig(size=1000), association=AssociationConfig(min_new_length=least)
-    )
+    config = published(buffer=BufferConfig(size=1000), association=AssociationConfig(min_new_length=least))
     slam, records = recorded(observations, config, start)
     slam.finish()
     assert len(slam.segments) == len(records) == walls
@@ -395,9 +402,7 @@ def test_a_short_line_that_matches_nothing_is_no_new_landmark(least: float, wall
 def test_new_landmarks_have_a_least_length() -> None:
     # One beam a side, so that a line is as long as the drive.
     robot = RobotSpec(beams=(ROBOT.beams[0], ROBOT.beams[5]))
-    config = AgentConfig(
-        map=EVERY_LINE, buffer=BufferConfig(size=1000), association=AssociationConfig(min_new_length=0.5)
-    )
+    config = published(buffer=BufferConfig(size=1000), association=AssociationConfig(min_new_length=0.5))
     for metres, walls in ((0.475, 0), (0.525, 2)):
         observations, _ = drive(CORRIDOR, np.zeros(3), straight(metres), robot)
         slam, records = recorded(observations, config, np.zeros(3), robot)
@@ -409,9 +414,7 @@ def test_a_short_line_that_matches_still_counts() -> None:
     # The first 1 m makes the walls; the last 0.4 m of sideways readings are shorter than a new landmark must be.
     robot = RobotSpec(beams=(ROBOT.beams[0], ROBOT.beams[5]))
     observations, _ = drive(CORRIDOR, np.zeros(3), straight(1.375), robot)
-    slam, records = recorded(
-        observations, AgentConfig(map=EVERY_LINE, buffer=BufferConfig(size=40)), np.zeros(3), robot
-    )
+    slam, records = recorded(observations, published(buffer=BufferConfig(size=40)), np.zeros(3), robot)
     assert [record.is_new for record in records] == [True, True]
     slam.finish()
     assert [record.is_new for record in records] == [True, True, False, False]
@@ -454,7 +457,7 @@ def test_a_long_way_without_a_measurement_does_not_end_a_wall() -> None:
     rare: list[Observation] = [
         each if number % 16 == 0 else {"wheels": each["wheels"]} for number, each in enumerate(observations)
     ]
-    config = AgentConfig(map=EVERY_LINE, buffer=BufferConfig(size=20, max_gap=0.25), hough=HoughConfig(max_gap=0.5))
+    config = published(buffer=BufferConfig(size=20, max_gap=0.25), hough=HoughConfig(max_gap=0.5))
     slam, records = recorded(rare, config, start)
     assert [len(record.readings) for record in records] == [20, 20]
     # Had the beams looked in between and seen nothing, each of them would have been a wall's end.

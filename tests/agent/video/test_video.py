@@ -304,7 +304,7 @@ def test_the_list_of_events_names_robots_and_counts_what_is_repeated():
     narrator.hear(frame_with(time=0.8, poses=two, goals=goals, events=[Event("loop", 5, 3)]))
     assert narrator.hear(frame_with(time=9.0, poses=two))[-1].caption.headline.startswith("Close the loop: wall 5 is")
     assert [words for _, _, words in narrator.log] == [
-        "loop closed: 5 = 3", "robot 2: wall 3 seen again, 3 times", "robot 1: goes to a frontier",
+        "loop closed: 5 = 3", "robot 2: wall 3 seen again, 3 times", "robot 1: drives to a frontier",
     ]  # fmt: skip
 
 
@@ -556,7 +556,7 @@ def test_nothing_is_left_of_a_run_that_was_stopped(tmp_path, suffix, failure):
 
 
 def test_a_video_without_a_frame_is_none(tmp_path):
-    with pytest.raises(VideoError, match="single frame"), VideoWriter(tmp_path / "film.gif", FPS):
+    with pytest.raises(VideoError, match="there are no frames"), VideoWriter(tmp_path / "film.gif", FPS):
         pass
     assert list(tmp_path.iterdir()) == []
 

@@ -172,7 +172,7 @@ def test_what_cannot_be_wrapped_is_refused() -> None:
         SlamObservation(LimSlamEnv("env1"), size=0)
     with pytest.raises(ValueError, match="ranges must be those of the robot"):
         SlamObservation(NormalizedObservation(LimSlamEnv("env1")))
-    with pytest.raises(ValueError, match="does not tell what its robot is"):
+    with pytest.raises(ValueError, match="has no LimSLAM robot"):
         SlamObservation(gym.make("CartPole-v1"))
     with pytest.raises(ValueError, match="must hold ranges and wheels"):
         SlamObservation(gym.wrappers.FlattenObservation(LimSlamEnv("env1")))

@@ -1,4 +1,4 @@
-"""Suites that run: the same numbers whoever does the jobs, nothing lost to a kill, one job's death its own."""
+"""Suites that run: every engine gives the same numbers, a kill loses nothing, and a job that dies ends no other."""
 
 import json
 import multiprocessing
@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import benchmark_work
+from support.command_line import Finished, call
 
 from benchmarks.__main__ import main
 from benchmarks.analysis import plots, report, tables
-from benchmarks.suite.engines import ONE_THREAD, ProcessEngine
+from benchmarks.suite.engines import ONE_THREAD, STARTING, JobClock, ProcessEngine
 from benchmarks.suite.jobs import Failure, Job
 from benchmarks.suite.provenance import commit, package_versions, work_alike
 from benchmarks.suite.ray_engine import RayEngine
@@ -52,7 +53,18 @@ policies = ["random", "wall_follower"]
 seeds = [0]
 max_time = 4.0
 """
-KILLS, SEED = 5, 20160704
+HASTY = """
+name = "hasty"
+description = "More than can be done in a hundredth of a second."
+
+[[grid]]
+worlds = ["env1"]
+noises = [0.0]
+seeds = [0, 1]
+"""
+KILLS, SEED = 3, 20160704
+GUARD = 300.0
+"""Longest wait, s. It only keeps a test from waiting forever: what is awaited takes seconds, even on a busy machine."""
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +76,7 @@ def tiny():
 def rows(tiny, tmp_path_factory):
     """What one process makes of the tiny suite, never killed."""
     folder = tmp_path_factory.mktemp("unkilled") / "out"
-    summary = run_suite(tiny, folder, ProcessEngine(1, 300.0))
+    summary = run_suite(tiny, folder, ProcessEngine(1, GUARD))
     assert (summary.done, summary.before, summary.failures) == (len(tiny.jobs), 0, ())
     return comparable(folder)
 
@@ -72,7 +84,7 @@ def rows(tiny, tmp_path_factory):
 @pytest.fixture
 def ray_finds_the_tests(monkeypatch):
     """Ray's workers are other programs: they are told where the tests' modules are."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(benchmark_work.__file__).parent), prepend=os.pathsep)
+    monkeypatch.setenv("PYTHONPATH", str(Path(benchmark_work.__file__).parents[1]), prepend=os.pathsep)
 
 
 def comparable(folder):
@@ -87,19 +99,8 @@ def comparable(folder):
 
 
 def command(suite, out, *more):
-    return [
-        sys.executable,
-        "-m",
-        "benchmarks",
-        "run",
-        "--suite",
-        str(suite),
-        "--out",
-        str(out),
-        "--workers",
-        "2",
-        *more,
-    ]
+    arguments = ["run", "--suite", str(suite), "--out", str(out), "--workers", "2", *more]
+    return [sys.executable, "-m", "benchmarks", *arguments]
 
 
 def count_lines(path):
@@ -108,7 +109,7 @@ def count_lines(path):
 
 def await_end_of_group(group):
     """Wait until no process of a group is left; a test that waits in vain fails."""
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + GUARD
     with suppress(ProcessLookupError):
         while time.monotonic() < deadline:
             os.killpg(group, 0)
@@ -133,14 +134,14 @@ def test_rows_hold_metrics_series_and_what_made_them(rows, tiny):
     assert len({row.config for row, _ in rows.values()}) == 6, "one for each world, noise and preset"
 
 
-@pytest.mark.parametrize("engine", [ProcessEngine(2, 300.0), RayEngine(1, 300.0), RayEngine(2, 300.0)], ids=str)
+@pytest.mark.parametrize("engine", [ProcessEngine(2, GUARD), RayEngine(2, GUARD)], ids=str)
 def test_every_engine_and_any_number_of_workers_give_the_same_to_the_bit(engine, rows, tiny, tmp_path):
     summary = run_suite(tiny, tmp_path, engine)
     assert summary.failures == ()
     assert comparable(tmp_path) == rows
 
 
-def test_killed_at_five_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_path):
+def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_path):
     draw = np.random.default_rng(SEED)
     suite, out = tmp_path / "tiny.toml", tmp_path / "out"
     suite.write_text(TINY)
@@ -168,31 +169,29 @@ def test_ctrl_c_keeps_what_is_done_and_ends_with_130(tmp_path):
     while run.poll() is None and count_lines(out / RESULTS) < 1:
         time.sleep(0.01)
     os.killpg(run.pid, signal.SIGINT)
-    _, err = run.communicate(timeout=30.0)
+    _, err = run.communicate(timeout=GUARD)
     await_end_of_group(run.pid)
     assert run.returncode == 130
     assert err.decode() == "benchmarks: stopped; what is done is kept, and the same command goes on\n"
     assert len(comparable(out)) >= 1
 
 
-TROUBLED = [Job("env1", 0.0, seed=seed) for seed in range(7)]
+TROUBLED = [Job("env1", 0.0, seed=seed) for seed in range(6)]
 REASONS = {
     ProcessEngine: {
         benchmark_work.RAISES: "ArithmeticError: two lines",
         benchmark_work.KILLED: "its worker was killed by SIGKILL (out of memory?)",
         benchmark_work.EXITS: "its worker ended with exit code 7",
-        benchmark_work.HANGS: "time-out: not done after 15 s",
     },
     RayEngine: {
         benchmark_work.RAISES: "ArithmeticError: two lines",
         benchmark_work.KILLED: "WorkerCrashedError: The worker died unexpectedly while executing this task.",
         benchmark_work.EXITS: "WorkerCrashedError: The worker died unexpectedly while executing this task.",
-        benchmark_work.HANGS: "time-out: not done after 15 s",
     },
 }
 
 
-@pytest.mark.parametrize("engine", [ProcessEngine(2, 15.0), RayEngine(2, 15.0)], ids=str)
+@pytest.mark.parametrize("engine", [ProcessEngine(2, GUARD), RayEngine(2, GUARD)], ids=str)
 @pytest.mark.usefixtures("ray_finds_the_tests")
 def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(engine, tmp_path):
     suite, before = Suite("troubled", "", tuple(TROUBLED), "d"), {name: os.environ.get(name) for name in ONE_THREAD}
@@ -207,12 +206,35 @@ def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(engine
     assert dict(summary.failures) == {TROUBLED[seed].title: reason for seed, reason in reasons.items()}
     one_thread = {**ONE_THREAD, "cv2": 1}
     well = {seed: row.metrics for seed, row in rows.items() if row.error is None}
-    assert well == {seed: {"seed": seed, **one_thread} for seed in (0, 5, 6)}
+    assert well == {seed: {"seed": seed, **one_thread} for seed in (0, 4, 5)}
     assert {name: os.environ.get(name) for name in ONE_THREAD} == before, "what is set for workers stays with them"
 
 
-def test_workers_end_when_nobody_listens():
-    with closing(ProcessEngine(2, 60.0).run(TROUBLED, benchmark_work.outcome)) as results:
+@pytest.mark.parametrize("engine", [ProcessEngine(1, 1.0), RayEngine(1, 1.0)], ids=str)
+@pytest.mark.usefixtures("ray_finds_the_tests")
+def test_a_job_that_hangs_is_given_up_and_the_next_one_is_done(engine):
+    # Until a worker starts a job its clock does not run, so that a time-out of a second is enough on any machine.
+    hangs, well = (replace(TROUBLED[0], seed=seed) for seed in (benchmark_work.HANGS, 0))
+    results = dict(engine.run([hangs, well], benchmark_work.troubled))
+    assert results[hangs] == Failure("time-out: not done after 1 s")
+    assert results[well].metrics["seed"] == 0
+
+
+def test_the_clock_of_a_job_starts_when_its_worker_starts_it(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    clock = JobClock(TROUBLED[0], 5.0)
+    assert clock.deadline == now + STARTING
+    assert clock.failure == Failure(f"time-out: not started after {STARTING:g} s")
+    now = 200.0
+    clock.start()
+    assert clock.deadline == 205.0
+    assert clock.failure == Failure("time-out: not done after 5 s")
+    assert JobClock(TROUBLED[0], 2.0 * STARTING).deadline == now + 2.0 * STARTING
+
+
+def test_workers_end_when_the_caller_stops_listening():
+    with closing(ProcessEngine(2, GUARD).run(TROUBLED, benchmark_work.outcome)) as results:
         assert not isinstance(next(results)[1], Failure)
         assert multiprocessing.active_children()
     assert not multiprocessing.active_children()
@@ -220,7 +242,7 @@ def test_workers_end_when_nobody_listens():
 
 def test_failed_jobs_are_done_again_only_when_asked_for(tmp_path):
     suite = Suite("troubled", "", tuple(TROUBLED[:2]), "d")
-    engine = ProcessEngine(1, 60.0)
+    engine = ProcessEngine(1, GUARD)
     assert len(run_suite(suite, tmp_path, engine, work=benchmark_work.troubled).failures) == 1
     again = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome)
     assert (again.before, len(again.failures)) == (2, 1)
@@ -229,12 +251,12 @@ def test_failed_jobs_are_done_again_only_when_asked_for(tmp_path):
 
 
 def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
-    (tmp_path / "tiny.toml").write_text(TINY)
-    hasty = command(tmp_path / "tiny.toml", tmp_path / "out", "--timeout", "0.01")
+    (tmp_path / "hasty.toml").write_text(HASTY)
+    hasty = command(tmp_path / "hasty.toml", tmp_path / "out", "--timeout", "0.01")
     done = subprocess.run(hasty, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "failed: env1, 0 cm, paper, frontier, seed 0: time-out: not done after 0.01 s" in done.stderr
-    assert "12 of 12 jobs done, 12 failed" in done.stdout
+    assert "2 of 2 jobs done, 2 failed" in done.stdout
     assert all(row.error for row in read_rows(tmp_path / "out"))
 
 
@@ -242,43 +264,36 @@ def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
 def results(tmp_path):
     """A folder with the results of a suite of well jobs."""
     suite = Suite("well", "", tuple(TROUBLED[:2]), "d")
-    run_suite(suite, tmp_path / "out", ProcessEngine(1, 60.0), work=benchmark_work.outcome)
+    run_suite(suite, tmp_path / "out", ProcessEngine(1, GUARD), work=benchmark_work.outcome)
     return tmp_path / "out"
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["benchmarks", *map(str, arguments)])
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest's own answers stay
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return ended.value.code
-
-
-def test_the_command_tabulates(results, monkeypatch, capsys, tmp_path):
+def test_the_command_tabulates(results, tmp_path):
     for latex in (False, True):
         expected = tables.table(read_rows(results), latex=latex)
-        assert call(monkeypatch, "table", results, *["--latex"] * latex) == 0
-        assert capsys.readouterr().out == expected.rstrip("\n") + "\n"
-        assert call(monkeypatch, "table", results, *["--latex"] * latex, "--out", tmp_path / "table") == 0
+        shown = call(main, "table", results, *["--latex"] * latex)
+        assert (shown.returncode, shown.stdout) == (0, expected.rstrip("\n") + "\n")
+        written = call(main, "table", results, *["--latex"] * latex, "--out", tmp_path / "table")
+        assert (written.returncode, written.stdout) == (0, f"table       {tmp_path}/table\n")
         assert (tmp_path / "table").read_text() == expected
-        assert capsys.readouterr().out == f"table       {tmp_path}/table\n"
 
 
-def test_the_command_plots_and_reports(results, monkeypatch, capsys):
+def test_the_command_plots_and_reports(results, monkeypatch):
     monkeypatch.setattr(plots, "plot", lambda folder, out, svg: [out / f"of-{folder.name}.{'svg' if svg else 'png'}"])
     monkeypatch.setattr(report, "report", lambda folder, out: out.with_name(f"{folder.name}-{out.name}"))
-    assert call(monkeypatch, "plot", results) == 0
-    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.png\n"
-    assert call(monkeypatch, "plot", results, "--svg") == 0
-    assert capsys.readouterr().out == f"plot        {results}/plots/of-out.svg\n"
-    assert call(monkeypatch, "report", results, "--out", results / "page.html") == 0
-    assert capsys.readouterr().out == f"report      {results}/out-page.html\n"
+    for words, line in (
+        (["plot"], f"plot        {results}/plots/of-out.png\n"),
+        (["plot", "--svg"], f"plot        {results}/plots/of-out.svg\n"),
+        (["report", "--out", results / "page.html"], f"report      {results}/out-page.html\n"),
+    ):
+        assert call(main, *words, results) == Finished(0, line, "")
 
 
-def test_results_that_are_not_there_are_refused(monkeypatch, capsys, tmp_path):
+def test_results_that_are_not_there_are_refused(tmp_path):
     for name in ("table", "plot", "report"):
-        assert call(monkeypatch, name, tmp_path / "nothing") == 2
-        assert capsys.readouterr().err.startswith("benchmarks: ")
+        done = call(main, name, tmp_path / "nothing")
+        assert done.returncode == 2
+        assert done.stderr.startswith("benchmarks: ")
 
 
 def test_a_cluster_that_is_not_there_is_refused_at_once():
@@ -286,7 +301,7 @@ def test_a_cluster_that_is_not_there_is_refused_at_once():
         nobody.bind(("127.0.0.1", 0))
         address = "127.0.0.1:{1}".format(*nobody.getsockname())
         with pytest.raises(ValueError, match=rf"--address {address}: no Ray cluster answers there"):
-            next(RayEngine(2, 60.0, address).run(TROUBLED, benchmark_work.outcome))
+            next(RayEngine(2, GUARD, address).run(TROUBLED, benchmark_work.outcome))
 
 
 def test_a_worker_of_other_versions_is_refused():
@@ -297,6 +312,6 @@ def test_a_worker_of_other_versions_is_refused():
 
 
 def test_the_stamp_names_suite_and_versions(tmp_path):
-    run_suite(Suite("one", "", (TROUBLED[0],), "d"), tmp_path, ProcessEngine(1, 60.0), work=benchmark_work.outcome)
+    run_suite(Suite("one", "", (TROUBLED[0],), "d"), tmp_path, ProcessEngine(1, GUARD), work=benchmark_work.outcome)
     stamp = json.loads((tmp_path / STAMP).read_text())
     assert (stamp["suite"], stamp["digest"], stamp["jobs"], stamp["versions"]) == ("one", "d", 1, package_versions())

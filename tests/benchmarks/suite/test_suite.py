@@ -1,10 +1,7 @@
 """Suite files: which jobs they make, and what is refused."""
 
-import signal
-import subprocess
-import sys
-
 import pytest
+from support.command_line import call
 from support.data import data_folder
 
 from benchmarks.__main__ import main
@@ -220,29 +217,25 @@ def test_no_such_suite(tmp_path):
         (["--suite", "smoke", "--workers", "0"], "--workers"),
     ],
 )
-def test_bad_arguments_end_with_2_and_one_line(arguments, reason, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["benchmarks", "run", *arguments])
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest's own answers stay
-    with pytest.raises(SystemExit) as ended:
-        main()
-    out, err = capsys.readouterr()
-    assert (ended.value.code, out, len(err.splitlines())) == (2, "", 1)
-    assert reason in err
+def test_bad_arguments_end_with_2_and_one_line(arguments, reason):
+    assert_refused(call(main, "run", *arguments), reason)
+
+
+def assert_refused(done, reason):
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+    assert reason in done.stderr
 
 
 def test_a_bad_suite_file_ends_with_2_and_one_line(tmp_path):
     (tmp_path / "my.toml").write_text(GRID.replace("0.02", "-1"))
-    command = [sys.executable, "-m", "benchmarks", "run", "--suite", tmp_path / "my.toml", "--out", tmp_path / "out"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
-    assert "my.toml: [[grid]] 1: noises: noise (range_std) must be a number of 0 or more, not -1" in done.stderr
+    done = call(main, "run", "--suite", tmp_path / "my.toml", "--out", tmp_path / "out")
+    assert_refused(done, "my.toml: [[grid]] 1: noises: noise (range_std) must be a number of 0 or more, not -1")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_dry_run_lists_the_jobs_and_runs_none(tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "benchmarks", "run", "--suite", "smoke", "--dry-run", "--out", out]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = call(main, "run", "--suite", "smoke", "--dry-run", "--out", out)
     lines = done.stdout.splitlines()
     assert lines[0] == load_suite("smoke").jobs[0].title
     assert lines[-1] == f"smoke: {len(lines) - 1} jobs"

@@ -8,7 +8,7 @@ import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.training.explore_env import ExploreConfig, ExploreVectorEnv
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.collision_guard import Bumper
+from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.learned.polar_view import ViewConfig, frontier_distance, observe
 from limslam_env.geometry.se2 import compose, wrap_angle
@@ -50,7 +50,7 @@ def test_grid_view_and_bumper_are_those_of_one_agent(pose):
     choices = [np.where(generator.random(3) < 0.4, generator.integers(-11, 12, 3), 0) for _ in range(40)]
     views += [explore.step(choice)[0] for choice in choices]
     for robot in range(3):
-        grid, bumper, believed, heading, expected = OccupancyGrid(GridConfig()), Bumper(ROBOT), None, 0.0, None
+        grid, guard, believed, heading, expected = OccupancyGrid(GridConfig()), CollisionGuard(ROBOT), None, 0.0, None
         for step, (asked, ranges, true, wheels) in enumerate(env.rows):
             if asked is not None:
                 np.testing.assert_allclose(asked[robot], expected, atol=1e-6)
@@ -64,10 +64,10 @@ def test_grid_view_and_bumper_are_those_of_one_agent(pose):
                     np.testing.assert_allclose(views[step // HOLD][robot], told, atol=1e-5)
                 if step // HOLD < len(choices):
                     heading = believed[2] + VIEW.angle(choices[step // HOLD][robot])
-            bumper.note(believed, reading)
+            guard.add_readings(believed, reading)
             error = float(wrap_angle(heading - believed[2]))
             wanted = wheel_speeds(0.3 * max(np.cos(error), 0.0), float(np.clip(5.0 * error, -2.5, 2.5)), ROBOT)
-            expected = bumper.soften(believed, wanted)
+            expected = guard.limit_speed(believed, wanted)
     assert np.isfinite(frontier_distance(grid.view)).any()
 
 

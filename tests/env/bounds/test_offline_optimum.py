@@ -2,7 +2,6 @@
 
 import json
 import math
-import subprocess
 import sys
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -13,12 +12,13 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
+from support.command_line import call
 
+from limslam_agent.cli.main import main
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score
-from limslam_env.bounds import offline_optimum as limits
-from limslam_env.bounds import optimum_solver as limit_solver
-from limslam_env.bounds.offline_optimum import solve_limit
+from limslam_env.bounds import offline_optimum, optimum_solver
+from limslam_env.bounds.offline_optimum import solve_optimum
 from limslam_env.bounds.optimum_model import (
     Readings,
     expected_readings,
@@ -37,7 +37,7 @@ from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.formats.loading import load_world
 
-needs_gtsam = pytest.mark.skipif(find_spec("gtsam") is None, reason="the limit needs gtsam, the extra limits")
+needs_gtsam = pytest.mark.skipif(find_spec("gtsam") is None, reason="needs gtsam, the extra limits")
 
 FOUR_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 45.0, -45.0, -90.0), 0.10))
 WHEEL_VARIANCE = 2e-5
@@ -56,8 +56,8 @@ class Log:
     wall_seen: np.ndarray
     contact: np.ndarray
 
-    def limit(self, noise=0.0, *, guess=None, contact=None):
-        return solve_limit(
+    def optimum(self, noise=0.0, *, guess=None, contact=None):
+        return solve_optimum(
             self.robot, self.poses if guess is None else guess, self.wheels, self.ranges, self.wall_seen,
             range_std=noise, wheel_variance=WHEEL_VARIANCE, contact=contact,
         )  # fmt: skip
@@ -233,14 +233,14 @@ def test_the_first_guess_of_a_short_edge_is_not_the_noise_along_the_beams(seed):
 @needs_gtsam
 def test_without_noise_the_optimum_is_the_truth():
     log = laps_of_square(0.0, wheel_variance=0.0)
-    limit = log.limit()
-    assert limit.is_converged
+    optimum = log.optimum()
+    assert optimum.is_converged
     # As exact as float32 readings are, summed up over a lap.
-    np.testing.assert_allclose(limit.poses[..., :2], log.poses[..., :2], atol=2e-5)
-    assert limit.chi_square < 1e-3
-    assert limit.walls.tolist() == list(range(8))
+    np.testing.assert_allclose(optimum.poses[..., :2], log.poses[..., :2], atol=2e-5)
+    assert optimum.chi_square < 1e-3
+    assert optimum.walls.tolist() == list(range(8))
     # Two of them pass through the origin, where (r, theta) alone would be a bad choice.
-    for wall, line in zip(limit.walls, limit.lines, strict=True):
+    for wall, line in zip(optimum.walls, optimum.lines, strict=True):
         true = through(SQUARE.edges[wall, :2], SQUARE.edges[wall, 2:])
         np.testing.assert_allclose(nearest_form(line, true), true, atol=2e-5)
 
@@ -248,10 +248,10 @@ def test_without_noise_the_optimum_is_the_truth():
 @needs_gtsam
 def test_the_guess_chooses_nothing_but_the_valley():
     log = laps_of_square(0.02, steps=300)
-    from_truth = log.limit(0.02)
+    from_truth = log.optimum(0.02)
     odometry = walk(log.poses[0], np.append(log.wheels[1:], np.zeros_like(log.wheels[1:, :, :1]), axis=-1), 0.16)
     assert ate(odometry, log.poses) > 0.03
-    from_odometry = log.limit(0.02, guess=odometry)
+    from_odometry = log.optimum(0.02, guess=odometry)
     assert from_truth.is_converged
     assert from_odometry.is_converged
     # Lines far outside of what was read are held by a hair, from where they began.
@@ -262,7 +262,7 @@ def test_the_guess_chooses_nothing_but_the_valley():
 def test_another_solver_finds_the_same_optimum():
     """Wheels alone are the unknowns, so that nothing is aside; residuals in plain Python; dense, by differences."""
     log = laps_of_square(0.02, seed=3, steps=24)
-    limit = log.limit(0.02)
+    optimum = log.optimum(0.02)
     steps = len(log.wheels) - 1
     beams = [
         (row, beam, wall)
@@ -293,23 +293,23 @@ def test_another_solver_finds_the_same_optimum():
     lines = [through(SQUARE.edges[wall, :2], SQUARE.edges[wall, 2:]) for wall in walls]
     begin = np.concatenate((log.wheels[1:].ravel(), np.ravel(lines)))
     other = least_squares(residuals, begin, xtol=1e-14, ftol=1e-14, gtol=1e-14, x_scale="jac")
-    np.testing.assert_allclose(limit.poses[:, 0], path(other.x[: 2 * steps].reshape(-1, 2)), atol=2e-5)
-    assert limit.chi_square == pytest.approx(2.0 * other.cost, rel=1e-4)
+    np.testing.assert_allclose(optimum.poses[:, 0], path(other.x[: 2 * steps].reshape(-1, 2)), atol=2e-5)
+    assert optimum.chi_square == pytest.approx(2.0 * other.cost, rel=1e-4)
 
 
 @needs_gtsam
 def test_residuals_are_as_large_as_assumed():
-    limit = laps_of_square(0.02, seed=1).limit(0.02)
-    assert limit.is_converged
+    optimum = laps_of_square(0.02, seed=1).optimum(0.02)
+    assert optimum.is_converged
     # The standard deviation of chi-square over its degrees of freedom is 0.03 for these 2400.
-    assert limit.degrees_of_freedom > 2000
-    assert limit.chi_square / limit.degrees_of_freedom == pytest.approx(1.0, abs=0.1)
+    assert optimum.degrees_of_freedom > 2000
+    assert optimum.chi_square / optimum.degrees_of_freedom == pytest.approx(1.0, abs=0.1)
 
 
 @needs_gtsam
 def test_two_robots_share_the_walls():
     log = laps_of_square(0.02, robot=RobotSpec(), robots=2, steps=300)
-    both = log.limit(0.02)
+    both = log.optimum(0.02)
     assert both.is_converged
     assert both.poses.shape == log.poses.shape
     assert both.chi_square / both.degrees_of_freedom == pytest.approx(1.0, abs=0.15)
@@ -319,7 +319,7 @@ def test_two_robots_share_the_walls():
     # They drive the two halves of the loop: alone, one sees fewer walls.
     alone = replace(
         log, poses=log.poses[:, :1], wheels=log.wheels[:, :1], ranges=log.ranges[:, :1], wall_seen=log.wall_seen[:, :1]
-    ).limit(0.02)
+    ).optimum(0.02)
     assert set(alone.walls) < set(both.walls)
 
 
@@ -328,7 +328,7 @@ def test_wheels_in_contact_do_not_drag_the_optimum_along():
     # Straight into the lower wall, aslant: it slides, and its wheels say that it went on.
     log = driven(for_steps(60, (0.8, 0.8)), noise=0.02, start=np.array([3.0, 0.5, -1.0]))
     assert log.contact.sum() > 30
-    told, untold = log.limit(0.02, contact=log.contact), log.limit(0.02)
+    told, untold = log.optimum(0.02, contact=log.contact), log.optimum(0.02)
     assert told.is_converged
     assert np.abs(told.poses - log.poses)[..., 1].max() < 0.05
     assert untold.chi_square > 3.0 * told.chi_square
@@ -337,7 +337,7 @@ def test_wheels_in_contact_do_not_drag_the_optimum_along():
 @needs_gtsam
 def test_the_same_log_gives_the_same_numbers_to_the_bit():
     log = laps_of_square(0.04, steps=120)
-    first, second = log.limit(0.04), log.limit(0.04)
+    first, second = log.optimum(0.04), log.optimum(0.04)
     assert first.poses.tobytes() == second.poses.tobytes()
     assert first.lines.tobytes() == second.lines.tobytes()
 
@@ -346,9 +346,9 @@ def test_the_same_log_gives_the_same_numbers_to_the_bit():
 @pytest.mark.parametrize("rows", [1, 2])
 def test_a_log_of_hardly_a_step(rows):
     log = laps_of_square(0.02, steps=rows - 1)
-    limit = log.limit(0.02)
-    assert limit.is_converged
-    np.testing.assert_allclose(limit.poses, log.poses, atol=0.01)
+    optimum = log.optimum(0.02)
+    assert optimum.is_converged
+    np.testing.assert_allclose(optimum.poses, log.poses, atol=0.01)
 
 
 SHORT = driven(for_steps(3, (0.5, 0.5)))
@@ -372,7 +372,7 @@ SHORT = driven(for_steps(3, (0.5, 0.5)))
 )
 def test_a_log_that_cannot_be_is_refused(changes, reason):
     with pytest.raises(ValueError, match=reason) as caught:
-        replace(SHORT, **changes).limit()
+        replace(SHORT, **changes).optimum()
     assert "\n" not in str(caught.value)
 
 
@@ -380,36 +380,34 @@ def test_a_log_that_cannot_be_is_refused(changes, reason):
 @pytest.mark.parametrize("noise", [-0.01, math.nan, math.inf])
 def test_noise_that_cannot_be_is_refused(noise):
     with pytest.raises(ValueError, match="range_std must be a number of 0 or more"):
-        SHORT.limit(noise)
+        SHORT.optimum(noise)
     with pytest.raises(ValueError, match="contact must have the shape"):
-        SHORT.limit(contact=np.zeros(3, dtype=bool))
+        SHORT.optimum(contact=np.zeros(3, dtype=bool))
 
 
 def test_without_gtsam_nothing_is_driven(monkeypatch):
-    monkeypatch.setattr(limits, "find_spec", lambda _name: None)
+    monkeypatch.setattr(offline_optimum, "find_spec", lambda _name: None)
     with pytest.raises(ValueError, match=r"pip install 'limslam\[limits\]'"):
         RunConfig(limit=True)
     with pytest.raises(ValueError, match=r"pip install 'limslam\[limits\]'"):
-        SHORT.limit()
+        SHORT.optimum()
     assert not RunConfig().limit
 
 
-def test_without_gtsam_the_command_says_so_in_a_line(tmp_path):
-    code = "import sys; sys.modules['gtsam'] = None; from limslam_agent.cli.main import main; main()"
-    command = [sys.executable, "-c", code, "run", "--limit", "--out", str(tmp_path / "run")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+def test_without_gtsam_the_command_says_so_in_a_line(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    result = call(main, "run", "--limit", "--out", tmp_path / "run")
     assert result.returncode == 2
     assert result.stderr.splitlines() == [
-        "limslam: the limit needs gtsam, which is not installed: pip install 'limslam[limits]'"
+        "limslam: the offline optimum needs gtsam, which is not installed: pip install 'limslam[limits]'"
     ]
     assert list(tmp_path.iterdir()) == []
 
 
 @needs_gtsam
 def test_the_command_writes_both_metrics(tmp_path):
-    command = [sys.executable, "-W", "error", "-m", "limslam_agent.cli.main", "run", "--world", "square", "--laps", "1"]
-    command += ["--limit", "--noise", "0.02", "--max-time", "20", "--out", str(tmp_path / "run")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    drive = ("--world", "square", "--laps", "1", "--noise", "0.02", "--max-time", "20")
+    result = call(main, "run", *drive, "--limit", "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     written = json.loads((tmp_path / "run" / "result.json").read_text())
     metrics = written["metrics"]
@@ -423,11 +421,11 @@ def test_the_command_writes_both_metrics(tmp_path):
 def test_of_two_robots_the_limit_is_the_mean():
     episode = run_episode(RunConfig("env1", 0.02, max_time=15.0, robots=2, limit=True))
     metrics = score(episode)
-    limit = solve_limit(
+    optimum = solve_optimum(
         episode.config.robot, episode.true, episode.wheels, episode.ranges, episode.wall_seen,
         range_std=0.02, wheel_variance=WHEEL_VARIANCE, contact=episode.contact,
     )  # fmt: skip
-    both = [ate(limit.poses[:, robot], episode.true[:, robot]) for robot in range(2)]
+    both = [ate(optimum.poses[:, robot], episode.true[:, robot]) for robot in range(2)]
     assert metrics["limit_ate_m"] == pytest.approx(np.mean(both))
     without = score(replace(episode, config=replace(episode.config, limit=False)))
     assert set(metrics) - set(without) == {"limit_ate_m", "ate_over_limit"}
@@ -435,13 +433,13 @@ def test_of_two_robots_the_limit_is_the_mean():
 
 def normalised_error(log, noise):
     """NEES of the last pose of a one-robot log, with the covariance of the optimum by another library."""
-    limit = log.limit(noise)
+    optimum = log.optimum(noise)
     readings, walls = usable_readings(log.robot, log.ranges, log.wall_seen)
-    motions, stds = limits._measured_motions(log.wheels.astype(float), WHEEL_VARIANCE, None)
-    anchors, lines = fitted_lines(limit.poses, readings, len(walls), noise)
-    problem = limit_solver.Problem(0.16, log.poses[0], motions, stds, readings, noise, anchors, lines)
-    state = limit_solver.moved_to(problem, motions_between(limit.poses, 0.16), lines)
-    graph = limit_solver._linearised(limit_solver.without_grazing(problem, state), state)
+    motions, stds = offline_optimum._measured_motions(log.wheels.astype(float), WHEEL_VARIANCE, None)
+    anchors, lines = fitted_lines(optimum.poses, readings, len(walls), noise)
+    problem = optimum_solver.Problem(0.16, log.poses[0], motions, stds, readings, noise, anchors, lines)
+    state = optimum_solver.moved_to(problem, motions_between(optimum.poses, 0.16), lines)
+    graph = optimum_solver._linearised(optimum_solver.without_grazing(problem, state), state)
     rows, columns, values = graph.sparseJacobian_()
     is_left = columns < columns.max()  # the last column is the right-hand side
     places = rows[is_left].astype(int) - 1, columns[is_left].astype(int) - 1
@@ -450,7 +448,7 @@ def normalised_error(log, noise):
     unit = np.zeros((jacobian.shape[1], 3))
     unit[last, range(3)] = 1.0
     covariance = splu((jacobian.T @ jacobian).tocsc()).solve(unit)[last]
-    error = limit.poses[-1, 0] - log.poses[-1, 0]
+    error = optimum.poses[-1, 0] - log.poses[-1, 0]
     error[2] = wrap_angle(float(error[2]))
     return float(error @ np.linalg.solve(covariance, error))
 
@@ -472,9 +470,9 @@ def test_four_laps_of_the_square_are_no_worse_than_the_limit_of_the_experiment(n
     found = []
     for seed in range(5):
         log = laps_of_square(noise, seed, laps=4)
-        limit = log.limit(noise)
-        assert limit.is_converged
-        found.append((ate(limit.poses, log.poses), heading_rmse(limit.poses, log.poses)))
+        optimum = log.optimum(noise)
+        assert optimum.is_converged
+        found.append((ate(optimum.poses, log.poses), heading_rmse(optimum.poses, log.poses)))
     error, heading = np.median(found, axis=0)
     assert 0.1 * expected < error < 1.1 * expected
     assert 0.3 * expected_heading < heading < 1.1 * expected_heading
@@ -486,7 +484,7 @@ def test_the_size_of_the_limit_over_many_laps():
     errors = []
     for seed in range(60):
         log = laps_of_square(0.02, 100 + seed)
-        errors.append(ate(log.limit(0.02).poses, log.poses))
+        errors.append(ate(log.optimum(0.02).poses, log.poses))
     # The covariance of the optimum expects 0.052 m for one lap.
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(0.052, rel=0.3)
 

@@ -581,7 +581,7 @@ def test_noise_given_as_ranges_is_another_in_each_episode():
     drawn = []
     for seed in range(12):
         env.reset(seed=seed, options={"start": (1.0, 3.0, 0.0)})
-        noise = env.unwrapped._stage.simulation._noise
+        noise = env.unwrapped._episode.simulation._noise
         assert 0.01 <= noise.sensor_noise <= 0.04
         # Standing in front of walls, the readings' spread is that of the noise.
         ranges = np.array([env.step([0.0, 0.0])[0]["ranges"] for _ in range(200)], dtype=float)
@@ -590,7 +590,7 @@ def test_noise_given_as_ranges_is_another_in_each_episode():
         drawn.append((noise.sensor_noise, noise.slip_rate, noise.wheel_mismatch))
     assert len(set(drawn)) == 12
     env.reset(seed=0)
-    assert env.unwrapped._stage.simulation._noise.sensor_noise == drawn[0][0]
+    assert env.unwrapped._episode.simulation._noise.sensor_noise == drawn[0][0]
 
 
 def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():

@@ -130,11 +130,11 @@ def test_noise_has_the_same_distributions():
     # One step from the same start again and again: all that differs is the noise.
     single, rows = LimSlamEnv("env1", noise=noise), []
     single.reset(seed=6)
-    simulation = single._stage.simulation
+    simulation = single._episode.simulation
     start = load_world("env1").starts[:1]
     for _ in range(count):
         simulation._physics.place(start, single.robot.axle)
-        simulation._untold[:] = 0.0
+        simulation._unreported[:] = 0.0
         observation, _, _, _, info = single.step(ahead)
         rows.append(np.concatenate((observation["ranges"], observation["wheels"], info["pose"])))
     table = np.array(rows)
@@ -487,9 +487,9 @@ def test_a_copy_has_words_beyond_those_that_are_used(copied):
     batch = LimSlamVectorEnv("env1", 2)
     batch.reset(seed=0)
     for env in (batch, copied(batch), copied(copied(batch))):
-        left = env._simulation._left
+        left = env._simulation._episodes.unseen
         assert left.base.size >= left.size + 3 * left.shape[1] + 3
-        np.testing.assert_array_equal(left, batch._simulation._left)
+        np.testing.assert_array_equal(left, batch._simulation._episodes.unseen)
 
 
 def assert_bits(one, other):

@@ -1,7 +1,4 @@
-"""Kernels of the batch: random numbers, tiles, contact, and the sources that a compiled step is made of."""
-
-import hashlib
-from pathlib import Path
+"""Kernels of the batch: random numbers, tiles and contact; the arrays that they work on."""
 
 import numpy as np
 import pytest
@@ -11,17 +8,16 @@ from scipy import stats
 
 from limslam_env.batch.noise import BatchNoise
 from limslam_env.batch.worlds import Sites, from_tiles, prepare, to_tiles
+from limslam_env.compilation import compiled
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels import batch_step as batch_kernels
+from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.random_numbers import derive_keys, fill_units, mixed, normal
-from limslam_env.kernels.rays import compiled, mark_disc, mark_ray
 from limslam_env.kernels.tiles import take_disc, take_ray
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import build_wall_index, range_noise, walls_around
 from limslam_env.worlds.formats.loading import load_world
 
-SOURCES = ("kernels/rays", "geometry/se2", "kernels/random_numbers", "kernels/contact", "kernels/tiles")
 CELL = 0.1
 AREA = np.array([-0.3, 0.2, CELL])
 
@@ -50,13 +46,6 @@ def padded(tiles: np.ndarray) -> np.ndarray:
     memory = np.zeros(tiles.size + 3 * tiles.shape[1] + 3, dtype=np.uint64)
     memory[: tiles.size] = tiles.ravel()
     return memory[: tiles.size].reshape(1, -1)
-
-
-def test_the_compiled_step_is_of_these_sources():
-    folder = Path(batch_kernels.__file__).parents[1]
-    text = b"".join((folder / f"{name}.py").read_bytes() for name in SOURCES)
-    digest = hashlib.sha256(text.replace(b"\r\n", b"\n")).hexdigest()[:16]
-    assert digest == batch_kernels.SOURCES, f'write SOURCES = "{digest}" in batch_step.py'
 
 
 def test_normal_numbers_are_normal():
@@ -124,10 +113,10 @@ def test_a_world_can_move_out_and_a_larger_one_in():
     small, large = (prepare(load_world(name), robot, 1) for name in ("square", "env3"))
     for slot in range(3):
         sites.put(slot, small)
-    before = [array.copy() for array in sites.scene]
+    before = [array.copy() for array in sites.worlds]
     sites.put(1, large)
     sites.put(1, small)
-    layout, edges, tiles = sites.scene[0], sites.scene[3], sites.scene[-1]
+    layout, edges, tiles = sites.worlds.layout, sites.worlds.edges, sites.worlds.coverable
     count = len(small.walls.edges)
     for slot in range(3):
         np.testing.assert_array_equal(edges[layout[slot, 0] :][:count], small.walls.edges)

@@ -9,7 +9,8 @@ import pytest
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.kernels.rays import mark_disc, mark_ray, observe
+from limslam_env.kernels.coverage import mark_disc, mark_ray
+from limslam_env.kernels.observation import observe
 from limslam_env.simulation.coverage import CELL, coverage_grid
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise

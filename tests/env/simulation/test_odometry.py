@@ -9,8 +9,8 @@ from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.rays import reported_travel
-from limslam_env.simulation.odometry import carried_travel, wheel_noise
+from limslam_env.kernels.readings import reported_travel
+from limslam_env.simulation.odometry import ground_travel, wheel_noise
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 from limslam_env.worlds.world import World
 
@@ -172,7 +172,7 @@ def test_a_wheel_slips_as_often_per_metre_as_asked(rate, travel):
     count = 50_000
     noise = DrawnNoise(slip_rate=rate, slip_share=0.25)
     uniforms = np.random.default_rng(0).random((count, 2))
-    carried = carried_travel(np.full((count, 2), travel), noise, uniforms)
+    carried = ground_travel(np.full((count, 2), travel), noise, uniforms)
     slips = carried != travel
     # At least one event of a Poisson process along the way.
     chance = 1.0 - math.exp(-rate * abs(travel))
@@ -186,14 +186,14 @@ def test_half_as_long_steps_slip_half_as_often():
     noise = DrawnNoise(slip_rate=4.0)
     uniforms = np.random.default_rng(0).random((100_000, 2))
     long, short = (
-        (carried_travel(np.full(uniforms.shape, travel), noise, uniforms) != travel).mean() for travel in (0.01, 0.005)
+        (ground_travel(np.full(uniforms.shape, travel), noise, uniforms) != travel).mean() for travel in (0.01, 0.005)
     )
     assert long == pytest.approx(2.0 * short, rel=0.06)
 
 
 def test_standing_wheels_do_not_slip():
     noise = DrawnNoise(slip_rate=1e6, slip_share=1.0)
-    np.testing.assert_array_equal(carried_travel(np.zeros((10, 2)), noise, np.zeros((10, 2))), 0.0)
+    np.testing.assert_array_equal(ground_travel(np.zeros((10, 2)), noise, np.zeros((10, 2))), 0.0)
 
 
 def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():

@@ -288,7 +288,7 @@ def test_not_asking_pymunk_where_nothing_is_near_changes_nothing(edges, starts):
     short, full = physics(edges, *starts), physics(edges, *starts)
     contacts = 0
     for travel in random_actions(5, len(starts), 2000, hold=30):
-        full._room = 0.0
+        full._clearance = 0.0
         contact = short.step(travel, PERIOD)
         assert contact == full.step(travel, PERIOD)
         np.testing.assert_allclose(short.poses, full.poses, atol=1e-9)

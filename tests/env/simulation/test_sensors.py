@@ -9,7 +9,9 @@ import pytest
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
-from limslam_env.kernels.rays import NOTHING, cast_at_discs, noisy_reading, observe
+from limslam_env.kernels.observation import observe
+from limslam_env.kernels.rays import NOTHING, cast_at_discs
+from limslam_env.kernels.readings import noisy_reading
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, range_noise
 from limslam_env.simulation.simulation import Readings, Simulation, Truth

@@ -15,7 +15,8 @@ from limslam_env.geometry.segment import distances, inside_polygon, polygon_edge
 from limslam_env.worlds import world as world_module
 from limslam_env.worlds.formats import loading
 from limslam_env.worlds.formats.loading import load_world, shipped_worlds
-from limslam_env.worlds.world import World, WorldError, parse_world
+from limslam_env.worlds.formats.toml import parse_world
+from limslam_env.worlds.world import World, WorldError
 
 RADIUS = 0.10
 BOX = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]

@@ -1,4 +1,4 @@
-"""The learned explorer: its weights, its network, and how it drives."""
+"""The learned policy: its weights, its network, and how it drives."""
 
 import math
 import subprocess
@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.belief import Belief
 from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
 from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
 from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig, frontier_distance, observe

@@ -3,7 +3,6 @@
 import copy
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -13,8 +12,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
 
 from limslam_agent.agent import LimSlamAgent
-from limslam_agent.config.presets import AgentConfig, SelfCalibrationConfig, preset
-from limslam_agent.policies.policies import WallFollower
+from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
+from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.batch.state import MISSES, Capacity
 from limslam_agent.slam.slam import LineSlam
@@ -34,7 +33,7 @@ EQUAL = 1e-6
 START = np.zeros(3)
 CORRIDOR_LOOP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0), (0.0, 0.0), (3.0, 0.0)]
 ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
-CALIBRATING = replace(preset("consistent"), self_calibration=SelfCalibrationConfig(enabled=True))
+CALIBRATING = self_calibrating(preset("consistent"))
 
 
 def config_of(noise: float) -> AgentConfig:
@@ -76,7 +75,7 @@ def check_maps(batch: BatchSlam, slams: list[LineSlam]) -> None:
     np.testing.assert_array_equal(batch.num_closures, [len(slam.closures) for slam in slams])
     for number, slam in enumerate(slams):
         np.testing.assert_allclose(batch.segments(number), slam.segments, rtol=0.0, atol=EQUAL)
-    assert not batch.left_out.any()
+    assert not batch.overflows.any()
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -126,7 +125,7 @@ def test_walls_are_taken_back_alike() -> None:
     back, _ = drive(walls[:1], np.array([2.0, 0.0, 0.0]), [*turn(180.0), *straight(2.0)])
     before, _, _ = followed(there, config_of(0.0))
     after, batch, _ = followed([*there, *back[1:]], config_of(0.0))
-    assert batch._minds.walls.counted[0, :, MISSES].sum() > 20
+    assert batch._states.walls.counted[0, :, MISSES].sum() > 20
     right = [sum(lengths(slam.segments[slam.segments[:, 1] < 0.0])) for slam in (before, after)]
     assert right[1] < right[0] - 0.5
 
@@ -136,7 +135,7 @@ def test_more_clones_than_are_kept_are_let_go_alike() -> None:
     posts = np.vstack([room(x, y, x + 0.05, y + 0.05) for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.6)])
     observations, _ = drive(posts, START, turn(3000.0), noise=0.02)
     slam, _, most = followed(observations, config_of(0.02))
-    assert most >= slam.config.clones.max_clones
+    assert most >= slam.config.estimator.pending.max_clones
 
 
 def test_other_robots_and_unsteady_beams() -> None:
@@ -203,8 +202,8 @@ def test_without_room_for_landmarks_none_is_founded() -> None:
         beliefs = full.step(seen["ranges"][None], seen["wheels"][None])
         roomy.step(seen["ranges"][None], seen["wheels"][None])
     assert full.num_landmarks[0] == 2 < roomy.num_landmarks[0]
-    assert full.left_out[0] > 0
-    assert roomy.left_out[0] == 0
+    assert full.overflows[0] > 0
+    assert roomy.overflows[0] == 0
     assert np.linalg.eigvalsh(beliefs.covariance[0]).min() > 0.0
 
 
@@ -212,10 +211,10 @@ def test_without_room_for_clones_the_oldest_are_given_up() -> None:
     batch = batch_of(1, capacity=Capacity(clones=5))
     for seen in DRIVE:
         beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
-    clones = batch._minds.filter.clones[0]
+    clones = batch._states.filter.clones[0]
     assert len(clones) == 5
     assert clones.max() > 100
-    assert batch.left_out[0] > 0
+    assert batch.overflows[0] > 0
     assert np.isfinite(beliefs.pose).all()
 
 
@@ -223,7 +222,7 @@ def test_beyond_the_bins_nothing_is_counted() -> None:
     batch = batch_of(1, capacity=Capacity(bins=10))
     for seen in DRIVE:
         batch.step(seen["ranges"][None], seen["wheels"][None])
-    assert batch.left_out[0] > 0
+    assert batch.overflows[0] > 0
     segments = batch.segments(0)
     assert len(segments)
     assert np.hypot(*(segments[:, 2:] - segments[:, :2]).T).max() < 0.5 + EQUAL
@@ -248,7 +247,7 @@ def test_memory_is_what_the_arrays_take() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda: BatchSlam(ROBOT, preset("paper"), 2), "by the consistent estimator, not 'published'"),
+        (lambda: BatchSlam(ROBOT, preset("paper"), 2), "a batch needs the preset consistent, not 'paper'"),
         (lambda: BatchSlam(ROBOT, CALIBRATING, 2), "does not calibrate odometry by itself"),
         (lambda: BatchSlam(ROBOT, num_envs=0), "num_envs must be 1 or more, not 0"),
         (lambda: BatchSlam(ROBOT, size=-1), "size must be 0 or more, not -1"),
@@ -372,7 +371,7 @@ def test_options_that_are_no_dictionary_are_refused() -> None:
 def test_what_cannot_be_wrapped_is_refused() -> None:
     with pytest.raises(ValueError, match="a grid needs at least one cell, not 0"):
         SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), size=0)
-    with pytest.raises(ValueError, match="does not tell what its robot is"):
+    with pytest.raises(ValueError, match="has no LimSLAM robot"):
         SlamVectorObservation(SyncVectorEnv([lambda: gym.make("CartPole-v1")]))
     with pytest.raises(ValueError, match="ranges must be those of the robot"):
         SlamVectorObservation(SyncVectorEnv([lambda: NormalizedObservation(LimSlamEnv("env1"))]))

@@ -618,7 +618,7 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     # They are one now, but for what is not linear in the small angle between them.
     assert np.abs(apart(wanted, ekf, older, younger, turned)).max() < 0.02 * np.abs(off).max()
     left = carried(left, before, wanted, ekf)
-    ekf.unite(older, younger)
+    ekf.merge(older, younger)
     gone = [3 + 2 * younger, 4 + 2 * younger]
     np.testing.assert_allclose(ekf.x, np.delete(wanted, gone), atol=1e-10)
     np.testing.assert_allclose(ekf.P, np.delete(np.delete(left, gone, 0), gone, 1), atol=1e-12)
@@ -638,7 +638,7 @@ def test_lines_that_are_made_one_meet_in_proportion_to_how_sure_they_are() -> No
         index = ekf.add_line(0.5, np.array([1.0, 1.0]))
         ekf.x[3 + 2 * index] = offset
     ekf.P = np.diag([0.0, 0.0, 0.0, 0.03**2, 1e-4, 0.01**2, 1e-4])
-    ekf.unite(0, 1)
+    ekf.merge(0, 1)
     assert ekf.anchored[0, 0] == pytest.approx(0.09, abs=1e-5)
     assert ekf.P[3, 3] == pytest.approx(9e-5, rel=1e-3)
     assert ekf.anchored[0, 1] == pytest.approx(0.5, abs=1e-12)
@@ -662,7 +662,7 @@ def test_two_landmarks_made_one_are_what_a_single_one_would_have_become() -> Non
         if landmarks == 2:
             off, covariance = ekf.difference(0, 1)
             assert off @ np.linalg.solve(covariance, off) < 10.0
-            ekf.unite(0, 1)
+            ekf.merge(0, 1)
         results.append((ekf.x, ekf.P))
     (one, covariance), (other, of_other) = results
     np.testing.assert_allclose((other - one) / np.sqrt(np.diag(covariance)), 0.0, atol=0.03)
@@ -718,7 +718,7 @@ class _Wanderer:
         self.walls: list[int] = []  # which wall each landmark is
         self.clones: dict[int, FloatArray] = {}  # true poses
         self.done: dict[str, int] = {}
-        self.born = self.united = 0
+        self.born = self.merged = 0
 
     def do(self) -> None:
         """One random thing that can be done now."""
@@ -726,7 +726,7 @@ class _Wanderer:
         if len(self.walls) < 7:
             choices.append("add")
         if len(self.walls) > len(set(self.walls)):
-            choices.append("unite")
+            choices.append("merge")
         name = choices[int(self.generator.integers(len(choices)))]
         self.done[name] = self.done.get(name, 0) + 1
         getattr(self, name)()
@@ -761,16 +761,16 @@ class _Wanderer:
             anchor = ROOM[wall, 0] * normal(ROOM[wall]) + self.generator.normal(0.0, 0.1)
             self._read(self.ekf.add_line(theta, anchor), iterations=4)
 
-    def unite(self) -> None:
+    def merge(self) -> None:
         twice = [index for index, wall in enumerate(self.walls) if wall in self.walls[:index]]
         younger = twice[int(self.generator.integers(len(twice)))]
         older = self.walls.index(self.walls[younger])
         off, covariance = self.ekf.difference(older, younger)
         # As the estimator does it: not before their directions are known to a few degrees, and they agree.
         if covariance[1, 1] < math.radians(4.0) ** 2 and off @ np.linalg.solve(covariance, off) < 16.0:
-            self.ekf.unite(older, younger)
+            self.ekf.merge(older, younger)
             del self.walls[younger]
-            self.united += 1
+            self.merged += 1
 
     def _read(self, index: int, iterations: int = 2) -> None:
         readings = self._readings(self.walls[index])
@@ -806,7 +806,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_random_operations(coun
             assert np.linalg.eigvalsh(0.5 * (ekf.P + ekf.P.T)).min() > -1e-12
     assert asymmetry < 1e-12
     assert min(wanderer.done.values()) > count // 100
-    assert wanderer.united > count // 200
+    assert wanderer.merged > count // 200
     # And it is still a filter: it knows where it is, and its walls.
     assert np.hypot(*(ekf.pose - wanderer.truth)[:2]) < 0.1
     true = ROOM[wanderer.walls]
@@ -818,12 +818,12 @@ def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_i
     ekf = CloneEKF(np.array([[1.0, 2.0, 0.5], [0.0, 0.0, 0.0]]), prior)
     ekf.P[:6, :6] = spread(6, 2)
     ekf.clone(1)
-    by_factors = spread(3, 3, scale=1.0)
+    by_calibration = spread(3, 3, scale=1.0)
     covariance, before = ekf.P.copy(), ekf.x.copy()
-    ekf.predict(STEP, MOTION, 1, by_factors)
+    ekf.predict(STEP, MOTION, 1, by_calibration)
     by_pose, by_increment = compose_jacobians(before[3:6], STEP)
     dense, noise = np.eye(len(covariance)), np.zeros_like(covariance)
-    dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_factors
+    dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_calibration
     noise[3:6, 3:6] = by_increment @ MOTION @ by_increment.T
     np.testing.assert_allclose(ekf.P, dense @ covariance @ dense.T + noise, atol=1e-12)
     np.testing.assert_allclose(ekf.poses[1], compose(before[3:6], STEP))
@@ -840,7 +840,7 @@ def test_factors_are_no_part_of_what_a_turned_world_turns() -> None:
     np.testing.assert_allclose(calibrating.pose, plain.pose, atol=1e-12)
     np.testing.assert_allclose(calibrating.lines, plain.lines, atol=1e-12)
     np.testing.assert_allclose(calibrating.pose_covariance, plain.pose_covariance, atol=1e-12)
-    factors = calibrating.factors()
+    factors = calibrating.calibration()
     assert factors is not None
     assert factors[0].tolist() == [0.0, 0.0, 0.0]
-    assert plain.factors() is None
+    assert plain.calibration() is None

@@ -22,7 +22,8 @@ from support.drives import (
     turn,
 )
 
-from limslam_agent.config.presets import preset
+from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
@@ -38,6 +39,7 @@ from limslam_env.robots import four_beam_drone, ring
 
 Change = Callable[[int, FloatArray], FloatArray | None]
 
+SETTINGS = ConsistentConfig()
 CONFIG = preset("consistent")
 NOISY = preset("consistent", NominalNoise(0.02))
 CORRIDOR = np.array([[-3.0, 0.4, 8.0, 0.4], [-3.0, -0.4, 8.0, -0.4]])
@@ -54,6 +56,11 @@ STARTS = [
 ]
 LOOP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0), (0.0, 0.0), (3.0, 0.0)]
 ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
+
+
+def with_creation(**changes: float) -> AgentConfig:
+    """The settings with other ones for new landmarks."""
+    return replace(CONFIG, estimator=replace(SETTINGS, creation=replace(SETTINGS.creation, **changes)))
 
 
 def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
@@ -93,11 +100,11 @@ def test_a_new_landmark_is_made_of_enough_readings() -> None:
     _, records = slam_after(observations, CONFIG, np.zeros(3))
     first = next(record for record in records if record.is_new)
     count = len(first.readings)
-    assert count >= CONFIG.clones.new_readings * CONFIG.range_std
-    as_many = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=(count - 0.5) / CONFIG.range_std))
+    assert count >= SETTINGS.creation.readings_per_std * CONFIG.range_std
+    as_many = with_creation(readings_per_std=(count - 0.5) / CONFIG.range_std)
     _, again = slam_after(observations, as_many, np.zeros(3))
     np.testing.assert_array_equal(again[0].readings, first.readings)
-    more = replace(CONFIG, clones=replace(CONFIG.clones, new_readings=(count + 0.5) / CONFIG.range_std))
+    more = with_creation(readings_per_std=(count + 0.5) / CONFIG.range_std)
     _, later = slam_after(observations, more, np.zeros(3))
     assert all(len(record.readings) > count for record in later if record.is_new)
 
@@ -110,14 +117,14 @@ def test_the_last_readings_of_a_wall_are_used(end: float) -> None:
     _, records = slam_after(observations, CONFIG, np.zeros(3))
     used = max(int(record.readings[:, 0].max()) for record in records)
     seen = max(step for step, each in enumerate(observations) if each["ranges"][-1] < 1.0)
-    assert seen - used <= CONFIG.clones.hough.min_votes
+    assert seen - used <= SETTINGS.hough.min_votes
 
 
 def test_noisy_ranges_ask_for_longer_new_walls() -> None:
-    exact, noisy = (CONFIG.clones.for_ranges(std) for std in (0.005, 0.02))
-    assert exact == CONFIG.clones
-    assert noisy == replace(exact, new_length=exact.new_length_noisy)
-    assert noisy.new_length > exact.new_length
+    exact, noisy = (SETTINGS.for_ranges(std) for std in (0.005, 0.02))
+    assert exact == SETTINGS
+    assert noisy.creation == replace(exact.creation, min_length=exact.creation.min_length_noisy)
+    assert noisy.creation.min_length > exact.creation.min_length
 
 
 @pytest.mark.parametrize("place", STARTS)
@@ -297,7 +304,7 @@ def test_the_same_observations_give_the_same_bits() -> None:
     alone = LineSlam(ROBOT, NOISY, log.poses[0])
     for observation in log.observations:
         alone.step(observation)
-        _ = alone.segments, alone.waiting, alone.landmarks
+        _ = alone.segments, alone.pending_points, alone.landmarks
     alone.finish()
     assert alone.poses.tobytes() == first.poses.tobytes()
     assert alone.segments.tobytes() == first.segments.tobytes()
@@ -456,7 +463,7 @@ def test_a_robot_that_stands_still_for_ever_costs_nothing_and_knows_no_wall() ->
     assert not any(record.robot == 1 for record in records)
     np.testing.assert_allclose(slam.poses[1], aside, atol=1e-3)
     np.testing.assert_allclose(slam.poses[0][:2], poses[-1, :2], atol=0.1)
-    assert len(slam._estimator._belief.x) < 6 + 2 * 20 + 3 * 2 * CONFIG.clones.max_clones
+    assert len(slam._estimator._belief.x) < 6 + 2 * 20 + 3 * 2 * SETTINGS.pending.max_clones
 
 
 @pytest.mark.parametrize(("robot", "milliseconds"), [(ring(360), 30.0), (four_beam_drone(), 10.0)])
@@ -471,7 +478,7 @@ def test_other_robots_map_a_room_in_bounded_time(robot: RobotSpec, milliseconds:
         sizes.append(len(slam._estimator._belief.x))
     slam.finish()
     assert np.median(taken) < milliseconds
-    assert max(sizes) <= 3 + 2 * 40 + 3 * (CONFIG.clones.max_clones + 1)
+    assert max(sizes) <= 3 + 2 * 40 + 3 * (SETTINGS.pending.max_clones + 1)
     for wall in ROOM:
         off = np.array([off_line(mark, wall) for mark in slam.landmarks])
         assert (np.abs(off) < [0.10, math.radians(4.0)]).all(axis=1).any()

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import BufferConfig
-from limslam_agent.slam.consistent.pending_readings import SIDES, Track
+from limslam_agent.config.consistent import PendingReadingsConfig
+from limslam_agent.slam.consistent.pending_readings import SIDES, PendingReadings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
@@ -14,27 +14,27 @@ from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, ahead 2 and 3, right 4 and 5
 RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
 FREE = ROBOT.max_ranges
-CONFIG = BufferConfig(min_distance=0.05, min_turn=math.radians(5.0))
+CONFIG = PendingReadingsConfig(min_distance=0.05, min_turn=math.radians(5.0))
 
 
 class _Drive:
-    """A front end and a track of the same robot; clones are numbered by the times that something was taken."""
+    """A front end and a pending of the same robot; clones are numbered by the times that something was taken."""
 
-    def __init__(self, robot: RobotSpec = ROBOT, config: BufferConfig = CONFIG, most: int = 8) -> None:
-        self.front, self.track, self.taken = FrontEnd(robot), Track(robot, config, most), 0
+    def __init__(self, robot: RobotSpec = ROBOT, config: PendingReadingsConfig = CONFIG, most: int = 8) -> None:
+        self.front, self.pending, self.taken = FrontEnd(robot), PendingReadings(robot, config, most), 0
 
     def step(self, ranges: FloatArray | None, distance: float = 0.0, turn: float = 0.0) -> bool:
         """Move, read, and let what is wanted wait; whether anything was."""
-        self.track.move(np.array([distance, 0.0, turn]))
+        self.pending.move(np.array([distance, 0.0, turn]))
         self.front.accept({} if ranges is None else {"ranges": ranges})
-        wanted = self.track.wants(self.front)
+        wanted = self.pending.is_due(self.front)
         if wanted:
-            self.track.collect(self.front, 10 + self.taken)
+            self.pending.collect(self.front, 10 + self.taken)
             self.taken += 1
         return wanted
 
     def beams(self) -> dict[str, list[int]]:
-        return {side: [reading.beam for reading in self.track.waiting[side]] for side in SIDES}
+        return {side: [reading.beam for reading in self.pending.by_side[side]] for side in SIDES}
 
 
 def seen_by(*beams: int) -> FloatArray:
@@ -47,18 +47,18 @@ def test_readings_wait_by_side_with_all_that_the_filter_needs() -> None:
     assert drive.step(RANGES)
     assert drive.step(seen_by(1, 2), distance=0.3)
     assert drive.beams() == {"left": [0, 1, 1], "right": [4, 5], "none": [2, 3, 2]}
-    assert drive.track.fresh == {"left": 3, "right": 2, "none": 3}
-    readings = drive.track.readings("left")
+    assert drive.pending.fresh == {"left": 3, "right": 2, "none": 3}
+    readings = drive.pending.readings("left")
     assert readings.clones.tolist() == [10, 10, 11]
     assert readings.sources.tolist() == [[0, 0], [0, 1], [1, 1]]
     np.testing.assert_array_equal(readings.ranges, [0.4, 0.6, 0.6])
     np.testing.assert_array_equal(readings.origins, ROBOT.beam_origins[[0, 1, 1]])
     np.testing.assert_array_equal(readings.angles, ROBOT.beam_angles[[0, 1, 1]])
-    assert [reading.driven for reading in drive.track.waiting["left"]] == [0.0, 0.0, 0.3]
+    assert [reading.driven for reading in drive.pending.by_side["left"]] == [0.0, 0.0, 0.3]
 
 
 def test_nothing_that_waits_is_no_rows() -> None:
-    readings = _Drive().track.readings("right")
+    readings = _Drive().pending.readings("right")
     assert [part.shape for part in readings] == [(0,), (0, 2), (0,), (0,), (0, 2)]
     assert readings.clones.dtype.kind == "i"
 
@@ -69,7 +69,7 @@ def test_nothing_that_waits_is_no_rows() -> None:
 def test_nothing_is_taken_before_the_robot_has_driven_far_enough() -> None:
     drive = _Drive()
     assert [drive.step(RANGES, distance=0.02) for _ in range(9)] == [True, *[False, False, True] * 2, False, False]
-    assert [reading.step for reading in drive.track.waiting["left"][::2]] == [0, 3, 6]
+    assert [reading.step for reading in drive.pending.by_side["left"][::2]] == [0, 3, 6]
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -82,7 +82,7 @@ def test_or_turned_far_enough_either_way(way: float) -> None:
 def test_backwards_is_driven_too() -> None:
     drive = _Drive()
     assert [drive.step(RANGES, distance=-0.06) for _ in range(3)] == [True, True, True]
-    assert drive.track.driven == pytest.approx(0.18)
+    assert drive.pending.driven == pytest.approx(0.18)
 
 
 def test_standing_still_says_nothing_new() -> None:
@@ -124,7 +124,7 @@ def test_beams_that_are_left_out_are_not_looked_at_for_the_end_of_a_wall() -> No
     only_between = np.array([1.5, 0.7, 0.7, 0.7, 1.5])
     assert not drive.step(only_between, distance=0.3)
     assert drive.beams()["left"] == [0, 4]
-    assert drive.track.has_ended("left", 0.25)
+    assert drive.pending.has_ended("left", 0.25)
 
 
 @pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05, 0.0])
@@ -134,8 +134,8 @@ def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
     broken[[0, 4, 5]] = dead
     assert [drive.step(broken, distance=0.06) for _ in range(3)] == [True] * 3
     assert drive.beams() == {"left": [1] * 3, "right": [], "none": [2, 3] * 3}
-    assert all(np.isfinite(drive.track.readings(side).ranges).all() for side in SIDES)
-    assert not drive.track.has_ended("right", 0.1)
+    assert all(np.isfinite(drive.pending.readings(side).ranges).all() for side in SIDES)
+    assert not drive.pending.has_ended("right", 0.1)
 
 
 @pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05])
@@ -150,8 +150,8 @@ def test_readings_that_may_have_hit_another_robot_do_not_wait() -> None:
     drive = _Drive()
     drive.front.accept({"ranges": RANGES})
     drive.front.drop(np.array([True, False, True, True, True, True]))
-    assert drive.track.wants(drive.front)
-    drive.track.collect(drive.front, 0)
+    assert drive.pending.is_due(drive.front)
+    drive.pending.collect(drive.front, 0)
     assert drive.beams() == {"left": [1], "right": [], "none": []}
 
 
@@ -160,8 +160,8 @@ def test_a_slow_beam_waits_only_when_it_has_measured_anew() -> None:
     drive = _Drive(RobotSpec(beams=beams))
     for _ in range(7):
         drive.step(np.array([0.5, 0.6]), distance=0.06)
-    assert [reading.step for reading in drive.track.waiting["left"]] == [0, 3, 6]
-    assert [reading.step for reading in drive.track.waiting["right"]] == list(range(7))
+    assert [reading.step for reading in drive.pending.by_side["left"]] == [0, 3, 6]
+    assert [reading.step for reading in drive.pending.by_side["right"]] == list(range(7))
 
 
 # The end of a wall.
@@ -174,27 +174,27 @@ def test_a_wall_has_ended_when_nothing_was_seen_of_it_for_the_gap_and_not_before
     ended = []
     for _ in range(5):
         drive.step(right_only, distance=0.06)
-        ended.append((drive.track.has_ended("left", 0.25), drive.track.has_ended("right", 0.25)))
+        ended.append((drive.pending.has_ended("left", 0.25), drive.pending.has_ended("right", 0.25)))
     assert ended == [(False, False)] * 4 + [(True, False)]
 
 
 def test_a_hit_that_is_not_kept_shows_that_the_wall_goes_on() -> None:
-    drive = _Drive(config=BufferConfig(min_distance=10.0))
+    drive = _Drive(config=PendingReadingsConfig(min_distance=10.0))
     drive.step(RANGES)
     for _ in range(10):
         assert not drive.step(RANGES, distance=0.1)
-    assert not any(drive.track.has_ended(side, 0.25) for side in SIDES)
+    assert not any(drive.pending.has_ended(side, 0.25) for side in SIDES)
     drive.step(FREE, distance=0.3)
-    assert all(drive.track.has_ended(side, 0.25) for side in SIDES)
+    assert all(drive.pending.has_ended(side, 0.25) for side in SIDES)
 
 
 def test_a_wall_of_which_nothing_waits_cannot_end() -> None:
     drive = _Drive()
     drive.step(RANGES)
-    drive.track.waiting["left"] = []
+    drive.pending.by_side["left"] = []
     drive.step(FREE, distance=1.0)
-    assert not drive.track.has_ended("left", 0.25)
-    assert drive.track.has_ended("right", 0.25)
+    assert not drive.pending.has_ended("left", 0.25)
+    assert drive.pending.has_ended("right", 0.25)
 
 
 def test_turning_on_the_spot_ends_no_wall() -> None:
@@ -202,4 +202,4 @@ def test_turning_on_the_spot_ends_no_wall() -> None:
     drive.step(RANGES)
     for _ in range(20):
         drive.step(FREE, turn=0.3)
-    assert not drive.track.has_ended("left", 0.25)
+    assert not drive.pending.has_ended("left", 0.25)

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import StraightConfig
+from limslam_agent.config.consistent import SegmentationConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.segmentation import Piece, straight_pieces
+from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_env.geometry import FloatArray, IntArray
@@ -24,7 +24,7 @@ from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 LEFT = [0, 1]  # the beams at 90 and 45 deg
-CONFIG = StraightConfig()
+CONFIG = SegmentationConfig()
 STEP = 0.02  # m driven between two readings
 NOISES = (0.0, 0.02, 0.04)
 
@@ -42,11 +42,11 @@ class Drive(NamedTuple):
         """Where they are believed to have ended (n, 2), m."""
         return hit_points(self.belief.clone_poses(self.readings.clones), self.readings)
 
-    def pieces(self, members: IntArray | None = None) -> list[Piece]:
+    def pieces(self, members: IntArray | None = None) -> list[WallSegment]:
         """The straight pieces of what was read, about the line that fits all of it best."""
         chosen = np.arange(len(self.hits)) if members is None else members
         line = fit_line(self.points[chosen], self.std).line
-        return straight_pieces(self.readings, chosen, line, self.belief, self.std, CONFIG)
+        return wall_segments(self.readings, chosen, line, self.belief, self.std, CONFIG)
 
 
 def ray(start: FloatArray, heading: float, corners: FloatArray) -> float:
@@ -226,7 +226,7 @@ def test_the_end_of_another_wall_is_cut_off(noise: float) -> None:
 def test_few_points_are_nothing() -> None:
     drive = drive_past(WALL, 0.8, 0.0, 1)
     for count in range(6):
-        assert straight_pieces(
+        assert wall_segments(
             drive.readings, np.arange(count), np.array([0.6, 0.5 * math.pi]), drive.belief, drive.std, CONFIG
         ) == []  # fmt: skip
     (piece,) = drive.pieces(np.arange(0, 60, 10))
@@ -237,7 +237,7 @@ def test_readings_that_graze_the_line_make_no_piece_of_it() -> None:
     drive = drive_past(WALL, 0.8, 0.0, 1)
     # A line across the wall: the beams at 90 deg run along it, and they are the first of each pair.
     across = np.array([0.4, 0.0])
-    assert straight_pieces(drive.readings, np.arange(0, 60, 2), across, drive.belief, drive.std, CONFIG) == []
+    assert wall_segments(drive.readings, np.arange(0, 60, 2), across, drive.belief, drive.std, CONFIG) == []
 
 
 def test_the_pieces_are_of_the_chosen_readings_only() -> None:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,10 @@ from support.drives import FOUR_BEAMS, laps_of_square
 from typer.testing import CliRunner
 
 from limslam_agent.cli.main import app
-from limslam_agent.config.presets import AgentConfig, SelfCalibrationConfig, preset
+from limslam_agent.config.consistent import SelfCalibrationConfig
+from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.replay.options import replay_config
+from limslam_agent.replay.options import with_self_calibration
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -26,7 +26,7 @@ COUNTED = np.array([1.006, 0.994])
 
 def config(noise: float, *, enabled: bool) -> AgentConfig:
     settings = preset("consistent", NominalNoise(noise))
-    return replace(settings, self_calibration=SelfCalibrationConfig(enabled=enabled))
+    return self_calibrating(settings) if enabled else settings
 
 
 def after_laps(noise: float) -> tuple[LineSlam, float]:
@@ -42,8 +42,8 @@ def after_laps(noise: float) -> tuple[LineSlam, float]:
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_uneven_wheels_are_found_out(noise: float) -> None:
     slam, error = after_laps(noise)
-    assert slam.factors is not None
-    factors, covariance = slam.factors
+    assert slam.odometry_calibration is not None
+    factors, covariance = slam.odometry_calibration
     true = 1.0 / COUNTED - 1.0
     uneven, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
     assert std < 0.2 * (true[1] - true[0])
@@ -52,7 +52,7 @@ def test_uneven_wheels_are_found_out(noise: float) -> None:
 
 
 def test_nothing_is_said_of_wheels_that_nobody_asked_about() -> None:
-    assert LineSlam(FOUR_BEAMS, config(0.02, enabled=False), np.zeros(3)).factors is None
+    assert LineSlam(FOUR_BEAMS, config(0.02, enabled=False), np.zeros(3)).odometry_calibration is None
 
 
 def test_each_robot_has_wheels_of_its_own() -> None:
@@ -68,7 +68,7 @@ def test_each_robot_has_wheels_of_its_own() -> None:
 
 def test_only_the_consistent_estimator_can() -> None:
     with pytest.raises(ValueError, match="only the consistent estimator can calibrate"):
-        replace(preset("paper"), self_calibration=SelfCalibrationConfig(enabled=True))
+        self_calibrating(preset("paper"))
 
 
 @pytest.mark.parametrize("name", ["size_std", "uneven_std", "axle_std"])
@@ -112,4 +112,4 @@ def test_replay_tells_what_it_found(tmp_path: Path) -> None:
 
 def test_replay_refuses_to_calibrate_by_the_published_method() -> None:
     with pytest.raises(ValueError, match="--self-calibrate goes with --preset consistent"):
-        replay_config("paper", 0.02, None, None, self_calibrate=True)
+        with_self_calibration(preset("paper"), enabled=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.config.presets import CloneConfig
+from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
 from limslam_agent.slam.consistent.wall_map import WallMap
@@ -42,12 +42,12 @@ def test_the_ends_are_the_outermost_hits_whatever_their_order(first: FloatArray,
     both = np.concatenate((first, second))
     for extent in (hit_at(first, second), hit_at(second, first), hit_at(both), *[hit_at(*both.reshape(-1, 1))]):
         assert extent.ends == (both.min(), both.max())
-        np.testing.assert_array_equal(extent.pieces(GAP, TOLERANCE), hit_at(both).pieces(GAP, TOLERANCE))
+        np.testing.assert_array_equal(extent.intervals(GAP, TOLERANCE), hit_at(both).intervals(GAP, TOLERANCE))
 
 
 @given(spots, st.floats(0.06, 2.0))
 def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
-    pieces = hit_at(along).pieces(gap, TOLERANCE)
+    pieces = hit_at(along).intervals(gap, TOLERANCE)
     # All hits are within some piece, pieces begin and end with hits, in order, and what is between is a gap.
     assert all(((pieces[:, 0] <= place) & (place <= pieces[:, 1])).any() for place in along)
     assert np.isin(pieces, along).all()
@@ -59,58 +59,58 @@ def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
 
 
 def test_nothing_hit_is_no_piece() -> None:
-    assert WallExtent().pieces(GAP, TOLERANCE).shape == (0, 2)
+    assert WallExtent().intervals(GAP, TOLERANCE).shape == (0, 2)
 
 
 def test_a_hole_that_nobody_looked_at_belongs_to_the_wall_up_to_a_limit() -> None:
     extent = hit_at(wall(0.0, 1.0), wall(1.25, 2.0))
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), [[0.01, 1.96]])
-    np.testing.assert_allclose(extent.pieces(0.25, TOLERANCE), [[0.01, 0.96], [1.26, 1.96]])
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 1.96]])
+    np.testing.assert_allclose(extent.intervals(0.25, TOLERANCE), [[0.01, 0.96], [1.26, 1.96]])
 
 
 def test_one_beam_through_a_hole_opens_it() -> None:
     extent = hit_at(wall(0.0, 1.0), wall(1.2, 2.0))
     assert extent.pass_at(1.1)
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), [[0.01, 0.96], [1.21, 1.96]])
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 0.96], [1.21, 1.96]])
 
 
 @pytest.mark.parametrize("hits", [1, 3])
 def test_a_door_that_was_closed_by_mistake_opens_again_when_enough_beams_pass(hits: int) -> None:
     extent = hit_at(*[wall(0.0, 2.0)] * hits)
     passed(extent, 0.8, 1.4, hits)
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), [[0.01, 1.96]])
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 1.96]])
     passed(extent, 0.8, 1.4, 1)
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), [[0.01, 0.76], [1.41, 1.96]])
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 0.76], [1.41, 1.96]])
     assert extent.ends == pytest.approx((0.01, 1.96))
     # A wider tolerance takes the passes for errors, and it closes again when it is hit again.
-    assert len(extent.pieces(GAP, (hits + 1) / hits)) == 1
+    assert len(extent.intervals(GAP, (hits + 1) / hits)) == 1
     extent.hit(wall(0.8, 1.4))
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), [[0.01, 1.96]])
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 1.96]])
 
 
 def test_a_narrow_door_is_open_too_though_the_gap_is_within_the_limit() -> None:
     extent = hit_at(wall(0.0, 2.0))
     passed(extent, 1.0, 1.1, 2)
-    np.testing.assert_allclose(extent.pieces(10.0, TOLERANCE), [[0.01, 0.96], [1.11, 1.96]])
+    np.testing.assert_allclose(extent.intervals(10.0, TOLERANCE), [[0.01, 0.96], [1.11, 1.96]])
 
 
 @pytest.mark.parametrize("along", [-0.5, 0.0, 0.01, 1.965, 1.97, 5.0])
 def test_a_beam_that_passes_beyond_the_ends_says_nothing(along: float) -> None:
     extent = hit_at(wall(0.0, 2.0))
-    before = extent.pieces(GAP, 0.0)
+    before = extent.intervals(GAP, 0.0)
     for _ in range(5):
         assert not extent.pass_at(along)
-    np.testing.assert_array_equal(extent.pieces(GAP, 0.0), before)
+    np.testing.assert_array_equal(extent.intervals(GAP, 0.0), before)
     # Nor does it when the wall is found to go on there later.
     extent.hit(wall(-1.0, 6.0))
-    assert len(extent.pieces(GAP, 0.0)) == 1
+    assert len(extent.intervals(GAP, 0.0)) == 1
 
 
 def test_a_wall_that_never_was_vanishes() -> None:
     extent = hit_at(wall(0.0, 1.0))
     extent.hit(np.array([-0.04, 1.04]))
     passed(extent, 0.0, 1.0, 2)
-    pieces = extent.pieces(GAP, TOLERANCE)
+    pieces = extent.intervals(GAP, TOLERANCE)
     # But for its outermost bins, beyond which nothing counts.
     np.testing.assert_allclose(pieces, [[-0.04, -0.04], [1.04, 1.04]])
 
@@ -120,7 +120,7 @@ def test_counts_grow_at_the_lower_end_without_shifting() -> None:
     passed(extent, 0.4, 0.6, 2)
     extent.hit(wall(-1.0, 0.0))
     extent.hit(wall(1.0, 1.5))
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), [[-0.99, 0.36], [0.61, 1.46]])
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[-0.99, 0.36], [0.61, 1.46]])
 
 
 # Two landmarks that turn out to be one wall.
@@ -135,13 +135,13 @@ def test_what_is_absorbed_is_there_as_if_it_had_been_hit_there(
     extent.absorb(other, factor, shift)
     every = np.concatenate((own, factor * others + shift))
     assert extent.ends == pytest.approx((every.min(), every.max()), abs=1e-12)
-    pieces = extent.pieces(gap, TOLERANCE)
+    pieces = extent.intervals(gap, TOLERANCE)
     # Bins are moved as a whole, so that places are right to half a bin.
     assert all(((pieces[:, 0] - BIN <= place) & (place <= pieces[:, 1] + BIN)).any() for place in every)
     assert np.abs(pieces.reshape(-1, 1) - every).min(axis=1).max() < 1e-12
     assert extent._hits.sum() == len(every)
     # The other one is left as it was.
-    np.testing.assert_array_equal(other.pieces(gap, TOLERANCE), hit_at(others).pieces(gap, TOLERANCE))
+    np.testing.assert_array_equal(other.intervals(gap, TOLERANCE), hit_at(others).intervals(gap, TOLERANCE))
 
 
 @settings(deadline=None)
@@ -152,7 +152,7 @@ def test_by_whole_bins_absorbing_equals_hitting(own: FloatArray, others: FloatAr
     extent = hit_at(own)
     extent.absorb(hit_at(others), factor, bins * BIN)
     together = hit_at(own, factor * others + bins * BIN)
-    np.testing.assert_allclose(extent.pieces(GAP, TOLERANCE), together.pieces(GAP, TOLERANCE), atol=1e-12)
+    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), together.intervals(GAP, TOLERANCE), atol=1e-12)
     assert extent.ends == pytest.approx(together.ends, abs=1e-12)
 
 
@@ -163,7 +163,7 @@ def test_a_door_that_the_other_one_knew_of_is_taken_over(factor: float, shift: f
     passed(other, 0.6, 1.2, 2)
     extent.absorb(other, factor, shift + 1e-6)
     low, high = sorted((factor * 0.58 + shift, factor * 1.2 + shift))
-    pieces = extent.pieces(GAP, TOLERANCE)
+    pieces = extent.intervals(GAP, TOLERANCE)
     widest = np.sort(pieces[1:, 0] - pieces[:-1, 1])[-1]
     assert widest == pytest.approx(0.65, abs=0.06)
     assert not ((pieces[:, 0] < high - 0.05) & (pieces[:, 1] > low + 0.05)).any()
@@ -174,20 +174,20 @@ def test_the_passes_of_both_count_together() -> None:
     for each in (extent, other):
         passed(each, 0.8, 1.2, 1)
     extent.absorb(other, 1.0, 0.0)
-    assert len(extent.pieces(GAP, TOLERANCE)) == 1
+    assert len(extent.intervals(GAP, TOLERANCE)) == 1
     passed(extent, 0.8, 1.2, 1)
-    assert len(extent.pieces(GAP, TOLERANCE)) == 2
+    assert len(extent.intervals(GAP, TOLERANCE)) == 2
 
 
 # The map that is drawn of it.
 
 
-def wall_map(theta: float = 0.7, config: CloneConfig | None = None) -> tuple[WallMap, FloatArray]:
+def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[WallMap, FloatArray]:
     """A map of one wall 2 m long, read 40 times, and its line (r, theta)."""
     belief = CloneEKF(np.zeros(3))
     line = np.array([1.0, theta])
     belief.add_line(theta, line[0] * np.array([math.cos(theta), math.sin(theta)]))
-    walls = WallMap(belief, config or CloneConfig())
+    walls = WallMap(belief, config or ExtentConfig())
     walls.add()
     walls.grow(0, at(line, wall(-1.0, 1.0)))
     return walls, line
@@ -197,7 +197,7 @@ def look(walls: WallMap, line: FloatArray, along: FloatArray, free: float, std: 
     """Beams straight at places along the wall from 0.5 m before it."""
     towards = np.tile([math.cos(line[1]), math.sin(line[1])], (len(along), 1))
     origins = at(line, along) - 0.5 * towards
-    walls.see_through(origins, towards, np.full(len(along), free), np.full(len(along), std))
+    walls.clear_along_beams(origins, towards, np.full(len(along), free), np.full(len(along), std))
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.7, 2.6, math.pi, -2.0])
@@ -225,19 +225,20 @@ def test_beams_that_end_at_the_wall_or_within_what_is_unsure_or_look_away_do_not
         look(walls, line, along, 0.54)
         look(walls, line, along, 1.2, std=0.3)
         away = -np.tile([math.cos(line[1]), math.sin(line[1])], (len(along), 1))
-        walls.see_through(at(line, along) + 0.5 * away, away, np.full(len(along), 1.2), np.full(len(along), 0.005))
+        origins = at(line, along) + 0.5 * away
+        walls.clear_along_beams(origins, away, np.full(len(along), 1.2), np.full(len(along), 0.005))
         grazing = np.tile(direction(line), (len(along), 1))
-        walls.see_through(at(line, along), grazing, np.full(len(along), 1.2), np.full(len(along), 0.005))
+        walls.clear_along_beams(at(line, along), grazing, np.full(len(along), 1.2), np.full(len(along), 0.005))
     assert lengths(walls.segments) == pytest.approx([1.95])
 
 
 def test_landmarks_read_too_little_or_too_short_are_not_drawn() -> None:
-    walls, line = wall_map(config=CloneConfig(shown_readings=41))
+    walls, line = wall_map(config=ExtentConfig(min_readings=41))
     assert walls.segments.shape == (0, 4)
     assert walls.landmarks == []
     walls.grow(0, at(line, np.array([0.0])))
     assert len(walls.segments) == len(walls.landmarks) == 1
-    short, _ = wall_map(config=CloneConfig(shown_length=1.96))
+    short, _ = wall_map(config=ExtentConfig(min_length=1.96))
     assert short.segments.shape == (0, 4)
 
 
@@ -246,7 +247,7 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
     belief = CloneEKF(np.zeros(3))
     theta = 0.7
     unit, tangent = np.array([math.cos(theta), math.sin(theta)]), np.array([-math.sin(theta), math.cos(theta)])
-    walls = WallMap(belief, CloneConfig())
+    walls = WallMap(belief, ExtentConfig())
     for index, place in enumerate((-0.5, 0.8)):
         belief.add_line(theta + (math.pi if turned and index else 0.0), unit + place * tangent)
         walls.add()
@@ -255,8 +256,8 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
     walls.grow(1, at(line, wall(0.2, 1.5)))
     assert len(walls.segments) == 2
     origin, was = belief.anchors[1].copy(), direction(belief.anchored[1])
-    belief.unite(0, 1)
-    walls.unite(0, 1, origin, was)
+    belief.merge(0, 1)
+    walls.merge(0, 1, origin, was)
     (segment,) = walls.segments
     np.testing.assert_allclose(np.sort(segment.reshape(2, 2) @ tangent), [-0.99, 1.46], atol=1e-6)
     assert (len(walls), walls[0].groups, walls[0].readings, walls[0].number) == (1, 2, 52, 0)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import HoughConfig
+from limslam_agent.config.shared import HoughConfig
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, hough_votes
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import at, nearest_form

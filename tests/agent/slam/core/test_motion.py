@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.config.presets import OdometryConfig
-from limslam_agent.slam.core.motion import Factors, motion_from_odometry, motion_from_wheels, motion_of, resized
+from limslam_agent.config.shared import OdometryConfig
+from limslam_agent.slam.core.motion import (
+    OdometryCalibration,
+    calibrated,
+    motion_from_odometry,
+    motion_from_wheels,
+    motion_of,
+)
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -165,14 +171,14 @@ def test_an_observation_without_motion_is_refused() -> None:
         motion_of({"ranges": np.zeros(6)}, ROBOT, NOISE, OdometryConfig())
 
 
-SIZES = Factors(0.02, -0.01, 0.03)
+SIZES = OdometryCalibration(0.02, -0.01, 0.03)
 QUIET = NominalNoise(0.0, 1e-9)
 
 
 @pytest.mark.parametrize("wheels", [(0.05, 0.03), (0.05, 0.047), (-0.04, -0.05), (-0.05, 0.05), (0.0, 0.0)])
 def test_larger_wheels_on_a_wider_axle_are_a_robot_that_is_built_so(wheels: tuple[float, float]) -> None:
     travel = np.array(wheels)
-    motion = resized(motion_from_wheels(travel, ROBOT, NOISE), ROBOT.axle, SIZES)
+    motion = calibrated(motion_from_wheels(travel, ROBOT, NOISE), ROBOT.axle, SIZES)
     np.testing.assert_allclose(motion.increment, exact_arc(np.array([1.02, 0.99]) * travel, 1.03 * 0.16), atol=1e-12)
 
 
@@ -181,26 +187,26 @@ def test_the_derivative_by_the_factors_is_that_of_central_differences(wheels: tu
     motion = motion_from_wheels(np.array(wheels), ROBOT, QUIET)
     step, at = 1e-6, np.array(SIZES)
     columns = [
-        (resized(motion, 0.16, Factors(*(at + step * unit))).increment
-         - resized(motion, 0.16, Factors(*(at - step * unit))).increment) / (2.0 * step)
+        (calibrated(motion, 0.16, OdometryCalibration(*(at + step * unit))).increment
+         - calibrated(motion, 0.16, OdometryCalibration(*(at - step * unit))).increment) / (2.0 * step)
         for unit in np.eye(3)
     ]  # fmt: skip
-    np.testing.assert_allclose(resized(motion, 0.16, SIZES).by_factors, np.column_stack(columns), atol=1e-9)
+    np.testing.assert_allclose(calibrated(motion, 0.16, SIZES).by_calibration, np.column_stack(columns), atol=1e-9)
 
 
 def test_what_lies_beside_the_arc_stays() -> None:
     slipped = motion_from_odometry(np.array([0.05, 0.01, 0.1]), OdometryConfig())
-    still = resized(slipped, ROBOT.axle, Factors(0.0, 0.0, 0.0))
+    still = calibrated(slipped, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0))
     np.testing.assert_allclose(still.increment, slipped.increment, atol=1e-15)
 
 
 def test_a_turn_that_may_be_noise_says_nothing_of_the_axle() -> None:
     motion = motion_from_wheels(np.array([0.0251, 0.0249]), ROBOT, NOISE)
-    by_factors = resized(motion, ROBOT.axle, Factors(0.0, 0.0, 0.0)).by_factors
-    assert by_factors is not None
-    np.testing.assert_allclose(by_factors[2], [-0.025 / 0.16, 0.025 / 0.16, 0.0], atol=1e-6)
+    by_calibration = calibrated(motion, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0)).by_calibration
+    assert by_calibration is not None
+    np.testing.assert_allclose(by_calibration[2], [-0.025 / 0.16, 0.025 / 0.16, 0.0], atol=1e-6)
 
 
 def test_without_factors_nothing_is_said_of_them() -> None:
     observation = {"wheels": np.array([0.05, 0.03])}
-    assert motion_of(observation, ROBOT, NOISE, OdometryConfig()).by_factors is None
+    assert motion_of(observation, ROBOT, NOISE, OdometryConfig()).by_calibration is None

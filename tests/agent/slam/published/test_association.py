@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import AssociationConfig
+from limslam_agent.config.published import AssociationConfig
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published import association
 from limslam_agent.slam.published.association import ObservedLine, alike, associate, in_range, near_ends, visible

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.ablations import ablated
-from limslam_agent.config.presets import AgentConfig, LoopClosingConfig, MapConfig
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.published import LoopClosingConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
 from limslam_agent.slam.slam import LineSlam
@@ -134,17 +135,18 @@ def ranges_at(pose: np.ndarray) -> np.ndarray:
 
 
 def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
-    base = AgentConfig()
-    assert not ablated(base, "no-loop-closing").closing.enabled
-    assert not ablated(base, "no-ekf").filter.correct
-    assert ablated(base, "no-end-gate").association.max_end_gap > 1e3
-    assert ablated(base, "only-best-line").hough.only_best
+    base = preset("paper")
+    assert not ablated(base, "no-loop-closing").estimator.closing.enabled
+    assert not ablated(base, "no-ekf").estimator.filter.correct
+    assert ablated(base, "no-end-gate").estimator.association.max_end_gap > 1e3
+    assert ablated(base, "only-best-line").estimator.hough.only_best
     with pytest.raises(ValueError, match="no ablation is called 'no-brain'"):
         ablated(base, "no-brain")
 
 
 def test_a_landmark_is_a_wall_of_the_map_when_it_is_long_enough_and_seen_again():
-    config = AgentConfig(noise=NominalNoise(0.005), map=MapConfig(min_observations=2, min_length=0.5))
+    estimator = PublishedConfig(map=MapConfig(min_observations=2, min_length=0.5))
+    config = AgentConfig(estimator=estimator, noise=NominalNoise(0.005))
     slam = LineSlam(ROBOT, config, np.array([-0.5, 0.3, 0.0]))
     sizes, known = [], []
     slam.on_association = lambda record: known.append(record.landmark)
@@ -206,7 +208,8 @@ def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
     observations = sensed(poses, walls, drift)
     errors, slams = [], []
     for enabled in (True, False):
-        config = AgentConfig(noise=NominalNoise(0.005, 2e-4), closing=LoopClosingConfig(enabled=enabled))
+        estimator = PublishedConfig(closing=LoopClosingConfig(enabled=enabled))
+        config = AgentConfig(estimator=estimator, noise=NominalNoise(0.005, 2e-4))
         slam = LineSlam(ROBOT, config, poses[0])
         for observation in observations:
             slam.step(observation)

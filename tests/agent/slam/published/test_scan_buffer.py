@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.config.presets import BufferConfig
+from limslam_agent.config.published import BufferConfig
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import arc, compose, transform_points
@@ -47,7 +47,7 @@ def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(motion
     start, seen = pose, ends_in_world(pose, [0, 1])
     for motion in motions:
         pose = compose(pose, motion)
-        buffer.carry(motion)
+        buffer.move(motion)
     np.testing.assert_allclose(transform_points(pose, buffer.scan.points), seen, atol=1e-9)
     begun = transform_points(start, ROBOT.beam_origins[:2])
     np.testing.assert_allclose(transform_points(pose, buffer.scan.origins), begun, atol=1e-9)
@@ -57,7 +57,7 @@ def test_points_taken_on_the_way_draw_the_wall_that_the_robot_passes() -> None:
     # Ranges do not change along a straight wall, so the points of a beam lie behind one another.
     buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
     for step in range(10):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         buffer.add(RANGES, ALL, only(5), step)
     points = buffer.scan.points
     np.testing.assert_allclose(points[:, 1], -0.6, atol=1e-12)
@@ -68,7 +68,7 @@ def test_a_buffer_is_handed_on_when_it_reaches_its_size_and_begins_anew() -> Non
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=6))
     handed_on: list[list[Scan]] = []
     for step in range(6):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         handed_on.append(buffer.add(RANGES, ALL, ALL, step))
     assert [[len(scan) for scan in scans] for scans in handed_on] == [[], [], [6], [], [], [6]]
     assert len(buffer.scan) == 0
@@ -81,7 +81,7 @@ def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> No
     buffer.add(RANGES, ALL, only(0), 0)
     given_up = []
     for step in range(1, 20):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         given_up.append(buffer.add(RANGES, ALL, NOTHING, step))
     # 12 steps are 0.24 m, 13 are 0.26 m.
     assert [index for index, scans in enumerate(given_up) if scans] == [12]
@@ -95,7 +95,7 @@ def test_each_measurement_starts_the_gap_anew_also_when_no_point_is_taken() -> N
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25, min_distance=10.0, min_turn=10.0))
     buffer.add(RANGES, ALL, only(0), 0)
     for step in range(1, 40):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         assert buffer.add(RANGES, ALL, only(0) if step % 2 else NOTHING, step) == []
     assert len(buffer.scan) == 1
 
@@ -105,7 +105,7 @@ def test_driving_back_and_forth_counts_as_distance_without_measurement() -> None
     buffer.add(RANGES, ALL, only(0), 0)
     results = []
     for step in range(13):
-        buffer.carry(STRAIGHT if step % 2 else -STRAIGHT)
+        buffer.move(STRAIGHT if step % 2 else -STRAIGHT)
         results.append(buffer.add(RANGES, ALL, NOTHING, step))
     assert [len(scans) for scans in results] == [0] * 12 + [1]
 
@@ -116,7 +116,7 @@ LONG_STEP = np.array([0.4, 0.0, 0.0])
 def test_long_steps_that_all_hit_are_no_gap() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=0.25))
     for step in range(8):
-        assert buffer.carry(LONG_STEP) is None
+        assert buffer.move(LONG_STEP) is None
         assert buffer.add(RANGES, ALL, only(0), step) == []
     np.testing.assert_allclose(buffer.scan.points[:, 0], np.arange(-2.8, 0.01, 0.4), atol=1e-12)
 
@@ -125,19 +125,19 @@ def test_carrying_alone_hands_nothing_on_however_far() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
     for _ in range(20):
-        assert buffer.carry(LONG_STEP) is None
+        assert buffer.move(LONG_STEP) is None
     assert len(buffer.scan) == 1
 
 
 def test_a_long_step_to_a_miss_ends_the_wall_at_the_miss() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
-    buffer.carry(LONG_STEP)
+    buffer.move(LONG_STEP)
     (scan,) = buffer.add(RANGES, ALL, NOTHING, 1)
     assert scan.readings.tolist() == [[0, 0]]
     assert len(buffer.scan) == 0
     # It is handed on once only.
-    buffer.carry(LONG_STEP)
+    buffer.move(LONG_STEP)
     assert buffer.add(RANGES, ALL, NOTHING, 2) == []
     assert buffer.add(RANGES, ALL, only(0), 3) == []
     assert buffer.scan.readings.tolist() == [[3, 0]]
@@ -147,14 +147,14 @@ def test_a_long_step_to_a_miss_ends_the_wall_at_the_miss() -> None:
 def test_a_miss_before_the_distance_ends_the_wall_before_the_hit_that_comes_after(between: str) -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
-    buffer.carry(np.array([0.1, 0.0, 0.0]))
+    buffer.move(np.array([0.1, 0.0, 0.0]))
     handed_on = buffer.add(RANGES, ALL, NOTHING, 1)
     assert handed_on == []
     if between == "a long step":
-        buffer.carry(LONG_STEP)
+        buffer.move(LONG_STEP)
     else:
         for _ in range(4):
-            buffer.carry(np.array([0.1, 0.0, 0.0]))
+            buffer.move(np.array([0.1, 0.0, 0.0]))
             handed_on += buffer.add(RANGES, NOTHING, NOTHING, 1)
     handed_on += buffer.add(RANGES, ALL, only(0), 2)
     # Once, and the new hit is none of the old wall's points.
@@ -166,7 +166,7 @@ def test_a_wall_that_ends_at_a_hit_that_fills_the_buffer_gives_two_scans() -> No
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=2, max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
     buffer.add(RANGES, ALL, NOTHING, 1)
-    buffer.carry(LONG_STEP)
+    buffer.move(LONG_STEP)
     handed_on = buffer.add(RANGES, ALL, only(0, 1), 2)
     assert [scan.readings.tolist() for scan in handed_on] == [[[0, 0]], [[2, 0], [2, 1]]]
     assert len(buffer.scan) == 0
@@ -177,9 +177,9 @@ def test_a_miss_within_the_gap_is_forgotten_at_the_next_hit() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
     for step, hits in ((1, NOTHING), (2, only(0))):
-        buffer.carry(np.array([0.1, 0.0, 0.0]))
+        buffer.move(np.array([0.1, 0.0, 0.0]))
         assert buffer.add(RANGES, ALL, hits, step) == []
-    buffer.carry(LONG_STEP)
+    buffer.move(LONG_STEP)
     assert buffer.add(RANGES, ALL, only(0), 3) == []
     assert len(buffer.scan) == 3
 
@@ -188,9 +188,9 @@ def test_events_without_a_measurement_are_no_miss() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
     for step in range(1, 40):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         assert buffer.add(RANGES, NOTHING, NOTHING, step) == []
-    buffer.carry(STRAIGHT)
+    buffer.move(STRAIGHT)
     assert buffer.add(RANGES, ALL, only(0), 40) == []
     assert buffer.scan.readings[:, 0].tolist() == [0, 40]
 
@@ -199,7 +199,7 @@ def test_events_without_a_measurement_are_no_miss() -> None:
 def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ...], ends: bool) -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
     buffer.add(RANGES, ALL, only(0), 0)
-    buffer.carry(LONG_STEP)
+    buffer.move(LONG_STEP)
     # The other side's hits do not count for this one.
     assert len(buffer.add(RANGES, only(*measuring), only(5), 1)) == ends
 
@@ -207,7 +207,7 @@ def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ..
 def test_one_beam_that_hits_is_enough_for_the_side() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=0.25))
     for step in range(4):
-        buffer.carry(LONG_STEP)
+        buffer.move(LONG_STEP)
         assert buffer.add(RANGES, ALL, only(step % 2), step) == []
     assert len(buffer.scan) == 4
 
@@ -218,7 +218,7 @@ def test_take_empties_the_buffer() -> None:
     buffer.add(RANGES, ALL, ALL, 5)
     assert buffer.take().readings.tolist() == [[5, 0], [5, 1]]
     assert len(buffer.scan) == len(buffer.take()) == 0
-    buffer.carry(STRAIGHT)
+    buffer.move(STRAIGHT)
     assert buffer.add(RANGES, ALL, only(0), 6) == []
     assert buffer.scan.readings.tolist() == [[6, 0]]
 
@@ -245,7 +245,7 @@ def test_standing_still_adds_nothing() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=4))
     buffer.add(RANGES, ALL, ALL, 0)
     for step in range(1, 50):
-        buffer.carry(np.zeros(3))
+        buffer.move(np.zeros(3))
         assert buffer.add(RANGES, ALL, ALL, step) == []
     assert buffer.scan.readings[:, 0].tolist() == [0, 0]
 
@@ -253,7 +253,7 @@ def test_standing_still_adds_nothing() -> None:
 def test_creeping_adds_a_point_once_it_adds_up_to_the_least_distance() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(min_distance=0.01))
     for step in range(9):
-        buffer.carry(np.array([0.003, 0.0, 0.0]))
+        buffer.move(np.array([0.003, 0.0, 0.0]))
         buffer.add(RANGES, ALL, only(0), step)
     assert buffer.scan.readings[:, 0].tolist() == [0, 4, 8]
 
@@ -261,7 +261,7 @@ def test_creeping_adds_a_point_once_it_adds_up_to_the_least_distance() -> None:
 def test_turning_on_the_spot_adds_points_too() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(min_turn=math.radians(1.0)))
     for step in range(4):
-        buffer.carry(np.array([0.0, 0.0, -math.radians(0.6)]))
+        buffer.move(np.array([0.0, 0.0, -math.radians(0.6)]))
         buffer.add(RANGES, ALL, only(0), step)
     assert buffer.scan.readings[:, 0].tolist() == [0, 2]
 
@@ -269,7 +269,7 @@ def test_turning_on_the_spot_adds_points_too() -> None:
 def test_the_readings_name_the_step_and_the_beam_of_each_point() -> None:
     buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
     for step, beam in ((7, 4), (8, 5), (12, 4)):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         buffer.add(RANGES, ALL, only(beam), step)
     scan = buffer.scan
     assert scan.readings.tolist() == [[7, 4], [8, 5], [12, 4]]
@@ -280,7 +280,7 @@ def test_the_readings_name_the_step_and_the_beam_of_each_point() -> None:
 def test_select_keeps_points_origins_and_readings_together() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100))
     for step in range(3):
-        buffer.carry(STRAIGHT)
+        buffer.move(STRAIGHT)
         buffer.add(RANGES, ALL, ALL, step)
     chosen = buffer.scan.select(np.array([4, 1]))
     assert chosen.readings.tolist() == [[2, 0], [0, 1]]
@@ -294,6 +294,6 @@ def test_a_side_without_beams_stays_empty(side: str) -> None:
     buffer = ScanBuffer(robot, side, BufferConfig())
     both = np.ones(2, dtype=bool)
     for step in range(3):
-        buffer.carry(np.array([1.0, 0.0, 0.0]))
+        buffer.move(np.array([1.0, 0.0, 0.0]))
         assert buffer.add(np.array([0.5, 0.5]), both, both if step else ~both, step) == []
     assert len(buffer.scan) == 0

@@ -14,10 +14,11 @@ from support.data import data_folder
 
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances, inside_polygon, lengths
-from limslam_env.worlds.formats import map_server, readers
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.formats import json_files, outlines
+from limslam_env.worlds.formats.house_expo import read_house_expo
+from limslam_env.worlds.formats.loading import load_world, read_json
 from limslam_env.worlds.formats.map_server import read_map_server, read_pgm
-from limslam_env.worlds.formats.readers import read_house_expo, read_json, read_wall_list
+from limslam_env.worlds.formats.wall_list import read_wall_list
 from limslam_env.worlds.free_space import cell_for, free_space
 from limslam_env.worlds.world import World, WorldError
 
@@ -226,7 +227,7 @@ class TestMapServer:
         ids=["square", "other way", "notch", "straight on", "bow", "touching", "spike", "flat", "pinch", "line"],
     )
     def test_only_simple_polygons_are_obstacles(self, corners, expected):
-        assert map_server._is_simple(np.array(corners)) == expected
+        assert outlines._is_simple(np.array(corners)) == expected
 
     def test_the_shape_of_a_corridor_with_a_narrow_part_is_kept(self, tmp_path):
         picture = """
@@ -244,7 +245,7 @@ class TestMapServer:
         assert left == right > 0
 
     def test_a_polygon_of_many_corners_is_walls(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(map_server, "_PILLAR_CORNERS", 3)
+        monkeypatch.setattr(outlines, "_PILLAR_CORNERS", 3)
         world = read_map_server(write_map(tmp_path, ROOM))
         assert not world.obstacles
         assert len(world.walls) == 12
@@ -372,10 +373,10 @@ class TestMapsRefused:
 
     def test_a_checkerboard_has_as_many_corners_as_it_looks(self):
         board = np.indices((5, 7)).sum(axis=0) % 2 == 1
-        assert map_server._corner_count(board) == 2 * 4 * 6
+        assert outlines._corner_count(board) == 2 * 4 * 6
         square = np.zeros((6, 6), dtype=bool)
         square[2:4, 1:5] = True
-        assert map_server._corner_count(square) == 4
+        assert outlines._corner_count(square) == 4
 
     def test_read_pgm_gives_the_numbers_of_the_file(self, tmp_path):
         path = tmp_path / "numbers.pgm"
@@ -471,7 +472,7 @@ class TestPlans:
             (b'{"id": "n", "walls": [[0, 1, 2, 1]]}', "stand on one line and enclose nothing"),
             (b'{"walls": [[0, 0, 1, 1]]}', "the key 'id' is missing"),
             (b'{"id": 7, "walls": [[0, 0, 1, 1]]}', "id must be a text"),
-            (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds a character that is none"),
+            (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds an invalid character"),
             (b'{"id": "n", "verts": []}', "verts is empty"),
             (b'{"id": "n", "verts": [[0, 0, 0]]}', "verts must have 2 numbers a row, not 3"),
             (b'{"id": "n", "verts": [[0, 0], [1, 1]]}', "fewer than three corners"),
@@ -503,7 +504,7 @@ class TestPlans:
         path = write_json(tmp_path, {"id": "n", "walls": [[0, 0, 1, 1]] * 100_001})
         with pytest.raises(WorldError, match=r"plan\.json: 100001 walls and obstacle edges"):
             load_world(path)
-        monkeypatch.setattr(readers, "MAX_FILE_BYTES", 100)
+        monkeypatch.setattr(json_files, "MAX_FILE_BYTES", 100)
         with pytest.raises(WorldError, match=r"plan\.json: larger than 0\.0001 MB"):
             load_world(path)
 

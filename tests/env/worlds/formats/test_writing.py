@@ -12,10 +12,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from limslam_env.geometry.segment import distances, sample
-from limslam_env.worlds.formats import map_server
+from limslam_env.worlds.formats import pgm
 from limslam_env.worlds.formats.loading import load_world, shipped_worlds
-from limslam_env.worlds.formats.writers import world_toml, write_world
-from limslam_env.worlds.world import World, WorldError, parse_world
+from limslam_env.worlds.formats.toml import parse_world, world_toml
+from limslam_env.worlds.formats.writing import write_world
+from limslam_env.worlds.world import World, WorldError
 
 BOX = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
 ARRAYS = ("walls", "doors", "starts", "loop")
@@ -200,8 +201,8 @@ class TestRefused:
         with pytest.raises(WorldError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"):
             write_world(large, tmp_path / "m.yaml", 0.001)
         # What is written just can be read.
-        monkeypatch.setattr("limslam_env.worlds.formats.writers.MAX_PIXELS", 19 * 19)
-        monkeypatch.setattr(map_server, "MAX_PIXELS", 19 * 19)
+        monkeypatch.setattr("limslam_env.worlds.formats.map_server_writer.MAX_PIXELS", 19 * 19)
+        monkeypatch.setattr(pgm, "MAX_PIXELS", 19 * 19)
         write_world(box_world(), tmp_path / "m.yaml", 0.1)
         load_world(tmp_path / "m.yaml")
         with pytest.raises(WorldError, match="20 x 20 cells"):

@@ -1,0 +1,40 @@
+"""What a robot believes: the data that mapping hands to the policies."""
+
+from dataclasses import dataclass, field
+
+from limslam_agent.grid.occupancy import GridView
+from limslam_env.geometry import FloatArray, no_rows
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Everything that a policy may use to choose an action.
+
+    A :class:`~limslam_agent.mapper.Mapper` makes the belief of each robot. Only ``other_goals`` is added by the team,
+    because the goals come from the policies and not from the map.
+
+    Attributes
+    ----------
+    pose
+        Estimated pose (3,) in the world frame: x (m), y (m), heading (rad).
+    covariance
+        Covariance of the estimated pose (3, 3).
+    ranges
+        Latest range readings (n_beams,), m.
+    segments
+        Walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
+    grid
+        Occupancy grid.
+    other_poses
+        Estimated poses (m, 3) of the other robots in the team's order. Empty for a single robot.
+    other_goals
+        Goals (k, 2), m, of those other robots that have a goal.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    ranges: FloatArray
+    segments: FloatArray
+    grid: GridView
+    other_poses: FloatArray = field(default_factory=lambda: no_rows(3))
+    other_goals: FloatArray = field(default_factory=lambda: no_rows(2))

@@ -1,0 +1,107 @@
+"""The options of the commands: their names, types and help texts.
+
+An option that is not given is None, so that the file of ``--config`` can set it. Help shows the default of
+`RunOptions` or `ReplayOptions`.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from limslam_agent.cli.settings import ReplayOptions, RunOptions
+
+_RUN, _REPLAY = RunOptions(), ReplayOptions()
+_WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
+_LOG, _ODOMETRY, _SCORE = "Log", "Odometry", "Score"
+_PRESETS = "Settings of the agent: consistent, paper (the published method), or odometry (no corrections)."
+
+
+def _option(panel: str, words: str, default: Any = None, *names: str) -> Any:
+    shown = False if default is None else str(default)
+    return typer.Option(*names, help=words, show_default=shown, rich_help_panel=panel)
+
+
+# Of several commands.
+Config = Annotated[
+    Path | None, _option(_RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file.")
+]
+Out = Annotated[Path | None, _option(_RESULTS, "Folder for the results.", "runs/...")]
+Force = Annotated[
+    bool | None, _option(_RESULTS, "Replace the results of an earlier run in that folder.", None, "--force")
+]
+
+# Of limslam run.
+World = Annotated[str | None, _option(_WORLD, "Name of a shipped world, or a world file.", _RUN.world)]
+Noise = Annotated[
+    float | None,
+    _option(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.", _RUN.noise),
+]
+Robots = Annotated[int | None, _option(_WORLD, "Number of robots that explore together, 1 to 8.", _RUN.robots)]
+Seed = Annotated[int | None, _option(_WORLD, "Random seed.", _RUN.seed)]
+MaxTime = Annotated[float | None, _option(_WORLD, "Longest simulated time, s.", f"{_RUN.max_time:g}")]
+RunPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _RUN.preset, "--preset")]
+Policy = Annotated[
+    str | None,
+    _option(
+        _AGENT,
+        "Policy that drives: frontier, frontier_fast, learned, wall_follower or random. "
+        "These policies use the true pose or the true map: learned_true_pose, tour, oracle.",
+        _RUN.policy,
+    ),
+]
+Laps = Annotated[
+    int | None, _option(_AGENT, "Drive this many laps of the world's loop instead of exploring.", _RUN.laps)
+]
+Ablation = Annotated[str | None, _option(_AGENT, "Part of the method to switch off.", "none")]
+Limit = Annotated[
+    bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).", None, "--limit/--no-limit")
+]
+Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
+
+# Of limslam replay.
+Log = Annotated[
+    Path | None,
+    typer.Argument(help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run.", show_default=False),
+]
+Beams = Annotated[str | None, _option(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")]
+MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.", "3.0")]
+ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
+RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
+OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]
+AssumedNoise = Annotated[
+    float | None, _option(_AGENT, "Assumed standard deviation of the ranges, m.", _REPLAY.noise, "--noise")
+]
+ReplayPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _REPLAY.preset, "--preset")]
+OdometryNoise = Annotated[
+    str | None,
+    _option(
+        _ODOMETRY,
+        "Three standard deviations: of the distance after 1 m (m), of the heading after 1 m (deg), "
+        "and of the heading after a turn of 1 rad (deg).",
+        "0.05,0.8,4",
+    ),
+]
+OdometryBias = Annotated[
+    str | None,
+    _option(_ODOMETRY, "True minus reported heading after 1 m (deg), and true distance over reported distance.", "0,1"),
+]
+SelfCalibrate = Annotated[
+    bool | None,
+    _option(
+        _ODOMETRY,
+        "Let the filter estimate the constant errors of the odometry (preset consistent only).",
+        None,
+        "--self-calibrate/--no-self-calibrate",
+    ),
+]
+Calibrate = Annotated[Path | None, _option(_ODOMETRY, "File of known relative poses to estimate the bias from.")]
+CalibrateUntil = Annotated[
+    float | None, _option(_ODOMETRY, "Estimate the bias from this many first seconds of the log only.")
+]
+CalibrateLog = Annotated[
+    Path | None, _option(_ODOMETRY, "Estimate the bias from this log instead of the replayed log.")
+]
+RelationsFile = Annotated[
+    Path | None, _option(_SCORE, "File of known relative poses to score the trajectory with.", None, "--relations")
+]

@@ -1,0 +1,146 @@
+"""``limslam replay``: a map from a recorded log, and its folder."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from limslam_agent.cli import options as take
+from limslam_agent.cli.progress import progress_bar, unused
+from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, write_replay_settings
+
+if TYPE_CHECKING:
+    from limslam_agent.config.presets import AgentConfig
+    from limslam_agent.logs.recorded_log import RecordedLog
+    from limslam_agent.logs.relations import Relations
+    from limslam_agent.replay.options import Calibration, CalibrationRun
+    from limslam_agent.replay.replay import Replay
+
+
+def replay(
+    log: take.Log = None,
+    beams: take.Beams = None,
+    max_range: take.MaxRange = None,
+    noise: take.AssumedNoise = None,
+    preset: take.ReplayPreset = None,
+    odometry_noise: take.OdometryNoise = None,
+    odometry_bias: take.OdometryBias = None,
+    self_calibrate: take.SelfCalibrate = None,
+    calibrate: take.Calibrate = None,
+    calibrate_until: take.CalibrateUntil = None,
+    calibrate_log: take.CalibrateLog = None,
+    scan_topic: take.ScanTopic = None,
+    range_topics: take.RangeTopics = None,
+    odometry_topic: take.OdometryTopic = None,
+    relations: take.RelationsFile = None,
+    out: take.Out = None,
+    force: take.Force = None,
+    config: take.Config = None,
+) -> None:
+    """Draw a map from a recorded log."""
+    arguments = locals()
+    given = Given.read(arguments.pop("config"), arguments)
+    options = given.merged(ReplayOptions(), ("agent",))
+    carry_out(options, replay_agent(given, options))
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """A log with all that is known about it.
+
+    Attributes
+    ----------
+    log
+        The log's events.
+    config
+        The agent's settings, with the estimated bias if there is one.
+    relations
+        Known relative poses to score with; None where there are none.
+    calibration
+        The estimated bias of the odometry; None where none was asked for.
+    source
+        Names of the files, for ``result.json``.
+    """
+
+    log: "RecordedLog"
+    config: "AgentConfig"
+    relations: "Relations | None"
+    calibration: "Calibration | None"
+    source: dict[str, str | None]
+
+
+def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
+    """Replay a log, write its folder, and print its summary.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be replayed or written.
+    """
+    from limslam_agent.output.export import new_folder
+    from limslam_agent.output.summary import replay_summary
+    from limslam_agent.replay.replay import replay_log, write_replay
+    from limslam_agent.runs.results import versions
+
+    if options.log is None:
+        raise ValueError("a log is needed: limslam replay LOG")
+    job = _job(options.log, options, agent)
+    target = options.out or unused(Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}")
+    count = len(job.log)
+    with new_folder(target, force=options.force) as folder:
+        with progress_bar("replaying", count) as advance:
+            result = replay_log(job.log, job.config, lambda done: advance(done, f"{done} of {count} events"))
+        scores = _scores(job, result, options.relations)
+        figures = job.calibration.figures if job.calibration else {}
+        write_replay(folder, result, job.source, {**scores, **figures}, versions())
+        write_replay_settings(folder, options, agent)
+    calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
+    for line in calibrated + replay_summary({**scores, "landmarks": len(result.landmarks)}):
+        typer.echo(line)
+    typer.echo(f"results     {target}")
+
+
+def _job(log: Path, options: ReplayOptions, agent: "AgentConfig") -> _Job:
+    from limslam_agent.logs.log_reader import read_log
+    from limslam_agent.logs.relations import read_relations
+    from limslam_agent.replay.options import CalibrationRun, chosen_topics, numbers
+
+    calibration_run = CalibrationRun(options.calibrate, options.calibrate_until, options.calibrate_log)
+    if options.calibrate and options.odometry_bias:
+        raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
+    known = read_relations(options.relations) if options.relations else None
+    angles = None if options.beams is None else numbers("--beams", options.beams)
+    topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
+
+    def opened(path: Path) -> "RecordedLog":
+        return read_log(path, angles, options.max_range, topics)
+
+    recorded = opened(log)
+    if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):
+        raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
+    calibration = calibration_run.estimate(recorded, agent.odometry, opened)
+    if calibration:
+        agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
+        known = known and calibration.held_out(known)
+    return _Job(recorded, agent, known, calibration, _source(log, options, calibration_run))
+
+
+def _source(log: Path, options: ReplayOptions, calibration_run: "CalibrationRun") -> dict[str, str | None]:
+    relations = options.relations.name if options.relations else None
+    return {"log": log.name, "relations": relations, **calibration_run.source}
+
+
+def _scores(job: _Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+    from limslam_agent.replay.replay import relation_scores
+    from limslam_agent.runs.results import trajectory_scores
+
+    scores: dict[str, Any] = {}
+    if job.log.true_pose is not None:
+        scores |= trajectory_scores(job.log.true_pose, result.estimated, result.odometry, result.covariances)
+    if job.relations is not None:
+        scores |= relation_scores(result, job.relations)
+        if not scores["relations"]:
+            left = "left to score" if job.calibration else "in the log's time"
+            raise ValueError(f"{relations}: none of its relations is {left}")
+    return scores

@@ -1,0 +1,97 @@
+"""``limslam run``: a simulated run, and its folder."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from limslam_agent.cli import options as take
+from limslam_agent.cli.progress import Advance, progress_bar, unused
+from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
+
+if TYPE_CHECKING:
+    from limslam_agent.runs.episode import Episode, RunConfig
+    from limslam_agent.team import LimSlamTeam
+    from limslam_env.envs.parallel_env import LimSlamParallelEnv
+
+
+def run(
+    world: take.World = None,
+    noise: take.Noise = None,
+    preset: take.RunPreset = None,
+    seed: take.Seed = None,
+    max_time: take.MaxTime = None,
+    policy: take.Policy = None,
+    laps: take.Laps = None,
+    robots: take.Robots = None,
+    ablation: take.Ablation = None,
+    limit: take.Limit = None,
+    video: take.Video = None,
+    out: take.Out = None,
+    force: take.Force = None,
+    config: take.Config = None,
+) -> None:
+    """Explore an unknown building and draw its map."""
+    arguments = locals()
+    given = Given.read(arguments.pop("config"), arguments)
+    carry_out(given, run_options(given))
+
+
+def carry_out(given: Given, options: RunOptions) -> None:
+    """Run what was asked for, write its folder, and print its summary.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be run or written.
+    """
+    from limslam_agent.output.export import new_folder
+    from limslam_agent.output.summary import run_summary
+    from limslam_agent.runs.results import write_episode
+
+    config = run_config(given, options)
+    target = options.out or unused(Path("runs") / _folder_name(config))
+    task = "driving" if options.laps else "exploring"
+    with new_folder(target, force=options.force) as folder, progress_bar(task, options.max_time) as advance:
+        episode = _filmed_run(config, advance, options.video, force=options.force)
+        result = write_episode(folder, episode)
+        write_run_settings(folder, options, config)
+    for line in run_summary(result["metrics"], result["cost"]):
+        typer.echo(line)
+    if options.video is not None:
+        typer.echo(f"video       {options.video}")
+    typer.echo(f"results     {target}")
+
+
+def _folder_name(config: "RunConfig") -> str:
+    from limslam_env.worlds.formats.loading import load_world
+
+    world = re.sub(r"[^A-Za-z0-9_.-]+", "_", load_world(config.world).name).strip(".") or "world"
+    return (
+        f"{world}-{100 * config.noise:g}cm-{config.preset}-seed{config.seed}"
+        + (f"-{config.policy}" if config.policy != "frontier" else "")
+        + (f"-{config.laps}laps" if config.laps else "")
+        + (f"-{config.robots}robots" if config.robots > 1 else "")
+        + (f"-{config.ablation}" if config.ablation else "")
+    )
+
+
+def _filmed_run(config: "RunConfig", advance: Advance, video: Path | None, *, force: bool) -> "Episode":
+    from limslam_agent.runs.episode import run_episode
+
+    def show(time: float, coverage: float) -> None:
+        advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
+
+    if video is None:
+        return run_episode(config, lambda _team, _env, time, coverage: show(time, coverage))
+    from limslam_agent.runs.recording import filming
+    from limslam_agent.runs.results import title_of
+
+    with filming(video, config, title_of(config), force=force) as recorder:
+
+        def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
+            recorder.watch(team, env, time, coverage)
+            show(time, coverage)
+
+        return run_episode(config, watch, on_association=recorder.on_association, render_mode="rgb_array")

@@ -1,0 +1,279 @@
+"""What a command is told: by its options, and by the file of ``--config``, over which options win."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
+from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
+
+if TYPE_CHECKING:
+    from limslam_agent.config.presets import AgentConfig
+    from limslam_agent.runs.episode import RunConfig
+    from limslam_env.config import NoiseConfig
+    from limslam_env.interface import RobotSpec
+
+FILE = "run.toml"
+"""The file in a result's folder that repeats the command."""
+
+_Std = Annotated[float, Bounds(0.0, 1e3)]
+_Time = Annotated[float, Bounds(1e-3, 1e6)]
+
+# These say where results go, not how they are made.
+_OUTPUT = {"out", "force", "video"}
+
+
+@dataclass(frozen=True)
+class RunOptions(Bounded):
+    """The options of ``limslam run``; they are described there."""
+
+    world: str = "env1"
+    noise: _Std = 0.02
+    preset: str = "consistent"
+    seed: CountOrNone = 0
+    max_time: _Time = 1800.0
+    policy: str = "frontier"
+    laps: CountOrNone = 0
+    robots: Annotated[int, Bounds(1, 8)] = 1
+    ablation: str | None = None
+    limit: bool = False
+    video: Path | None = None
+    out: Path | None = None
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class ReplayOptions(Bounded):
+    """The options of ``limslam replay``; they are described there."""
+
+    log: Path | None = None
+    beams: str | None = None
+    max_range: float | None = None
+    noise: _Std = 0.02
+    preset: str = "paper"
+    odometry_noise: str | None = None
+    odometry_bias: str | None = None
+    self_calibrate: bool = False
+    calibrate: Path | None = None
+    calibrate_until: float | None = None
+    calibrate_log: Path | None = None
+    scan_topic: str | None = None
+    range_topics: str | None = None
+    odometry_topic: str | None = None
+    relations: Path | None = None
+    out: Path | None = None
+    force: bool = False
+
+
+Options = TypeVar("Options", RunOptions, ReplayOptions)
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a user gave: the file of ``--config``, and options.
+
+    Attributes
+    ----------
+    path
+        The file; None without ``--config``.
+    table
+        The file's content.
+    options
+        The options on the command line, by their names.
+    """
+
+    path: Path | None
+    table: Table
+    options: Table
+
+    @classmethod
+    def read(cls, path: Path | None, arguments: Table) -> "Given":
+        """Read the file; arguments that are None were not given.
+
+        Raises
+        ------
+        SettingsError
+            If the file cannot be read.
+        """
+        options = {name: value for name, value in arguments.items() if value is not None}
+        return cls(path, read_toml(path) if path else {}, options)
+
+    def merged(self, defaults: Options, tables: tuple[str, ...]) -> Options:
+        """The options: those on the command line, else those of the file, else the defaults.
+
+        Raises
+        ------
+        SettingsError
+            If an option has an impossible value, or the file has an unknown key beside options and ``tables``.
+        """
+        in_file = self.of_file(defaults, tables)
+        try:
+            return replace(in_file, **self.options)
+        except ValueError as error:
+            name, words = str(error).split(" ", 1)
+            raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
+
+    def of_file(self, defaults: Options, tables: tuple[str, ...]) -> Options:
+        """The options that the file has, and the defaults of the others; its paths are relative to the file."""
+        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables)
+        if unknown:
+            known = ", ".join([*(field.name for field in fields(defaults)), *(f"[{name}]" for name in tables)])
+            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {known}")
+        options = updated(
+            defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
+        )
+        paths: dict[str, Any] = {
+            name: self.beside_file(value) for name, value in asdict(options).items() if isinstance(value, Path)
+        }
+        return replace(options, **paths)
+
+    def beside_file(self, path: Path) -> Path:
+        """A path of the file, which is relative to the file's folder."""
+        return path if self.path is None else self.path.absolute().parent / path
+
+    def agent(self, base: "AgentConfig", preset_in_file: str) -> "AgentConfig":
+        """The agent's settings: those of the preset with the changes in the file's table ``agent``.
+
+        Options win over the table: a preset on the command line that is not the file's brings its own estimator, and
+        ``--noise`` sets the noise that the agent assumes.
+        """
+        table = self._table_without("agent", {"noise": "range_std"} if "noise" in self.options else {})
+        if base.preset != preset_in_file:
+            table.pop("estimator", None)
+        return updated(base, table, f"{self.path}: agent", fixed={"preset"})
+
+    def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":
+        """The true noise of the simulator besides that of the option ``noise``."""
+        return updated(base, self.table.get("true_noise", {}), f"{self.path}: true_noise", fixed={"sensor_noise"})
+
+    def robot(self, base: "RobotSpec") -> "RobotSpec":
+        """The robot with the changes in the file's table ``robot``."""
+        return updated(base, self.table.get("robot", {}), f"{self.path}: robot")
+
+    def blamed(self, error: ValueError) -> ValueError:
+        """An error about a value, with the file and the key where the value is from the file."""
+        told = {name: value for name, value in self.table.items() if name not in self.options}
+        key = next((name for name, value in told.items() if isinstance(value, str) and repr(value) in str(error)), None)
+        return SettingsError(f"{self.path}: {key}: {error}") if key else error
+
+    def _table_without(self, name: str, dropped: Mapping[str, str]) -> dict[str, Any]:
+        """A table of the file without one key in each of some tables inside of it."""
+        table = self.table.get(name, {})
+        if not isinstance(table, Mapping):
+            raise SettingsError(f"{self.path}: {name}: must be a table, not {table!r}")
+        inner = {part: each for part in dropped if isinstance(each := table.get(part), Mapping)}
+        return {
+            **table,
+            **{
+                part: {key: value for key, value in each.items() if key != dropped[part]}
+                for part, each in inner.items()
+            },
+        }
+
+
+def run_options(given: Given) -> RunOptions:
+    """The options of a run; the path of a world in the file is relative to the file.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is impossible, or the file has an unknown key.
+    """
+    options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
+    is_path_in_file = "world" not in given.options and "world" in given.table and Path(options.world).suffix
+    return replace(options, world=str(given.beside_file(Path(options.world)))) if is_path_in_file else options
+
+
+def run_config(given: Given, options: RunOptions) -> "RunConfig":
+    """What is run.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be run.
+    """
+    from limslam_agent.config.presets import preset
+    from limslam_agent.runs.episode import RunConfig
+    from limslam_env.config import NoiseConfig
+    from limslam_env.interface import NominalNoise, RobotSpec
+    from limslam_env.worlds.formats.loading import load_world
+
+    try:
+        in_file = given.table.get("preset", options.preset)
+        agent = given.agent(preset(options.preset, NominalNoise(options.noise)), in_file)
+        return RunConfig(
+            load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
+            given.robot(RobotSpec()), options.robots, options.ablation, options.policy, options.limit,
+            agent, given.true_noise(NoiseConfig()),
+        )  # fmt: skip
+    except SettingsError:
+        raise
+    except ValueError as error:
+        raise given.blamed(error) from error
+
+
+def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -> None:
+    """Write the file that repeats a run: all settings as they were in effect, before the ablation."""
+    from limslam_agent.config.presets import preset
+    from limslam_env.interface import NominalNoise
+
+    agent = config.settings or preset(config.preset, NominalNoise(config.noise))
+    noise = table_of(config.true_noise)
+    del noise["sensor_noise"]
+    table = {
+        **_option_table(options), "world": _named(options.world), "true_noise": noise,
+        "robot": table_of(config.robot), "agent": _agent_table(agent, options.noise),
+    }  # fmt: skip
+    write_toml(folder / FILE, table, f"All settings of a run: limslam run --config {FILE} repeats it.")
+
+
+def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
+    """The settings of a replay's agent, before the calibration.
+
+    Raises
+    ------
+    ValueError
+        If they cannot be used.
+    """
+    from limslam_agent.replay.options import odometry_config, replay_config, with_self_calibration
+
+    in_file = given.table.get("preset", options.preset)
+    told = given.options
+    base = replay_config(options.preset, options.noise, options.odometry_noise, options.odometry_bias)
+    agent = given.agent(base, in_file)
+    # An option wins over the file's table of the same settings.
+    odometry = odometry_config(told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry)
+    agent = replace(agent, odometry=odometry)
+    if "self_calibrate" in told or options.self_calibrate:
+        return with_self_calibration(agent, enabled=options.self_calibrate)
+    return agent
+
+
+def write_replay_settings(folder: Path, options: ReplayOptions, agent: "AgentConfig") -> None:
+    """Write the file that repeats a replay: all settings as they were in effect, before the calibration."""
+    in_agent = ("odometry_noise", "odometry_bias", "self_calibrate")
+    table = {name: value for name, value in _option_table(options).items() if name not in in_agent}
+    table["agent"] = _agent_table(agent, options.noise)
+    write_toml(folder / FILE, table, f"All settings of a replay: limslam replay --config {FILE} repeats it.")
+
+
+def _option_table(options: RunOptions | ReplayOptions) -> dict[str, Any]:
+    told = {name: value for name, value in asdict(options).items() if name not in _OUTPUT}
+    return {name: str(value.absolute()) if isinstance(value, Path) else value for name, value in told.items()}
+
+
+def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:
+    """The agent's settings without those that follow from the options."""
+    table = table_of(agent)
+    del table["preset"]
+    if agent.noise.range_std == noise:
+        del table["noise"]["range_std"]
+    return table
+
+
+def _named(world: str) -> str:
+    """A world's name, or the absolute path of its file."""
+    from limslam_env.worlds.formats.loading import shipped_worlds
+
+    return world if world in shipped_worlds() else str(Path(world).absolute())

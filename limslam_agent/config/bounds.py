@@ -1,0 +1,63 @@
+"""Bounds of settings: the annotation of a field says which numbers it may hold, and a base class checks them."""
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, get_type_hints
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The least and the greatest number that a setting may be.
+
+    Attributes
+    ----------
+    low, high
+        Both are allowed themselves.
+    """
+
+    low: float
+    high: float
+
+    def check(self, name: str, value: Any) -> None:
+        """Refuse a number that is out of bounds.
+
+        Raises
+        ------
+        ValueError
+            If the number is out of bounds or not a number; the message begins with the setting's name.
+        """
+        if not self.low <= value <= self.high:
+            raise ValueError(f"{name} must be a number from {self.low:g} to {self.high:g}, not {value}")
+
+
+Number = Annotated[float, Bounds(-1e6, 1e6)]
+"""Any number of a sensible size."""
+NonNegative = Annotated[float, Bounds(0.0, 1e6)]
+"""A length (m), a speed (m/s), a gate or a number of standard deviations: 0 or more."""
+Positive = Annotated[float, Bounds(1e-6, 1e6)]
+"""The same, but above 0: a bin or a cell of no size cannot be computed with."""
+Share = Annotated[float, Bounds(0.0, 1.0)]
+"""A part of a whole."""
+Angle = Annotated[float, Bounds(0.0, 2.0 * math.pi)]
+"""An angle without a sign, rad."""
+Count = Annotated[int, Bounds(1, 10**6)]
+"""How many: 1 or more."""
+CountOrNone = Annotated[int, Bounds(0, 10**6)]
+"""How many: 0 or more."""
+
+
+class Bounded:
+    """Base of frozen dataclasses whose annotations say the bounds of their numbers."""
+
+    def __post_init__(self) -> None:
+        for name, bounds in bounds_of(type(self)):  # type: ignore[arg-type] # mypy takes a class for its object
+            bounds.check(name, getattr(self, name))
+
+
+@functools.cache
+def bounds_of(kind: type[Any]) -> tuple[tuple[str, Bounds], ...]:
+    """The fields of a class that have bounds, and their bounds."""
+    hints = get_type_hints(kind, include_extras=True)
+    found = ((name, extra) for name, hint in hints.items() for extra in getattr(hint, "__metadata__", ()))
+    return tuple((name, extra) for name, extra in found if isinstance(extra, Bounds))

@@ -1,0 +1,175 @@
+"""Settings as TOML tables: read with the checks of their dataclasses, and written."""
+
+import types
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, Field, asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+Table = Mapping[str, Any]
+
+MAX_FILE_BYTES = 1_000_000
+
+_PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+
+
+class SettingsError(ValueError):
+    """A file of settings that cannot be used; the message names the file and the key."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such file, or it is not TOML.
+    """
+    import tomllib
+
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise SettingsError(f"{path}: is larger than {MAX_FILE_BYTES} bytes")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"{path}: is not TOML: {error}") from error
+
+
+def write_toml(path: Path, table: Table, comment: str) -> None:
+    """Write a table, with a line of comment above it. Settings that are None are left out, since TOML has no null."""
+    import tomli_w
+
+    path.write_text(f"# {comment}\n{tomli_w.dumps(_without_none(table))}", encoding="utf-8")
+
+
+def table_of(settings: Any) -> dict[str, Any]:
+    """A dataclass as a table, with the dataclasses in it as tables."""
+    return asdict(settings)
+
+
+def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) -> T:
+    """Settings with the values of a table in place of their own.
+
+    Parameters
+    ----------
+    settings
+        A frozen dataclass. A table for a dataclass inside of it changes only the values that the table has.
+    table
+        The values by their names.
+    where
+        File and key of the table, for messages: ``run.toml: agent.grid``.
+    fixed
+        Names of settings that the table must not have.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown, or a value has a wrong type or is impossible.
+    """
+    known = [name for name in _hints(type(settings)) if name not in fixed]
+    current = {name: getattr(settings, name) for name in known}
+    changes = _converted_table(type(settings), table, where, current)
+    return _made(type(settings), {name: getattr(settings, name) for name in _hints(type(settings))} | changes, where)
+
+
+def _built(kind: type[T], table: Any, where: str) -> T:
+    """A dataclass from a table that has at least the values without defaults."""
+    values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
+    missing = [field.name for field in _fields(kind) if _is_required(field) and field.name not in values]
+    if missing:
+        raise SettingsError(f"{_key(where, missing[0])}: is missing")
+    return _made(kind, values, where)
+
+
+def _made(kind: type[T], values: dict[str, Any], where: str) -> T:
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise SettingsError(f"{where}: {error}") from error
+
+
+def _converted_table(kind: type[Any], table: Any, where: str, current: Table) -> dict[str, Any]:
+    if not isinstance(table, Mapping):
+        raise SettingsError(f"{where}: must be a table, not {table!r}")
+    hints = _hints(kind)
+    for name in table:
+        if name not in current:
+            raise SettingsError(f"{_key(where, name)}: there is no such setting; there are {', '.join(current)}")
+    return {name: _converted(hints[name], value, _key(where, name), current[name]) for name, value in table.items()}
+
+
+def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
+    """A TOML value as the type that a hint names; ``current`` is the setting's value so far."""
+    if is_dataclass(current):
+        return updated(current, value, where)
+    if is_dataclass(hint) and isinstance(hint, type):
+        return _built(hint, value, where)
+    if get_origin(hint) in {Union, types.UnionType}:
+        return _converted_union(hint, value, where)
+    if get_origin(hint) is tuple:
+        return _converted_list(hint, value, where)
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise SettingsError(f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {value!r}")
+        return value
+    return _converted_plain(hint, value, where)
+
+
+def _converted_plain(hint: Any, value: Any, where: str) -> Any:
+    if hint is Path:
+        return Path(_converted_plain(str, value, where))
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if type(value) is not hint:
+        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {value!r}")
+    return value
+
+
+def _converted_union(hint: Any, value: Any, where: str) -> Any:
+    members = [member for member in get_args(hint) if member is not type(None)]
+    for member in members[:-1]:
+        try:
+            return _converted(member, value, where, None)
+        except SettingsError:
+            continue
+    return _converted(members[-1], value, where, None)
+
+
+def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise SettingsError(f"{where}: must be a list, not {value!r}")
+    kinds = get_args(hint)
+    kinds = kinds[:1] * len(value) if kinds[1:] == (Ellipsis,) else kinds
+    if len(kinds) != len(value):
+        raise SettingsError(f"{where}: must have {len(kinds)} values, not {len(value)}")
+    return tuple(
+        _converted(kind, each, f"{where}[{number}]", None)
+        for number, (kind, each) in enumerate(zip(kinds, value, strict=True))
+    )
+
+
+def _key(where: str, name: str) -> str:
+    """The key of a value in a table; the table of a whole file has a file's name, but no key."""
+    return f"{where}.{name}" if ": " in where else f"{where}: {name}"
+
+
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in _fields(kind)}
+
+
+def _fields(kind: type[Any]) -> tuple[Field[Any], ...]:
+    return tuple(field for field in fields(kind) if field.init)
+
+
+def _is_required(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _without_none(each) for name, each in value.items() if each is not None}
+    return value

@@ -1,0 +1,122 @@
+"""Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
+
+import time
+
+import numpy as np
+
+from limslam_agent.belief import Belief
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.slam.core.motion import motion_of
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose
+from limslam_env.interface import Observation, RobotSpec
+
+
+class Mapper:
+    """Estimates poses and builds the map for one robot, or for several robots that share one map.
+
+    Each step runs the SLAM, updates the occupancy grid from the new poses, and integrates pure odometry for
+    comparison. The mapper chooses no actions: agents, log replay and the observation wrappers all use this class.
+
+    Parameters
+    ----------
+    robot
+        Body and beams of each robot.
+    config
+        Settings of every stage. The preset ``consistent`` by default.
+    start_pose
+        Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n robots (n, 3).
+
+    Attributes
+    ----------
+    slam
+        The SLAM, with landmarks, loop closures and everything else that it knows.
+    odometry
+        Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings. Read-only; each
+        step makes a new array.
+    slam_ms
+        Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
+
+    Raises
+    ------
+    ValueError
+        If a start pose has another shape or is not finite.
+    """
+
+    def __init__(
+        self, robot: RobotSpec, config: AgentConfig | None = None, start_pose: FloatArray | None = None
+    ) -> None:
+        self.robot, self.config = robot, config or preset("consistent")
+        self.reset(np.zeros(3) if start_pose is None else start_pose)
+
+    def reset(self, start_pose: FloatArray) -> None:
+        """Forget the map and start again at a known pose (3,), or for n robots at the poses (n, 3).
+
+        Raises
+        ------
+        ValueError
+            If a start pose has another shape or is not finite.
+        """
+        starts = np.array(start_pose, dtype=float, ndmin=2)
+        if starts.ndim != 2 or starts.shape[0] == 0 or starts.shape[1] != 3:
+            raise ValueError(f"a start pose has the shape (3,), or (n, 3) for n robots, not {np.shape(start_pose)}")
+        if not np.isfinite(starts).all():
+            raise ValueError(f"start poses must be finite, not {starts.tolist()}")
+        self.slam = LineSlam(self.robot, self.config, starts)
+        self._grid = OccupancyGrid(self.config.grid)
+        self.odometry = starts.copy()
+        self.odometry.setflags(write=False)
+        self.slam_ms = 0.0
+
+    def step(self, *observations: Observation) -> None:
+        """Process one observation of each robot.
+
+        Raises
+        ------
+        ValueError
+            If there is not one observation for each robot, an observation has the wrong shape or reports no motion,
+            or the map grows beyond all bounds.
+        """
+        begin = time.perf_counter()
+        self.slam.step(*observations)
+        self.slam_ms = 1e3 * (time.perf_counter() - begin)
+        self.odometry = np.array(
+            [self._moved(pose, seen) for pose, seen in zip(self.odometry, observations, strict=True)]
+        )
+        self.odometry.setflags(write=False)
+        for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
+            self._grid.update(pose, self.robot, front.ranges, front.measured)
+
+    def finish(self) -> None:
+        """Use the readings that are still buffered. Call this after the last step."""
+        self.slam.finish()
+
+    @property
+    def belief(self) -> Belief:
+        """The belief of the first robot."""
+        return self.beliefs[0]
+
+    @property
+    def beliefs(self) -> list[Belief]:
+        """The belief of each robot. Later steps do not change it."""
+        slam, grid = self.slam, self.grid
+        poses, covariances, segments = slam.poses, slam.covariances, slam.segments
+        return [
+            Belief(poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0))
+            for number, front in enumerate(slam.robots)
+        ]
+
+    @property
+    def grid(self) -> GridView:
+        """The occupancy grid that all robots share. Later steps do not change it."""
+        view = self._grid.view
+        values = view.values.copy()
+        values.setflags(write=False)
+        return GridView(view.low, view.cell, values)
+
+    def _moved(self, pose: FloatArray, observation: Observation) -> FloatArray:
+        """The pose (3,) after the motion that an observation reports."""
+        motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
+        return compose(pose, motion.increment)

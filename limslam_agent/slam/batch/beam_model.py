@@ -1,0 +1,66 @@
+"""Measurement model of a range beam that meets a line: compiled counterpart of ``consistent.beam_model``.
+
+Readings come as ``places`` (n,), the places of their clones in the state, and ``readings`` (n, 4): the beam's origin
+x, y in the robot's frame (m), its direction (rad), and its range (m).
+"""
+
+import math
+
+import numpy as np
+
+from limslam_agent.slam.batch.compilation import algebra
+from limslam_agent.slam.consistent.beam_model import LEAST_COSINE
+from limslam_agent.slam.core.ekf import POSE
+from limslam_env.geometry import FloatArray, IntArray
+
+
+@algebra
+def expected_ranges(
+    x: FloatArray, start: int, places: IntArray, readings: FloatArray, chosen: IntArray, line: tuple[float, float],
+    anchor: tuple[float, float], out: FloatArray,
+) -> None:  # fmt: skip
+    """Predict the ranges of some beams that meet a line.
+
+    Parameters
+    ----------
+    x, start
+        The state, and the index in it at which the clones begin.
+    places, readings, chosen
+        The readings, and the indices (n,) of those that are predicted.
+    line, anchor
+        (d, theta), m and rad, and the anchor, m.
+    out
+        (n, 7), filled: range, derivatives by pose (3) and by line (2), and cosine between beam and normal.
+    """
+    nx, ny = math.cos(line[1]), math.sin(line[1])
+    for i in range(len(chosen)):
+        read = chosen[i]
+        at = start + POSE * places[read]
+        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+        offset_x, offset_y = (
+            cos * readings[read, 0] - sin * readings[read, 1],
+            sin * readings[read, 0] + cos * readings[read, 1],
+        )
+        ux, uy = math.cos(x[at + 2] + readings[read, 2]), math.sin(x[at + 2] + readings[read, 2])
+        from_x, from_y = x[at] + offset_x - anchor[0], x[at + 1] + offset_y - anchor[1]
+        cosine = nx * ux + ny * uy
+        divisor = math.copysign(max(abs(cosine), LEAST_COSINE), cosine)
+        reach = (line[0] - nx * from_x - ny * from_y) / divisor
+        hit_x, hit_y = from_x + reach * ux, from_y + reach * uy
+        turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)
+        out[i, 0] = reach
+        out[i, 1], out[i, 2], out[i, 3] = -nx / divisor, -ny / divisor, -turning / divisor
+        out[i, 4], out[i, 5], out[i, 6] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor, cosine
+
+
+@algebra
+def hit_points(x: FloatArray, start: int, places: IntArray, readings: FloatArray, ranges: FloatArray) -> FloatArray:
+    """End points (n, 2) in the world, m, of beams with given ranges (n,), m."""
+    points = np.empty((len(places), 2))
+    for i in range(len(places)):
+        at = start + POSE * places[i]
+        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+        ux, uy = math.cos(x[at + 2] + readings[i, 2]), math.sin(x[at + 2] + readings[i, 2])
+        points[i, 0] = x[at] + (cos * readings[i, 0] - sin * readings[i, 1]) + ranges[i] * ux
+        points[i, 1] = x[at + 1] + (sin * readings[i, 0] + cos * readings[i, 1]) + ranges[i] * uy
+    return points

@@ -1,0 +1,102 @@
+"""Decorators that compile kernels with numba, for the simulator and the agent. Only this module imports numba.
+
+numba can keep compiled code on disk. It discards that code when the file of the compiled function changes, but the
+code also contains every function and every constant that the function uses from other files. Here the code is
+discarded whenever the text of any file changes in the packages that the decorator names.
+"""
+
+import functools
+import hashlib
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+Kernel = TypeVar("Kernel", bound=Callable[..., object])
+
+ENV_SOURCES = ("limslam_env.compilation", "limslam_env.geometry", "limslam_env.kernels")
+"""The module and the packages that the kernels of ``limslam_env`` are made of."""
+
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+
+# Leaves out the counting of references to arrays. The option is not public; a numba without it ignores it.
+_LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
+
+
+def compiled(kernel: Kernel) -> Kernel:
+    """Compile a function that other kernels call. It is compiled together with each kernel that Python calls."""
+    return cast(Kernel, njit(**_OPTIONS)(kernel))
+
+
+def inlined(kernel: Kernel) -> Kernel:
+    """Compile a short function, which makes no arrays, as part of its callers: numba copies it."""
+    return cast(Kernel, njit(inline="always", **_LEAN)(kernel))
+
+
+def merged(kernel: Kernel) -> Kernel:
+    """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy into its callers."""
+    return cast(Kernel, njit(forceinline=True, **_LEAN)(kernel))
+
+
+def algebra(kernel: Kernel) -> Kernel:
+    """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded once, together."""
+    return cast(Kernel, njit(fastmath={"contract"}, **_OPTIONS)(kernel))
+
+
+def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel]:
+    """A decorator for kernels that Python calls: they are compiled at the first call, and kept on disk.
+
+    Parameters
+    ----------
+    sources
+        Dotted names of the modules and packages (without the packages inside of them) whose functions and constants
+        the kernels use, besides ``ENV_SOURCES``.
+    allocates
+        Whether the kernels, or functions that they call, make arrays. Kernels that make none run without counting
+        references to arrays, so that arrays can be handed from function to function at no cost.
+    """
+    options = _OPTIONS if allocates else _LEAN
+
+    def entry(kernel: Kernel) -> Kernel:
+        kept = njit(cache=True, **options)(kernel)
+        # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
+        file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
+        if not hasattr(file, "_source_stamp"):
+            return cast(Kernel, njit(**options)(kernel))
+        file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
+        return cast(Kernel, kept)
+
+    return entry
+
+
+@functools.cache
+def source_stamp(*sources: str) -> str:
+    """A digest of the text of modules and packages, given by their dotted names.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no such module.
+    """
+    digest = hashlib.sha256()
+    for source in sources:
+        for path in _files_of(source):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _files_of(source: str) -> list[Path]:
+    spec = importlib.util.find_spec(source)
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError(f"no module named {source!r}", name=source)
+    origin = Path(spec.origin)
+    return sorted(origin.parent.glob("*.py")) if spec.submodule_search_locations else [origin]
+
+
+entry = entry_of()
+"""The decorator for kernels of ``limslam_env`` that Python calls."""
+
+lean_entry = entry_of(allocates=False)
+"""The same for kernels that make no arrays."""

@@ -1,0 +1,142 @@
+"""Coverage: the cells that rays cross and bodies touch.
+
+A coverage grid is handed over as ``seen`` and ``coverable`` (rows, columns), row 0 at the bottom, and ``area``: the
+grid's lower left corner x, y and its cell side, m.
+"""
+
+import math
+
+from limslam_env.compilation import inlined, lean_entry
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.kernels.rays import crossings, first_wall, turned
+from limslam_env.kernels.wall_cells import scene_walls
+
+# A body may overlap a wall by this much, m, and must not count as seeing the cells behind the wall.
+BODY_MARGIN = 1e-3
+
+# A ray ends this much of a cell before the wall that it hits, so that it never marks the cell behind the wall.
+RAY_MARGIN = 1e-6
+
+
+@inlined
+def mark_ray(
+    seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, dx: float, dy: float, reach: float
+) -> int:
+    """Set every cell that a ray crosses; the number of coverable cells that are new."""
+    cell = area[2]
+    x, y = (x - area[0]) / cell, (y - area[1]) / cell
+    end = reach / cell - RAY_MARGIN
+    rows, columns = seen.shape
+    column, column_step, next_column, per_column = crossings(x, dx, 1.0)
+    row, row_step, next_row, per_row = crossings(y, dy, 1.0)
+    travelled, new = 0.0, 0
+    while travelled <= end:
+        if 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
+            seen[row, column] = True
+            new += coverable[row, column]
+        if next_column < next_row:
+            travelled = next_column
+            next_column += per_column
+            column += column_step
+        else:
+            travelled = next_row
+            next_row += per_row
+            row += row_step
+    return new
+
+
+@inlined
+def is_touched(column: int, row: int, x: float, y: float, radius: float) -> bool:
+    """Whether a disc touches a cell; all in cells."""
+    aside = x - min(max(x, column), column + 1.0)
+    above = y - min(max(y, row), row + 1.0)
+    return aside * aside + above * above < radius * radius
+
+
+@inlined
+def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float) -> int:
+    """Set every cell that a body touches; the number of coverable cells that are new."""
+    cell = area[2]
+    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - BODY_MARGIN) / cell
+    rows, columns = seen.shape
+    new = 0
+    for row in range(math.floor(y - radius), math.floor(y + radius) + 1):
+        for column in range(math.floor(x - radius), math.floor(x + radius) + 1):
+            if (
+                is_touched(column, row, x, y, radius)
+                and 0 <= row < rows
+                and 0 <= column < columns
+                and not seen[row, column]
+            ):
+                seen[row, column] = True
+                new += coverable[row, column]
+    return new
+
+
+@lean_entry
+def sweep(
+    poses: FloatArray,
+    step: int,
+    radius: float,
+    beams: FloatArray,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+    seen: BoolArray,
+    coverable: BoolArray,
+    area: FloatArray,
+    new_cells: IntArray,
+) -> None:
+    """Mark what one robot covers at poses (n, 3), m and rad, one after the other from ``step`` on, and alone there.
+
+    Beams, walls and grid are those of :func:`observe`; ``new_cells`` (n,) is set to how many cells each pose adds.
+    """
+    walls = scene_walls(edges, cell_starts, cell_edges, grid)
+    for number in range(len(poses)):
+        body_x, body_y, heading = poses[number, 0], poses[number, 1], poses[number, 2]
+        cos, sin = math.cos(heading), math.sin(heading)
+        new = mark_disc(seen, coverable, area, body_x, body_y, radius)
+        for beam in range(len(beams)):
+            if (step + number) % int(beams[beam, 6]) == 0:
+                offset = beams[beam, 3]
+                dx, dy = turned(beams[beam, 7], beams[beam, 8], cos, sin)
+                x, y = turned(beams[beam, 0], beams[beam, 1], cos, sin)
+                x, y, reach = body_x + x - offset * dx, body_y + y - offset * dy, beams[beam, 5] + offset
+                distance, _ = first_wall(x, y, dx, dy, reach, walls)
+                new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
+        new_cells[number] = new
+
+
+@lean_entry
+def look_out(
+    places: FloatArray,
+    views: FloatArray,
+    reach: float,
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
+    seen: BoolArray,
+    area: FloatArray,
+    reachable: BoolArray,
+    reachable_area: FloatArray,
+) -> None:
+    """Set the cells that can be seen from ``places`` (n, 2), m, along unit vectors ``views`` (v, 2).
+
+    A view that goes on inside of what is ``reachable`` (its own grid, with corner and cell side) is left out:
+    what it leads to is seen from where it comes out.
+    """
+    walls = scene_walls(edges, cell_starts, cell_edges, grid)
+    rows, columns = reachable.shape
+    low_x, low_y, side = reachable_area
+    for place in range(len(places)):
+        x, y = places[place, 0], places[place, 1]
+        for view in range(len(views)):
+            dx, dy = views[view, 0], views[view, 1]
+            column = math.floor((x + 1.5 * side * dx - low_x) / side)
+            row = math.floor((y + 1.5 * side * dy - low_y) / side)
+            if 0 <= row < rows and 0 <= column < columns and reachable[row, column]:
+                continue
+            distance, _ = first_wall(x, y, dx, dy, reach, walls)
+            mark_ray(seen, seen, area, x, y, dx, dy, distance)

@@ -1,0 +1,66 @@
+"""Worlds as TOML: the format of the worlds that come with the package; it keeps everything."""
+
+import tomllib
+from typing import Any
+
+from limslam_env.worlds.formats.text_files import number_array
+from limslam_env.worlds.world import World, WorldError, named
+
+_KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
+_ESCAPES = {'"': '\\"', "\\": "\\\\", "\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r"}
+
+
+def parse_world(text: str, label: str) -> World:
+    """A world from the text of a TOML file; ``label`` names it in errors.
+
+    Raises
+    ------
+    WorldError
+        If the text is not a world.
+    """
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
+        raise WorldError(f"{label}: not TOML: {error}") from error
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise WorldError(f"{label}: unknown key {unknown[0]!r}; a world has {', '.join(sorted(_KEYS))}")
+    missing = sorted({"name", "size", "walls"} - set(table))
+    if missing:
+        raise WorldError(f"{label}: the key {missing[0]!r} is missing")
+    if not isinstance(table.get("obstacles", []), list):
+        raise WorldError(f"{label}: obstacles must be a list of polygons")
+    with named(label):
+        return World(
+            name=table["name"],
+            size=tuple(number_array(table["size"], "size", 1)),
+            walls=number_array(table["walls"], "walls", 2),
+            obstacles=tuple(number_array(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
+            **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
+        )
+
+
+def world_toml(world: World) -> str:
+    """The text of a TOML file from which ``parse_world`` makes an equal world."""
+    lines = [f"name = {_quoted(world.name)}", f"size = {list(world.size)}", *_listed("walls", world.walls.tolist())]
+    if world.obstacles:
+        lines += _listed("obstacles", [polygon.tolist() for polygon in world.obstacles])
+    for key in ("doors", "starts", "loop"):
+        rows = getattr(world, key).tolist()
+        lines += _listed(key, rows) if rows else []
+    return "\n".join(lines) + "\n"
+
+
+def _listed(key: str, rows: list[Any]) -> list[str]:
+    # What Python writes of a list of floats is TOML, and the shortest that reads back as the same floats.
+    return [f"{key} = [", *(f"    {row}," for row in rows), "]"]
+
+
+def _quoted(text: str) -> str:
+    """A text as TOML's basic string, which can hold every character."""
+    return '"' + "".join(_ESCAPES.get(letter) or _visible(letter) for letter in text) + '"'
+
+
+def _visible(letter: str) -> str:
+    return f"\\u{ord(letter):04x}" if ord(letter) < 32 or ord(letter) == 127 else letter

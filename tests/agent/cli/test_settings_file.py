@@ -1,0 +1,210 @@
+"""The file of ``--config``: it repeats a run, options win over it, and what cannot be is refused by file and key."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from limslam_agent.cli.main import THREAD_VARIABLES, app
+from limslam_agent.cli.settings import Given, ReplayOptions, RunOptions, replay_agent, run_config, run_options
+
+SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}
+
+
+def given(tmp_path, text="", **options):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return Given.read(path, options)
+
+
+def config_of(asked):
+    return run_config(asked, run_options(asked))
+
+
+def limslam(*arguments):
+    return CliRunner().invoke(app, [str(part) for part in arguments])
+
+
+def command(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", "limslam_agent.cli.main", *map(str, arguments)],
+        capture_output=True, text=True, check=False, env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+def assert_same(first, second, names=SAME):
+    for name in names:
+        if name.endswith(".npz"):
+            with np.load(first / name) as one, np.load(second / name) as other:
+                assert set(one.files) == set(other.files)
+                assert all(np.array_equal(one[key], other[key]) for key in one.files)
+        else:
+            assert (first / name).read_bytes() == (second / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--noise", "0.02", "--seed", "3"), ("--preset", "paper", "--ablation", "no-end-gate", "--policy", "random")],
+)
+def test_the_file_of_a_run_repeats_it_to_the_bit(options, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert limslam("run", "--max-time", "15", *options, "--out", first).exit_code == 0
+    assert limslam("run", "--config", first / "run.toml", "--out", second).exit_code == 0
+    assert_same(first, second)
+    one, other = (json.loads((folder / "result.json").read_text()) for folder in (first, second))
+    assert (one["metrics"], one["config"], one["seed"]) == (other["metrics"], other["config"], other["seed"])
+
+
+def test_a_run_with_settings_of_every_kind_is_repeated_by_its_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "robots = 2\nmax_time = 5\nnoise = 0.01\n[robot]\nmax_wheel_speed = 0.2\n[true_noise]\nwheel_mismatch = 0.01\n"
+        "[agent.noise]\nrange_std = 0.03\n[agent.policy]\nspeed = 0.1\n[agent.estimator.pending]\nbatch = 20\n"
+    )
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert limslam("run", "--config", path, "--out", first).exit_code == 0
+    assert limslam("run", "--config", first / "run.toml", "--out", second).exit_code == 0
+    assert_same(first, second, SAME - {"trajectory_est.tum"} | {"trajectory_est_0.tum", "trajectory_est_1.tum"})
+    written = tomllib.loads((first / "run.toml").read_text())
+    assert written["agent"]["estimator"]["pending"]["batch"] == 20
+    assert written["agent"]["noise"]["range_std"] == 0.03
+    assert written["true_noise"]["wheel_mismatch"] == 0.01
+    assert len(written["robot"]["beams"]) == 6
+
+
+def test_the_file_of_a_replay_repeats_it(tmp_path):
+    table = tmp_path / "corridor.csv"
+    rows = [f"{0.1 * step:.1f},{0.025 * step:.3f},0,0,0.8,0.9" for step in range(120)]
+    table.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
+    first, second = tmp_path / "first", tmp_path / "second"
+    options = ("--preset", "consistent", "--self-calibrate", "--odometry-noise", "0.04,1,3", "--odometry-bias", "0.1")
+    assert limslam("replay", table, *options, "--out", first).exit_code == 0
+    assert limslam("replay", "--config", first / "run.toml", "--out", second).exit_code == 0
+    assert_same(first, second, SAME - {"log.npz"})
+    one, other = (json.loads((folder / "result.json").read_text()) for folder in (first, second))
+    assert (one["metrics"], one["config"]) == (other["metrics"], other["config"])
+
+
+def test_a_file_sets_options_and_options_win_over_it(tmp_path):
+    text = 'noise = 0.03\nseed = 7\npreset = "paper"\nlimit = true\nmax_time = 5'
+    options = run_options(given(tmp_path, text, seed=8, limit=False))
+    assert options == RunOptions(noise=0.03, seed=8, preset="paper", max_time=5.0, limit=False)
+
+
+def test_what_neither_sets_has_its_default(tmp_path):
+    assert run_options(given(tmp_path)) == RunOptions()
+    assert run_options(Given.read(None, {"seed": None, "laps": 1})) == RunOptions(laps=1)
+
+
+def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
+    text = "noise = 0.01\n[agent.noise]\nrange_std = 0.03\nwheel_variance = 1e-4\n"
+    by_file, by_option = (config_of(given(tmp_path, text, **options)) for options in ({}, {"noise": 0.04}))
+    assert (by_file.noise, by_file.agent.noise.range_std) == (0.01, 0.03)
+    assert (by_option.noise, by_option.agent.noise.range_std) == (0.04, 0.04)
+    assert by_option.agent.noise.wheel_variance == 1e-4
+
+
+def test_another_preset_on_the_command_line_brings_its_own_estimator(tmp_path):
+    text = 'preset = "paper"\n[agent.estimator.buffer]\nsize = 50\n[agent.policy]\nspeed = 0.1\n'
+    same, other = (config_of(given(tmp_path, text, preset=name)).agent for name in ("paper", "consistent"))
+    assert same.estimator.buffer.size == 50
+    assert other.estimator == config_of(given(tmp_path)).agent.estimator
+    assert same.policy.speed == other.policy.speed == 0.1
+
+
+def test_odometry_options_win_over_the_files_table(tmp_path):
+    text = 'odometry_bias = "1,1"\n[agent.odometry]\ndistance_scale = 1.1\nturn_variance_per_metre = 0.5\n'
+    asked = given(tmp_path, text)
+    told = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",))).odometry
+    assert (told.distance_scale, told.turn_bias) == (1.1, np.radians(1.0))
+    asked = given(tmp_path, text, odometry_bias="2,1.2")
+    told = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",))).odometry
+    assert (told.distance_scale, told.turn_bias, told.turn_variance_per_metre) == (1.2, np.radians(2.0), 0.5)
+
+
+def test_self_calibration_can_be_switched_off_again(tmp_path):
+    text = 'preset = "consistent"\n[agent.estimator.self_calibration]\nenabled = true\n'
+    for options, enabled in (({}, True), ({"self_calibrate": False}, False)):
+        asked = given(tmp_path, text, **options)
+        agent = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",)))
+        assert agent.estimator.self_calibration.enabled is enabled
+
+
+def test_paths_of_a_file_are_relative_to_it(tmp_path):
+    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(ReplayOptions(), ("agent",))
+    assert (options.log, str(options.relations)) == (tmp_path / "logs" / "a.clf", "/known")
+    assert run_options(given(tmp_path, 'world = "mine.yaml"')).world == str(tmp_path / "mine.yaml")
+    assert run_options(given(tmp_path, 'world = "env2"')).world == "env2"
+    assert run_options(given(tmp_path, 'world = "a.toml"', world="b.toml")).world == "b.toml"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("warp = 9", "mine.toml: warp: there is no such setting; there are world, noise"),
+        ('seed = "many"', "mine.toml: seed: must be a whole number, not 'many'"),
+        ("robots = 9", "mine.toml: robots must be a number from 1 to 8, not 9"),
+        ("max_time = nan", "mine.toml: max_time must be a number"),
+        ('preset = "magic"', "mine.toml: preset: no preset is called 'magic'"),
+        ('policy = "magic"', "mine.toml: policy: no policy is called 'magic'"),
+        ('ablation = "magic"', "mine.toml: ablation: no ablation is called 'magic'"),
+        ('world = "atlantis"', "mine.toml: world: no world is called 'atlantis'"),
+        ("agent = 3", "mine.toml: agent: must be a table, not 3"),
+        ('[agent]\npreset = "paper"', "mine.toml: agent.preset: there is no such setting"),
+        ("[agent.estimator.buffer]\nsize = 3", "mine.toml: agent.estimator.buffer: there is no such setting"),
+        ("[agent.grid]\ncell = 0", "mine.toml: agent.grid: cell must be a number from 1e-06"),
+        ("[true_noise]\nsensor_noise = 0.1", "mine.toml: true_noise.sensor_noise: there is no such setting"),
+        ("[true_noise]\ndropout = 2", "mine.toml: true_noise: dropout must be a number from 0 to 1"),
+        ("[robot]\nwheels = 3", "mine.toml: robot.wheels: there is no such setting"),
+        ("seed = ", "mine.toml: is not TOML"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused_by_file_and_key(text, words, tmp_path):
+    with pytest.raises(ValueError, match=r".") as error:
+        config_of(given(tmp_path, text))
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_refusal_is_one_line_with_exit_code_2(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("warp = 9")
+    for name in ("run", "replay"):
+        result = command(name, "--config", path)
+        assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+        assert result.stderr.startswith(f"limslam: {path}: warp: there is no such setting")
+
+
+def test_the_version_is_that_of_the_package():
+    from importlib.metadata import version
+
+    result = limslam("--version")
+    assert (result.exit_code, result.stdout) == (0, f"limslam {version('limslam')}\n")
+
+
+def test_completion_of_the_shell_is_offered():
+    assert "--install-completion" in limslam("--help").stdout
+
+
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise():
+    code = (
+        "import os, subprocess, sys; from limslam_agent.cli import main\n"
+        "assert 'numpy' not in sys.modules\n"
+        "sys.argv = ['limslam', '--version']\n"
+        "try: main.main()\n"
+        "except SystemExit: pass\n"
+        f"print(*(os.environ[name] for name in {THREAD_VARIABLES}))\n"
+        "show = 'import os; print(os.environ[\"OMP_NUM_THREADS\"])'\n"
+        "print(subprocess.run([sys.executable, '-c', show], capture_output=True, text=True).stdout)\n"
+    )
+    bare = {name: value for name, value in os.environ.items() if name not in THREAD_VARIABLES}
+    for environment, words in ((bare, ["1", "1", "1", "1"]), ({**bare, "OMP_NUM_THREADS": "2"}, ["1", "2", "1", "2"])):
+        result = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+        )
+        assert result.stdout.split()[2:] == words

@@ -1,0 +1,93 @@
+"""The batch splits readings into the wall segments that the plain segmentation finds."""
+
+import numpy as np
+import pytest
+from support.batch_stages import NOISE, cached, config_of, estimator_after, spec, state_from
+
+from limslam_agent.slam.batch import beam_model, segmentation
+from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
+from limslam_agent.slam.batch.state import CLONES, LINES
+from limslam_agent.slam.consistent.beam_model import Readings, expected_ranges, hit_points
+from limslam_agent.slam.consistent.consistent import ConsistentEstimator
+from limslam_agent.slam.consistent.segmentation import wall_segments
+from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.line_fit import fit_line
+from limslam_env.geometry import FloatArray, IntArray
+
+split, predicted, ends = (
+    cached(segmentation.wall_segments), cached(beam_model.expected_ranges), cached(beam_model.hit_points),
+)  # fmt: skip
+CONFIG = config_of().clones.straight
+
+
+@pytest.fixture(scope="module")
+def estimator() -> ConsistentEstimator:
+    return estimator_after(120)
+
+
+def readings_of_walls(estimator: ConsistentEstimator, shape: str, seed: int) -> tuple[Readings, FloatArray]:
+    """Readings, as rows of the batch too, that beams of the estimator's clones would take of a wall of some shape."""
+    generator, clones = np.random.default_rng(seed), np.array(estimator._filter._clones)
+    chosen = np.sort(generator.choice(clones, 40))
+    poses = estimator._filter.clone_poses(chosen)
+    origins, angles = generator.normal(0.0, 0.05, (40, 2)), generator.uniform(0.9, 2.2, 40)
+    flat = Readings(chosen, origins, angles, np.ones(40), np.zeros((40, 2), dtype=np.int64))
+    middle = poses[:, :2].mean(axis=0)
+    heading = poses[:, 2].mean() + 0.5 * np.pi
+    line, anchor = np.array([0.0, heading]), middle + 0.8 * np.array([np.cos(heading), np.sin(heading)])
+    ranges = expected_ranges(poses, flat, line, anchor).ranges
+    bent = np.arange(40) > 20
+    if shape == "corner":
+        ranges = ranges - 0.5 * bent * np.linspace(-0.4, 0.4, 40)
+    if shape == "end":
+        ranges = ranges + 0.12 * (np.arange(40) > 34)
+    ranges = ranges + NOISE * generator.standard_normal(40)
+    rows = np.column_stack((origins, angles, ranges))
+    return flat._replace(ranges=ranges), rows
+
+
+def places_of(estimator: ConsistentEstimator, readings: Readings) -> IntArray:
+    return np.searchsorted(estimator._filter._clones, readings.clones)
+
+
+@pytest.mark.parametrize("shape", ["straight", "corner", "end"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_segments(estimator: ConsistentEstimator, shape: str, seed: int) -> None:
+    readings, rows = readings_of_walls(estimator, shape, seed)
+    ekf, members = state_from(estimator).filter, np.arange(40)
+    points = hit_points(estimator._filter.clone_poses(readings.clones), readings)
+    line = fit_line(points, NOISE).line
+    expected = wall_segments(readings, members, line, estimator._filter, NOISE, CONFIG)
+    found, own = split(ekf, places_of(estimator, readings), rows, points, members, line, spec().settings[0])
+    assert len(own) == len(expected)
+    for row, these, segment in zip(found, own, expected, strict=False):
+        np.testing.assert_array_equal(these, segment.members)
+        told = [row[THETA], row[MIDDLE_X], row[MIDDLE_Y], row[EXTENT], row[ANGLE_STD]]
+        wanted = [segment.theta, *segment.middle, segment.length, segment.angle_std]
+        np.testing.assert_allclose(told, wanted, rtol=0.0, atol=1e-9)
+
+
+def test_the_readings_bend(estimator: ConsistentEstimator) -> None:
+    counts = []
+    for shape in ("straight", "corner", "end"):
+        readings, _ = readings_of_walls(estimator, shape, 0)
+        points = hit_points(estimator._filter.clone_poses(readings.clones), readings)
+        line = fit_line(points, NOISE).line
+        found = wall_segments(readings, np.arange(40), line, estimator._filter, NOISE, CONFIG)
+        counts.append(sum(len(segment.members) for segment in found))
+    assert counts[0] == 40
+    assert min(counts[1:]) < 40
+
+
+def test_beam_model(estimator: ConsistentEstimator) -> None:
+    readings, rows = readings_of_walls(estimator, "straight", 3)
+    ekf, places = state_from(estimator).filter, places_of(estimator, readings)
+    start, poses = POSE + 2 * int(ekf.counts[LINES]), estimator._filter.clone_poses(readings.clones)
+    assert ekf.counts[CLONES] == len(estimator._filter._clones)
+    line, anchor, out = np.array([0.1, 0.7]), np.array([1.0, -2.0]), np.empty((40, 7))
+    predicted(ekf.x, start, places, rows, np.arange(40), tuple(line), tuple(anchor), out)
+    expected = expected_ranges(poses, readings, line, anchor)
+    together = np.column_stack((expected.ranges, expected.by_pose, expected.by_line, expected.cosines))
+    np.testing.assert_allclose(out, together, rtol=1e-9, atol=1e-9)
+    points = ends(ekf.x, start, places, rows, rows[:, 3])
+    np.testing.assert_allclose(points, hit_points(poses, readings), rtol=0.0, atol=1e-12)

@@ -1,0 +1,210 @@
+"""Mapper: SLAM, occupancy grid and odometry without a policy, for one robot and for several."""
+
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
+from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env.interface import NominalNoise, RobotSpec
+
+ROBOT = RobotSpec()
+NOISE = NominalNoise(0.02)
+CONFIG = preset("paper", NOISE)
+STEPS = 250
+START = np.array([1.0, 2.0, 0.5])
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Start poses (2, 3) and the observations of two robots that a team has driven through Env1."""
+    env = LimSlamParallelEnv("env1", num_robots=2, sensor_noise=0.02)
+    told, infos = env.reset(seed=5)
+    team = LimSlamTeam(ROBOT, CONFIG)
+    starts = np.array([infos[name]["pose"] for name in team.names])
+    team.reset(starts)
+    observations = []
+    for _ in range(STEPS):
+        observations.append([told[name] for name in team.names])
+        told, *_ = env.step(team.act(told))
+    return starts, observations, team
+
+
+def mapped(starts, steps, config=CONFIG):
+    mapper = Mapper(ROBOT, config, starts)
+    for observations in steps:
+        mapper.step(*observations)
+    return mapper
+
+
+def first_robot(drive):
+    starts, observations, _ = drive
+    return starts[0], [each[:1] for each in observations]
+
+
+def assert_same_grid(grid, other):
+    np.testing.assert_array_equal(grid.low, other.low)
+    np.testing.assert_array_equal(grid.values, other.values)
+
+
+def test_a_mapper_believes_what_the_team_believes_that_heard_the_same(drive):
+    starts, observations, team = drive
+    mapper, snapshot = mapped(starts, observations), team.snapshot()
+    assert len(mapper.beliefs) == 2
+    for number, belief in enumerate(mapper.beliefs):
+        np.testing.assert_array_equal(belief.pose, snapshot.poses[number])
+        np.testing.assert_array_equal(belief.covariance, snapshot.covariances[number])
+        np.testing.assert_array_equal(belief.other_poses, snapshot.poses[1 - number : 2 - number])
+        np.testing.assert_array_equal(belief.segments, snapshot.segments)
+        assert_same_grid(belief.grid, snapshot.grid)
+        assert len(belief.other_goals) == 0
+    assert len(snapshot.segments) >= 2
+    np.testing.assert_array_equal(mapper.odometry, snapshot.odometry)
+
+
+def test_a_belief_holds_the_result_of_slam_and_the_grid_of_its_poses(drive):
+    start, steps = first_robot(drive)
+    mapper, slam, grid = Mapper(ROBOT, CONFIG, start), LineSlam(ROBOT, CONFIG, start), OccupancyGrid(CONFIG.grid)
+    for (observation,) in steps:
+        mapper.step(observation)
+        slam.step(observation)
+        grid.update(slam.pose, ROBOT, slam.ranges, slam.measured)
+    belief = mapper.belief
+    np.testing.assert_array_equal(belief.pose, slam.pose)
+    np.testing.assert_array_equal(belief.covariance, slam.covariance)
+    np.testing.assert_array_equal(belief.ranges, steps[-1][0]["ranges"])
+    np.testing.assert_array_equal(belief.segments, slam.segments)
+    assert belief.other_poses.shape == (0, 3)
+    assert_same_grid(belief.grid, grid.view)
+
+
+def test_odometry_is_the_composition_of_the_increments_whatever_the_slam_corrects(drive):
+    starts, observations, _ = drive
+    mapper = mapped(starts, observations)
+    for number, start in enumerate(starts):
+        increments = [arc(*wheels_to_arc(each[number]["wheels"].astype(float), ROBOT.axle)) for each in observations]
+        np.testing.assert_allclose(mapper.odometry[number], reduce(compose, increments, start), atol=1e-12)
+    assert np.abs(mapper.odometry - mapper.slam.poses).max() > 1e-3
+
+
+def test_odometry_is_corrected_for_its_known_bias():
+    mapper = Mapper(ROBOT, replace(CONFIG, odometry=OdometryConfig(distance_scale=1.1, turn_bias=0.2)), START)
+    mapper.step({"odometry": np.array([0.1, 0.0, 0.0])})
+    np.testing.assert_allclose(mapper.odometry, [compose(START, np.array([0.11, 0.0, 0.02]))], atol=1e-12)
+
+
+def test_beliefs_odometry_and_grid_keep_their_moment(drive):
+    start, steps = first_robot(drive)
+    mapper = mapped(start, steps[:100])
+    belief, odometry, grid = mapper.belief, mapper.odometry, mapper.grid
+    arrays = [belief.pose, belief.covariance, belief.ranges, belief.segments, belief.grid.values, odometry, grid.values]
+    before = [array.copy() for array in arrays]
+    for observations in steps[100:]:
+        mapper.step(*observations)
+    for array, old in zip(arrays, before, strict=True):
+        np.testing.assert_array_equal(array, old)
+    assert not odometry.flags.writeable
+    assert not grid.values.flags.writeable
+    assert np.abs(mapper.belief.pose - belief.pose).max() > 0.1
+
+
+def test_deciding_leaves_the_map_as_it_is(drive):
+    starts, observations, _ = drive
+    team = LimSlamTeam(ROBOT, CONFIG)
+    team.reset(starts)
+    for each in observations[:60]:
+        team.observe(each)
+    before = team.snapshot()
+    for _ in range(3):
+        team.decide()
+    after = team.snapshot()
+    assert_same_grid(after.grid, before.grid)
+    np.testing.assert_array_equal(after.poses, before.poses)
+    np.testing.assert_array_equal(after.segments, before.segments)
+
+
+def test_finish_uses_the_buffered_readings(drive):
+    start, steps = first_robot(drive)
+    mapper = mapped(start, steps[:150])
+    for observations in steps[150:]:
+        mapper.step(*observations)
+        if sum(len(side.points) for side in mapper.slam.waiting) > 24:
+            break
+    associations = []
+    mapper.slam.on_association = associations.append
+    mapper.finish()
+    assert associations
+    assert all(len(side.points) == 0 for side in mapper.slam.waiting)
+
+
+def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
+    starts, observations, _ = drive
+    start, steps = first_robot(drive)
+    mapper = mapped(start, steps[:80])
+    mapper.reset(starts)
+    np.testing.assert_array_equal(mapper.odometry, starts)
+    assert mapper.grid.values.size == 0
+    for each in observations[:80]:
+        mapper.step(*each)
+    expected = mapped(starts, observations[:80])
+    assert_same_grid(mapper.grid, expected.grid)
+    for belief, other in zip(mapper.beliefs, expected.beliefs, strict=True):
+        np.testing.assert_array_equal(belief.pose, other.pose)
+        np.testing.assert_array_equal(belief.segments, other.segments)
+
+
+def test_it_starts_at_the_origin_with_the_consistent_preset_unless_told_otherwise():
+    mapper = Mapper(ROBOT)
+    assert mapper.config == preset("consistent")
+    np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
+    np.testing.assert_array_equal(mapper.odometry, np.zeros((1, 3)))
+
+
+def test_a_start_pose_is_copied():
+    start = START.copy()
+    mapper = Mapper(ROBOT, CONFIG, start)
+    start[:] = 9.0
+    np.testing.assert_array_equal(mapper.belief.pose, START)
+    np.testing.assert_array_equal(mapper.odometry[0], START)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (np.zeros(2), r"shape \(3,\), or \(n, 3\) for n robots, not \(2,\)"),
+        (np.zeros((0, 3)), r"not \(0, 3\)"),
+        (np.zeros((1, 2, 3)), r"not \(1, 2, 3\)"),
+        (np.array([0.0, np.nan, 0.0]), "must be finite, not"),
+    ],
+)
+def test_a_bad_start_pose_is_refused_in_one_line(start, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        Mapper(ROBOT, CONFIG, start)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "observations",
+    [
+        [],
+        [{"wheels": np.zeros(2)}] * 2,
+        [{"wheels": np.array([np.nan, 0.0])}],
+        [{"ranges": np.ones(6)}],
+        [{"ranges": np.ones(4), "wheels": np.array([0.1, 0.1])}],
+    ],
+)
+def test_a_refused_observation_changes_nothing(observations, drive):
+    start, steps = first_robot(drive)
+    mapper = mapped(start, steps[:50])
+    before, odometry = mapper.belief, mapper.odometry
+    with pytest.raises(ValueError, match=r"observation|wheels|ranges") as refusal:
+        mapper.step(*observations)
+    assert "\n" not in str(refusal.value)
+    np.testing.assert_array_equal(mapper.odometry, odometry)
+    np.testing.assert_array_equal(mapper.belief.pose, before.pose)
+    assert_same_grid(mapper.belief.grid, before.grid)

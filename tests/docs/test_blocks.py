@@ -1,0 +1,229 @@
+"""Every fenced block of the documentation works: Python runs, commands run or parse, data is read by its reader."""
+
+import re
+import runpy
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import typer
+from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, pages
+
+from limslam_agent.cli.main import app as limslam_app
+from limslam_agent.logs.log_reader import read_log
+from limslam_env.worlds.formats.loading import load_world
+
+# Blocks that no program reads, by the words that they begin with.
+DIAGRAMS = {
+    "action -> physics": "the stages of one step of the loop",
+    "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
+    "geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
+}
+# Python blocks that are compiled, but not run, by the words that they begin with.
+NOT_RUN = {
+    "import gymnasium as gym\nfrom ray.rllib": "RLlib pins another version of Gymnasium",
+    "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
+}
+# Commands that are not the project's own, by their first words.
+OTHERS = {
+    "ray": "Ray's own command line; a cluster is needed",
+    "tensorboard": "TensorBoard's own command line; it serves until it is stopped",
+    "git": "changes a checkout",
+    ".venv/bin/pytest": "these tests",
+    "pytest": "these tests",
+    "ruff": "the project's checks, run before each change lands",
+    "mypy": "the project's checks, run before each change lands",
+    "python3": "sets up a virtual environment; test_readme looks at it",
+    ".": "enters a virtual environment",
+}
+# How the project's quick commands are cut short. All others are parsed, not run: they take minutes or recorded data.
+SHORT = {
+    ("limslam", "run"): ["--max-time", "1"],
+    ("limslam", "worlds"): [],
+    ("python -m benchmarks", "run"): ["--dry-run"],
+}
+NOT_SHORT = {"--engine": "needs a cluster", "explore": "its jobs name 100 floor plans, which take long to draw"}
+
+
+def apps() -> dict[str, typer.Typer]:
+    """The command lines by their names; the benchmarks do not travel with a wheel."""
+    found = {"limslam": limslam_app}
+    if find_spec("benchmarks"):
+        from benchmarks.__main__ import app as benchmarks_app
+
+        found["python -m benchmarks"] = benchmarks_app
+    return found
+
+
+APPS = apps()
+
+
+def reason_for(block: Block, reasons: dict[str, str]) -> str | None:
+    return next((reason for start, reason in reasons.items() if block.text.lstrip().startswith(start)), None)
+
+
+def own(words: list[str]) -> tuple[str, list[str]] | None:
+    """The project's command line that a command calls, and its arguments."""
+    line = " ".join(words)
+    for name in ("limslam", ".venv/bin/limslam", "python -m benchmarks"):
+        if line.startswith(f"{name} "):
+            return name.removeprefix(".venv/bin/"), words[len(name.split()) :]
+    return None
+
+
+def parsed(app: typer.Typer, words: list[str]) -> None:
+    """Let the command line read its options, with their types, and go no further."""
+    command, words = typer.main.get_command(app), list(words)
+    while getattr(command, "commands", None) and words and words[0] in command.commands:
+        command = command.commands[words.pop(0)]
+    command.make_context(words[0] if words else "command", words)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder of its own, with the world that the README describes."""
+    worlds = [block for block in blocks(ROOT / "README.md") if block.language == "toml" and "walls" in block.text]
+    (tmp_path / "bedroom.toml").write_text(worlds[0].text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_every_block_says_what_it_holds():
+    allowed = {"python", "sh", "toml", "csv", "math", "text"}
+    assert [block.name for block in all_blocks() if block.language not in allowed] == []
+
+
+def test_every_block_of_plain_text_is_a_known_diagram():
+    unknown = [block.name for block in all_blocks("text") if reason_for(block, DIAGRAMS) is None]
+    assert unknown == []
+
+
+@pytest.mark.parametrize("block", all_blocks("math"), ids=lambda block: block.name)
+def test_an_equation_is_closed(block):
+    for opening, closing in (("{", "}"), ("(", ")"), ("[", "]"), (r"\begin", r"\end"), (r"\left", r"\right")):
+        text = block.text.replace(r"\leftarrow", "")
+        assert text.count(opening) == text.count(closing), opening
+
+
+def test_no_exemption_outlives_its_block():
+    known = {block.text.lstrip() for block in all_blocks("python")}
+    assert [start for start in NOT_RUN if not any(text.startswith(start) for text in known)] == []
+
+
+def live_robot() -> dict:
+    """What the loop for a live robot is written for: a robot that answers, and an agent."""
+    example = ROOT / "examples" / "live_robot.py"
+    if not example.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    parts = runpy.run_path(str(example), run_name="live_robot")
+    agent = parts["LimSlamAgent"](parts["SPEC"], parts["preset"]("consistent", parts["NominalNoise"](0.01)))
+    return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
+
+
+NEEDS = {"logs.md": live_robot}
+# test_readme runs the README and looks at what it prints.
+PYTHON_PAGES = [
+    page for page in pages() if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
+]
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda page: page.name)
+def test_the_python_blocks_of_a_page_run_one_after_the_other(page):
+    namespace = {"__name__": "__main__"} | NEEDS.get(page.name, dict)()
+    for block in blocks(page):
+        if block.language == "python":
+            if reason_for(block, NOT_RUN):
+                compile(block.text, block.name, "exec")
+            else:
+                block.run_python(namespace)
+
+
+COMMANDS = [
+    pytest.param(words, id=f"{block.name} {' '.join(words)}")
+    for block in all_blocks("sh")
+    for words in commands(block.text)
+]
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("words", COMMANDS)
+def test_a_command_runs_or_has_options_that_exist(words):
+    if words[0] in OTHERS:
+        return
+    if words[0].endswith("pip"):
+        check_extras(words)
+        return
+    if words[:2] == ["python", "-m"] and words[2].startswith("benchmarks."):
+        assert (ROOT / words[2].replace(".", "/")).with_suffix(".py").is_file() or not find_spec("benchmarks")
+        return
+    if words[0] == "python" and words[1].endswith(".py"):
+        assert (ROOT / words[1]).is_file() or not (ROOT / "examples").is_dir()
+        return
+    called = own(words)
+    assert called, f"neither a command of the project nor an exemption: {words}"
+    name, arguments = called
+    if name not in APPS:
+        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
+    parsed(APPS[name], arguments)
+    short = SHORT.get((name, arguments[0]))
+    is_there = all(Path(word).exists() for word in arguments if word.endswith((".yaml", ".json")))
+    if short is not None and is_there and not NOT_SHORT.keys() & set(arguments):
+        APPS[name]([*arguments, *short], standalone_mode=False)
+
+
+def check_extras(words: list[str]) -> None:
+    """The extras that a command installs are declared."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = {
+        extra for word in words for found in re.findall(r"^(?:limslam|\.)\[(.+)\]$", word) for extra in found.split(",")
+    }
+    assert asked <= set(project["optional-dependencies"])
+
+
+def options_of(command) -> set[str]:
+    own_options = {name for part in command.params for name in getattr(part, "opts", []) if name.startswith("--")}
+    return own_options.union(*(options_of(part) for part in getattr(command, "commands", {}).values()))
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_commands_within_the_prose_have_options_that_exist(page):
+    for span in code_spans(page):
+        words = span.split()
+        called = own(words)
+        if called and called[0] in APPS and called[1] and re.fullmatch(r"[a-z]+", called[1][0]):
+            command = typer.main.get_command(APPS[called[0]]).commands[called[1][0]]
+            asked = {word.partition("=")[0] for word in called[1] if word.startswith("--")}
+            assert asked - options_of(command) - {"--help"} == set(), span
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("block", all_blocks("toml"), ids=lambda block: block.name)
+def test_a_toml_block_is_read_by_its_reader(block):
+    keys = set(tomllib.loads(block.text))
+    if "walls" in keys:
+        Path("world.toml").write_text(block.text, encoding="utf-8")
+        load_world("world.toml").check(radius=0.1)
+    elif keys & {"grid", "log"}:
+        if not find_spec("benchmarks"):
+            pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
+        from support.data import data_folder
+
+        from benchmarks.suite.suite import parse_suite
+
+        if "log" in keys:
+            data_folder()  # skips where there is no recorded data
+        assert len(parse_suite(block.text, block.name).jobs) > 1
+    elif keys & {"agent", "true_noise"}:
+        Path("mine.toml").write_text(block.text, encoding="utf-8")
+        limslam_app(["run", "--config", "mine.toml", "--max-time", "1"], standalone_mode=False)
+        assert len(list(Path("runs").glob("*/run.toml"))) == 1
+    else:
+        pytest.fail(f"{block.name}: no reader is known for a table with {sorted(keys)}")
+
+
+@pytest.mark.parametrize("block", all_blocks("csv"), ids=lambda block: block.name)
+def test_a_table_is_read_as_a_log(block, tmp_path):
+    (tmp_path / "log.csv").write_text(block.text, encoding="utf-8")
+    assert len(read_log(tmp_path / "log.csv")) == len(block.text.strip().splitlines()) - 1

@@ -1,0 +1,87 @@
+"""Compiled code that is kept on disk: it is used again, and made anew when anything that it contains has changed."""
+
+import subprocess
+import sys
+
+import pytest
+
+from limslam_env.compilation import ENV_SOURCES, source_stamp
+from limslam_env.kernels import batch_step, coverage, observation, random_numbers, rays, wall_cells
+
+CALLED = """from limslam_env.compilation import compiled
+from kernel_package.constants import FACTOR
+
+@compiled
+def times(number):
+    return FACTOR * number
+"""
+CALLS = """from limslam_env.compilation import entry_of
+from kernel_package.called import times
+
+@entry_of("kernel_package")
+def doubled(number):
+    return times(number) + 1
+"""
+MAIN = """from kernel_package.calls import doubled
+result = doubled(20)
+print(result, sum(doubled.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    folder = tmp_path / "kernel_package"
+    folder.mkdir()
+    texts = {"__init__": "", "constants": "FACTOR = 2\n", "called": CALLED, "calls": CALLS}
+    for name, text in texts.items():
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    return folder
+
+
+def result_and_cache_hits(package) -> list[int]:
+    """What the kernel returns in a new interpreter, and whether its code came from the disk."""
+    code = f"import sys\nsys.path.insert(0, {str(package.parent)!r})\n{MAIN}"
+    command = [sys.executable, "-B", "-c", code]
+    output = subprocess.run(command, check=True, capture_output=True, text=True, cwd=package.parent).stdout
+    return [int(number) for number in output.split()]
+
+
+def test_a_change_of_what_a_kernel_calls_or_of_a_constant_makes_its_cache_stale(package):
+    assert result_and_cache_hits(package) == [41, 0]
+    assert result_and_cache_hits(package) == [41, 1]
+    (package / "constants.py").write_text("FACTOR = 3\n", encoding="utf-8")
+    assert result_and_cache_hits(package) == [61, 0]
+    (package / "called.py").write_text(CALLED.replace("*", "-"), encoding="utf-8")
+    assert result_and_cache_hits(package) == [-16, 0]
+    assert result_and_cache_hits(package) == [-16, 1]
+
+
+def test_the_kernels_of_the_simulator_are_kept_with_the_stamp_of_their_sources():
+    stamp = source_stamp(*ENV_SOURCES)
+    for kernel in (
+        batch_step.advance, coverage.sweep, observation.observe, random_numbers.draw_starts, rays.cast_rays,
+        wall_cells.list_walls,
+    ):  # fmt: skip
+        assert kernel._cache._cache_file._source_stamp == stamp
+
+
+def test_sources_that_do_not_exist_are_named():
+    with pytest.raises(ModuleNotFoundError, match=r"limslam_env\.nothing"):
+        source_stamp("limslam_env.nothing")
+
+
+def test_without_numbas_private_attribute_nothing_is_kept(package):
+    code = f"""
+import sys
+from numba.core import caching
+sys.path.insert(0, {str(package.parent)!r})
+class WithoutStamp(caching.IndexDataCacheFile):
+    def __init__(self, *arguments, **named):
+        super().__init__(*arguments, **named)
+        self.renamed = self.__dict__.pop("_source_stamp")
+caching.IndexDataCacheFile = WithoutStamp
+{MAIN}"""
+    command = [sys.executable, "-B", "-c", code]
+    output = subprocess.run(command, check=True, capture_output=True, text=True, cwd=package.parent).stdout
+    assert output.split() == ["41", "0"]
+    assert not list(package.rglob("*.nbi"))

@@ -1,0 +1,31 @@
+"""The public names of the package, and what it says when it is run."""
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+import limslam_env
+
+
+@pytest.mark.parametrize("name", limslam_env.__all__)
+def test_every_public_name_is_there(name):
+    value = getattr(limslam_env, name)
+    assert name in dir(limslam_env)
+    if hasattr(value, "__module__") and callable(value):
+        assert getattr(importlib.import_module(value.__module__), name) is value
+
+
+def test_other_names_are_not_there():
+    with pytest.raises(AttributeError, match="'limslam_env' has no attribute 'Simulation'"):
+        limslam_env.Simulation  # noqa: B018
+
+
+def test_run_as_a_module_it_says_how_to_use_it():
+    command = [sys.executable, "-m", "limslam_env"]
+    result = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert limslam_env.__version__ in result.stdout
+    assert "gymnasium.make(" in result.stdout
+    assert "limslam --help" in result.stdout
+    assert not result.stderr
