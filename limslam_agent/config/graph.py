@@ -3,11 +3,13 @@
 import math
 from dataclasses import dataclass, field
 
+from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive
+
 _DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True)
-class KeyPoseConfig:
+class KeyPoseConfig(Bounded):
     """Which poses of a log are estimated, and which of its scans are used.
 
     Attributes
@@ -18,14 +20,14 @@ class KeyPoseConfig:
         A scan gives points only if the robot has moved (m) or turned (rad) so much since the last one that did.
     """
 
-    distance: float = 0.25
-    turn: float = 12.0 * _DEGREE
-    scan_distance: float = 0.015
-    scan_turn: float = 1.0 * _DEGREE
+    distance: Positive = 0.25
+    turn: Angle = 12.0 * _DEGREE
+    scan_distance: NonNegative = 0.015
+    scan_turn: Angle = 1.0 * _DEGREE
 
 
 @dataclass(frozen=True)
-class MotionConfig:
+class MotionConfig(Bounded):
     """How far odometry is trusted, and what is known of its constant errors beforehand.
 
     Attributes
@@ -44,20 +46,20 @@ class MotionConfig:
         Prior standard deviations of the shares by which distances and turns are wrong.
     """
 
-    along: float = 0.05
-    across: float = 0.05
-    slip: float = 0.03
-    turn_per_metre: float = 2.0 * _DEGREE
-    turn_per_radian: float = 6.0 * _DEGREE
-    least_position: float = 1e-3
-    least_turn: float = 0.05 * _DEGREE
-    bias_std: float = 1.5 * _DEGREE
-    scale_std: float = 0.03
-    turn_gain_std: float = 0.03
+    along: NonNegative = 0.05
+    across: NonNegative = 0.05
+    slip: NonNegative = 0.03
+    turn_per_metre: NonNegative = 2.0 * _DEGREE
+    turn_per_radian: NonNegative = 6.0 * _DEGREE
+    least_position: Positive = 1e-3
+    least_turn: Angle = 0.05 * _DEGREE
+    bias_std: Positive = 1.5 * _DEGREE
+    scale_std: Positive = 0.03
+    turn_gain_std: Positive = 0.03
 
 
 @dataclass(frozen=True)
-class LinkConfig:
+class LinkConfig(Bounded):
     """Normals of points, and links from points to the line through another point.
 
     Attributes
@@ -79,27 +81,27 @@ class LinkConfig:
         Links between visits: least driving between the points (m), and least cosine between the normals.
     """
 
-    normal_radius: float = 0.4
-    normal_travel: float = 3.0
-    min_neighbours: int = 5
-    min_spread: float = 0.07
-    max_thickness: float = 0.05
-    max_ratio: float = 0.15
-    min_incidence: float = 0.17
-    radius: float = 0.35
-    min_travel: float = 0.4
-    travel: float = 10.0
+    normal_radius: Positive = 0.4
+    normal_travel: Positive = 3.0
+    min_neighbours: Count = 5
+    min_spread: NonNegative = 0.07
+    max_thickness: NonNegative = 0.05
+    max_ratio: NonNegative = 0.15
+    min_incidence: NonNegative = 0.17
+    radius: Positive = 0.35
+    min_travel: NonNegative = 0.4
+    travel: Positive = 10.0
     bands: tuple[float, float] = (1.2, 3.0)
-    min_cosine: float = 0.85
-    max_offset: float = 0.7
-    std: float = 0.08
-    kernel: float = 2.0
-    cross_travel: float = 8.0
-    cross_min_cosine: float = 0.8
+    min_cosine: NonNegative = 0.85
+    max_offset: NonNegative = 0.7
+    std: Positive = 0.08
+    kernel: Positive = 2.0
+    cross_travel: NonNegative = 8.0
+    cross_min_cosine: NonNegative = 0.8
 
 
 @dataclass(frozen=True)
-class WallLineConfig:
+class WallLineConfig(Bounded):
     """Straight walls found by a Hough transform in windows of driving.
 
     Attributes
@@ -118,32 +120,32 @@ class WallLineConfig:
         Standard deviation of a point about its line (m), and the factor by which it is enlarged.
     """
 
-    window: float = 10.0
-    first_window: float = 4.0
-    tolerance: float = 0.12
-    offset_bin: float = 0.08
-    angle_bin: float = 3.0 * _DEGREE
-    spread: int = 4
-    min_points: int = 10
-    min_length: float = 0.8
-    max_gap: float = 1.5
-    max_angle: float = 20.0 * _DEGREE
-    max_lines: int = 25
-    max_tries: int = 60
-    std: float = 0.06
-    inflation: float = 2.0
+    window: Positive = 10.0
+    first_window: Positive = 4.0
+    tolerance: NonNegative = 0.12
+    offset_bin: Positive = 0.08
+    angle_bin: Positive = 3.0 * _DEGREE
+    spread: Count = 4
+    min_points: Count = 10
+    min_length: NonNegative = 0.8
+    max_gap: NonNegative = 1.5
+    max_angle: Angle = 20.0 * _DEGREE
+    max_lines: Count = 25
+    max_tries: Count = 60
+    std: Positive = 0.06
+    inflation: NonNegative = 2.0
 
 
 @dataclass(frozen=True)
-class SmoothingConfig:
+class SmoothingConfig(Bounded):
     """Iterations of the local smoothing with links alone, and with links and lines."""
 
-    link_iterations: int = 5
-    line_iterations: int = 10
+    link_iterations: Count = 5
+    line_iterations: Count = 10
 
 
 @dataclass(frozen=True)
-class LocalMapConfig:
+class LocalMapConfig(Bounded):
     """Local maps: chunks of driving drawn into small grids.
 
     Attributes
@@ -156,14 +158,14 @@ class LocalMapConfig:
         Side of a cell, and how far around a point cells count as hit, m.
     """
 
-    half: float = 3.5
-    hop: float = 2.5
-    cell: float = 0.1
-    hit_radius: float = 0.15
+    half: Positive = 3.5
+    hop: Positive = 2.5
+    cell: Positive = 0.1
+    hit_radius: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
-class MatchConfig:
+class MatchConfig(Bounded):
     """Correlative matching of local maps.
 
     Attributes
@@ -178,15 +180,15 @@ class MatchConfig:
         Least standard deviations of a match, m and rad.
     """
 
-    block: int = 8
-    prior: float = 0.05
-    sharpness: float = 0.25
-    floor_position: float = 0.06
-    floor_turn: float = 1.2 * _DEGREE
+    block: Count = 8
+    prior: NonNegative = 0.05
+    sharpness: NonNegative = 0.25
+    floor_position: NonNegative = 0.06
+    floor_turn: Angle = 1.2 * _DEGREE
 
 
 @dataclass(frozen=True)
-class LoopConfig:
+class LoopConfig(Bounded):
     """Loops looked for along the way, and the agreement between loops that they need.
 
     Attributes
@@ -212,29 +214,29 @@ class LoopConfig:
         Agreement within a group of loops, m and rad, between chunks so many apart.
     """
 
-    min_travel: float = 10.0
-    gate: float = 2.5
-    gate_sigmas: float = 2.5
-    max_distance: float = 12.0
-    window: float = 4.0
-    turn_window: float = 35.0 * _DEGREE
-    turn_step: float = 3.0 * _DEGREE
-    least_window: float = 0.6
-    least_turn: float = 8.0 * _DEGREE
-    score: float = 0.60
-    backward_score: float = 0.50
-    best: int = 3
-    agree_distance: float = 0.6
-    agree_turn: float = 9.0 * _DEGREE
-    support_from: float = 2.2
-    support_to: float = 7.8
-    group_distance: float = 0.7
-    group_turn: float = 10.0 * _DEGREE
-    group_chunks: int = 3
+    min_travel: NonNegative = 10.0
+    gate: NonNegative = 2.5
+    gate_sigmas: NonNegative = 2.5
+    max_distance: NonNegative = 12.0
+    window: Positive = 4.0
+    turn_window: Angle = 35.0 * _DEGREE
+    turn_step: Positive = 3.0 * _DEGREE
+    least_window: NonNegative = 0.6
+    least_turn: Angle = 8.0 * _DEGREE
+    score: NonNegative = 0.60
+    backward_score: NonNegative = 0.50
+    best: Count = 3
+    agree_distance: NonNegative = 0.6
+    agree_turn: Angle = 9.0 * _DEGREE
+    support_from: NonNegative = 2.2
+    support_to: NonNegative = 7.8
+    group_distance: NonNegative = 0.7
+    group_turn: Angle = 10.0 * _DEGREE
+    group_chunks: Count = 3
 
 
 @dataclass(frozen=True)
-class ChunkGraphConfig:
+class ChunkGraphConfig(Bounded):
     """The pose graph of the chunks.
 
     Attributes
@@ -245,27 +247,28 @@ class ChunkGraphConfig:
         Chi-square where the Cauchy kernel of the hops bends.
     loop_kernel
         The parameter of dynamic covariance scaling (DCS) of the loops.
-    annealing
-        Factors of both kernels, one after the other.
+    annealing, refining
+        Factors of both kernels, one after the other, from the chain of hops and from a solution that is nearly right.
     iterations, tolerance
         Most iterations for each factor, and the step (m, rad) below which they stop.
     kept
         Loops of a lower weight are not used further.
     """
 
-    hop_inflation: float = 6.0
-    hop_position: float = 0.03
-    hop_turn: float = 1.0 * _DEGREE
-    hop_kernel: float = 9.0
-    loop_kernel: float = 3.0
+    hop_inflation: NonNegative = 6.0
+    hop_position: NonNegative = 0.03
+    hop_turn: Angle = 1.0 * _DEGREE
+    hop_kernel: Positive = 9.0
+    loop_kernel: Positive = 3.0
     annealing: tuple[float, ...] = (1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0)
-    iterations: int = 8
-    tolerance: float = 1e-3
-    kept: float = 0.3
+    refining: tuple[float, ...] = (10.0, 3.0, 1.0)
+    iterations: Count = 8
+    tolerance: NonNegative = 1e-3
+    kept: NonNegative = 0.3
 
 
 @dataclass(frozen=True)
-class WideSearchConfig:
+class WideSearchConfig(Bounded):
     """The search for places that were not recognised, with hardly any knowledge of where the robot is.
 
     Attributes
@@ -282,20 +285,20 @@ class WideSearchConfig:
         Chunks so near to the end of a loop, counted in chunks, need no wide search.
     """
 
-    min_travel: float = 15.0
-    max_distance: float = 18.0
-    window: float = 10.0
-    turn_window: float = 100.0 * _DEGREE
-    turn_step: float = 4.0 * _DEGREE
-    score: float = 0.60
-    neighbours: int = 3
-    neighbour_window: float = 0.7
-    neighbour_turn: float = 10.0 * _DEGREE
-    recognised: int = 2
+    min_travel: NonNegative = 15.0
+    max_distance: NonNegative = 18.0
+    window: Positive = 10.0
+    turn_window: Angle = 100.0 * _DEGREE
+    turn_step: Positive = 4.0 * _DEGREE
+    score: NonNegative = 0.60
+    neighbours: Count = 3
+    neighbour_window: NonNegative = 0.7
+    neighbour_turn: Angle = 10.0 * _DEGREE
+    recognised: Count = 2
 
 
 @dataclass(frozen=True)
-class UnionConfig:
+class UnionConfig(Bounded):
     """Matching of a chunk against the union of all chunks of other visits nearby.
 
     Attributes
@@ -310,17 +313,17 @@ class UnionConfig:
         Chunks so near to the end of a loop, counted in chunks, are not matched.
     """
 
-    radius: float = 8.0
-    min_travel: float = 12.0
-    window: float = 2.5
-    turn_window: float = 20.0 * _DEGREE
-    turn_step: float = 3.0 * _DEGREE
-    score: float = 0.60
-    recognised: int = 1
+    radius: Positive = 8.0
+    min_travel: NonNegative = 12.0
+    window: Positive = 2.5
+    turn_window: Angle = 20.0 * _DEGREE
+    turn_step: Positive = 3.0 * _DEGREE
+    score: NonNegative = 0.60
+    recognised: Count = 1
 
 
 @dataclass(frozen=True)
-class BundleConfig:
+class BundleConfig(Bounded):
     """The least-squares problem of all key poses, walls, loops and links between visits.
 
     Attributes
@@ -337,17 +340,17 @@ class BundleConfig:
         Iterations stop when no pose turns by more than this, rad.
     """
 
-    radius: float = 0.4
-    last_radius: float = 0.2
-    link_inflation: float = 1.5
-    cross_inflation: float = 2.0
-    max_turn: float = 0.3
-    damping: float = 1e-6
-    tolerance: float = 1e-3
+    radius: Positive = 0.4
+    last_radius: Positive = 0.2
+    link_inflation: NonNegative = 1.5
+    cross_inflation: NonNegative = 2.0
+    max_turn: Angle = 0.3
+    damping: NonNegative = 1e-6
+    tolerance: NonNegative = 1e-3
 
 
 @dataclass(frozen=True)
-class AgreementConfig:
+class AgreementConfig(Bounded):
     """The score without truth, and the decisions that rest on it.
 
     Attributes
@@ -364,17 +367,17 @@ class AgreementConfig:
         A group of loops is removed if the score rises by this without it.
     """
 
-    min_travel: float = 13.5
-    max_distance: float = 13.0
-    gain: float = 0.001
-    max_groups: int = 40
-    max_group: int = 8
-    doubtful: int = 8
-    prune_gain: float = 0.002
+    min_travel: NonNegative = 13.5
+    max_distance: NonNegative = 13.0
+    gain: NonNegative = 0.001
+    max_groups: Count = 40
+    max_group: Count = 8
+    doubtful: Count = 8
+    prune_gain: NonNegative = 0.002
 
 
 @dataclass(frozen=True)
-class RoundConfig:
+class RoundConfig(Bounded):
     """Rounds in which everything is tested anew.
 
     Attributes
@@ -393,14 +396,14 @@ class RoundConfig:
 
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
-    wide_search: int = 2
-    trial: int = 2
-    hopeless: float = 0.15
-    settled: float = 0.002
+    wide_search: Count = 2
+    trial: Count = 2
+    hopeless: NonNegative = 0.05
+    settled: NonNegative = 0.002
 
 
 @dataclass(frozen=True)
-class GraphConfig:
+class GraphConfig(Bounded):
     """All settings of the graph of local maps."""
 
     keys: KeyPoseConfig = field(default_factory=KeyPoseConfig)

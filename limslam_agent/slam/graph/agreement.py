@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import AgreementConfig, GraphConfig, LoopConfig
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, solve_annealed
-from limslam_agent.slam.graph.compilation import kernel
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, refine, solve_annealed
 from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 
 def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -163,16 +166,14 @@ class Decision:
     dropped: list[Loop]
 
 
-def prune_groups(
-    start: FloatArray, poses: FloatArray, hops: Hops, loops: list[Loop], score: MapScore, config: GraphConfig
-) -> Decision:
+def prune_groups(poses: FloatArray, hops: Hops, loops: list[Loop], score: MapScore, config: GraphConfig) -> Decision:
     """Take out small groups of loops without which the map agrees better with itself.
 
     The groups around which visits contradict each other most are tried. ``poses`` (c, 3) are those of the chunks by
-    the trajectory, by which loops are grouped; ``start`` (3,) is where the graph begins.
+    the trajectory, by which loops are grouped.
     """
     agreement, dropped = config.agreement, []
-    solution = solve_annealed(start, hops, loops, config.chunks)
+    solution = solve_annealed(poses[0], hops, loops, config.chunks)
     value = score(solution.poses)
     for _ in range(3):
         groups = [each for each in groups_of(loops, poses, config.loops) if len(each) <= agreement.max_group]
@@ -182,7 +183,7 @@ def prune_groups(
             rest = [loop for number, loop in enumerate(loops) if number not in groups[place]]
             if not rest:
                 continue
-            trial = solve_annealed(start, hops, rest, config.chunks)
+            trial = solve_annealed(poses[0], hops, rest, config.chunks)
             gained = score(trial.poses)
             if gained > (best[0] if best else value + agreement.prune_gain):
                 best = gained, groups[place], trial
@@ -210,7 +211,6 @@ def _contradictions(groups: list[list[int]], loops: Sequence[Loop], score: MapSc
 
 
 def accept_groups(
-    start: FloatArray,
     poses: FloatArray,
     hops: Hops,
     loops: list[Loop],
@@ -218,19 +218,22 @@ def accept_groups(
     score: MapScore,
     config: GraphConfig,
     gain: float,
+    *,
+    near: bool,
 ) -> Decision:
     """Add groups of loops, the best supported first, each only if the score rises by ``gain``.
 
-    Groups that agree are one. ``poses`` (c, 3) are those of the chunks by the trajectory, ``start`` (3,) is where the
-    graph begins.
+    Groups that agree are one. ``poses`` (c, 3) are those of the chunks by the trajectory. Where the loops are ``near``,
+    each trial starts from the solution so far with kernels that are not so wide, which is faster.
     """
     waiting = _ranked([loop for group in new for loop in group], poses, config)
-    solution = solve_annealed(start, hops, loops, config.chunks)
+    solution = solve_annealed(poses[0], hops, loops, config.chunks)
     value = score(solution.poses) if waiting else 0.0
     for _ in range(2):
         rest = []
         for group in waiting:
-            trial = solve_annealed(start, hops, [*loops, *group], config.chunks)
+            problem = hops, [*loops, *group], config.chunks
+            trial = refine(solution.poses, *problem) if near else solve_annealed(poses[0], *problem)
             gained = score(trial.poses)
             if gained > value + gain and trial.weights[len(loops) :].mean() > config.chunks.kept:
                 loops, solution, value = [*loops, *group], trial, gained

@@ -13,10 +13,13 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from limslam_agent.config.graph import ChunkGraphConfig
-from limslam_agent.slam.graph.compilation import kernel
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
 from limslam_agent.slam.graph.least_squares import relation_factor
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,11 @@ def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop], config:
     if not loops:
         return ChunkSolution(poses, np.zeros(0))
     return solve(poses, hops, loops, config, config.annealing, config.iterations)
+
+
+def refine(poses: FloatArray, hops: Hops, loops: Sequence[Loop], config: ChunkGraphConfig) -> ChunkSolution:
+    """Solve from poses (c, 3) that are nearly right, with kernels that are not so wide at first."""
+    return solve(poses, hops, loops, config, config.refining, config.iterations)
 
 
 def solve(

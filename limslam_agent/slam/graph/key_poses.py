@@ -9,8 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
-from limslam_agent.slam.graph.compilation import kernel
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,12 @@ from scipy.sparse import csc_matrix, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from limslam_agent.config.graph import MotionConfig
-from limslam_agent.slam.graph.compilation import kernel
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, calibrated_steps
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 _FIXED = 3
 

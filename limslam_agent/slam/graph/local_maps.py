@@ -7,9 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import LocalMapConfig
-from limslam_agent.slam.graph.compilation import kernel
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 HIT = 5
 """Value of a cell in which something was seen. Scores are sums of cells divided by this."""

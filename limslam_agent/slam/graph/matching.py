@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import MatchConfig
-from limslam_agent.slam.graph.compilation import kernel
 from limslam_agent.slam.graph.local_maps import Cells, LocalMap
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
 # Rows of bounds are summed up in whole vectors of so many.
@@ -34,7 +37,8 @@ class SearchGrid:
     padded
         (n, n) cells with room for the window all around.
     blocks
-        (w, w, r, r): maxima over blocks of w x w cells, by the phase of their first cell.
+        (w, w, r, r + 16): maxima over blocks of w x w cells, by the phase of their first cell. Rows are longer than
+        needed, since they are read in whole vectors.
     low
         Lowest x and y of the padded grid, m.
     cell
@@ -73,9 +77,8 @@ def search_grid(chunk: LocalMap, window: float, config: MatchConfig) -> SearchGr
     margin = max(int(window / chunk.cell + 1e-6), _VOLUME_CELLS)
     # A point that lies further outside can be moved nearer: it still meets only unknown cells.
     pad = -(-(2 * margin + 2 * width + 2) // width) * width
-    # The last row of bounds may be read beyond the window, in whole vectors.
-    size = -(-(len(chunk.grid) + 2 * pad) // width) * width + _LANES * width
-    padded, blocks = _blocks_of(chunk.grid, pad, size, width)
+    size = -(-(len(chunk.grid) + 2 * pad) // width) * width
+    padded, blocks = _blocks_of(chunk.grid, pad, size, width, _LANES)
     return SearchGrid(padded, blocks, chunk.low - pad * chunk.cell, chunk.cell, margin)
 
 
@@ -125,7 +128,7 @@ def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
 
 
 @kernel
-def _blocks_of(grid: Cells, pad: int, size: int, width: int) -> tuple[Cells, Cells]:
+def _blocks_of(grid: Cells, pad: int, size: int, width: int, spare: int) -> tuple[Cells, Cells]:
     padded = np.zeros((size, size), np.int8)
     padded[pad : pad + len(grid), pad : pad + len(grid)] = grid
     # The maximum over width cells, by maxima over 2, 4, 8, ... cells.
@@ -140,7 +143,7 @@ def _blocks_of(grid: Cells, pad: int, size: int, width: int) -> tuple[Cells, Cel
                 maxima[i, j] = max(maxima[i, j], maxima[i + more, j])
         done += more
     rows = size // width
-    blocks = np.empty((width, width, rows, rows), np.int8)
+    blocks = np.zeros((width, width, rows, rows + spare), np.int8)
     for i in range(size):
         for j in range(size):
             blocks[i % width, j % width, i // width, j // width] = maxima[i, j]
@@ -210,13 +213,13 @@ def _search(
     low, cell, turn_step, prior, least = numbers
     width, size, count = blocks.shape[0], padded.shape[0], len(points)
     across, angles = (2 * margin) // width + 1, 2 * turns + 1
-    full, edge, inside = 5.0 * count, margin + width, size - 16 * width
+    full, edge = 5.0 * count, margin + width
     by_shift, by_turn = prior / (margin * margin + 1.0), prior / (turns * turns + 1.0)
     pixels = np.empty((angles, count, 2), np.int64)
     bounds = np.empty((angles, across, across), np.float32)
     sums = np.empty((across, -(-across // 16) * 16), np.int16)
     for t in range(angles):
-        _pixels(points, guess[0], guess[1], guess[2] + (t - turns) * turn_step, low, cell, edge, inside, pixels[t])
+        _pixels(points, guess[0], guess[1], guess[2] + (t - turns) * turn_step, low, cell, edge, size, pixels[t])
         _bounds(blocks, pixels[t], margin, sums)
         bounds[t] = sums[:, :across] / full - by_turn * (t - turns) ** 2
     flat = bounds.ravel()

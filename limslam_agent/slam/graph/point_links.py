@@ -9,9 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.graph import LinkConfig
-from limslam_agent.slam.graph.compilation import kernel
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 _ROW = 1 << 24
 

@@ -259,7 +259,7 @@ def _round(log: _Log, trajectory: Trajectory, number: int, found: list[Loop] | N
         placed = _pruned(chunks, placed, score)
     if number > 0:
         unions = [[loop] for loop in match_unions(chunks, placed.solution.poses, placed.loops)]
-        placed = placed.after(_accept(chunks, placed, unions, score, 0.0), NOT_ADDED)
+        placed = placed.after(_accept(chunks, placed, unions, score, 0.0, near=True), NOT_ADDED)
     return _bundled(log, trajectory, chunks, placed, config.rounds.iterations[number])
 
 
@@ -274,7 +274,7 @@ def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
     """The careful start: groups of the wide search must raise G, and doubtful groups are taken out."""
     placed = _pruned(chunks, placed, score)
     groups = search_widely(chunks, placed.solution.poses, placed.loops)
-    decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain)
+    decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
     gained = len(decision.loops) > len(placed.loops)
     placed = placed.after(decision, NOT_ADDED)
     return _pruned(chunks, placed, score) if gained else placed
@@ -294,13 +294,13 @@ _STARTS: dict[str, Callable[[Chunks, _Placed, MapScore], _Placed]] = {"guard": _
 def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
     if not placed.loops:
         return placed
-    start = chunks.poses[0]
-    return placed.after(prune_groups(start, chunks.poses, chunks.hops, placed.loops, score, chunks.config), REMOVED)
+    return placed.after(prune_groups(chunks.poses, chunks.hops, placed.loops, score, chunks.config), REMOVED)
 
 
-def _accept(chunks: Chunks, placed: _Placed, groups: list[list[Loop]], score: MapScore, gain: float) -> Decision:
-    start = chunks.poses[0]
-    return accept_groups(start, chunks.poses, chunks.hops, placed.loops, groups, score, chunks.config, gain)
+def _accept(
+    chunks: Chunks, placed: _Placed, groups: list[list[Loop]], score: MapScore, gain: float, *, near: bool
+) -> Decision:
+    return accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, chunks.config, gain, near=near)
 
 
 def _bundled(log: _Log, trajectory: Trajectory, chunks: Chunks, placed: _Placed, iterations: int) -> Round:

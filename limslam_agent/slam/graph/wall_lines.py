@@ -10,10 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.graph import WallLineConfig
-from limslam_agent.slam.graph.compilation import kernel
 from limslam_agent.slam.graph.least_squares import NormalEquations
 from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 _NEAR, _FAR = 2.5, 5.0  # m of driving to the neighbours that have to match, too
 _LEEWAY = 0.01
-# Chunks overlap: of the grids that are searched every second one suffices.
-_FIRST_STEP = 2
+# Chunks overlap: grids and chunks so far apart, m of driving, show everything.
+_GRIDS_APART, _CHUNKS_APART = 4.0, 2.4
 
 
 def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
@@ -32,8 +32,9 @@ def search_widely(chunks: Chunks, poses: FloatArray, loops: list[Loop]) -> list[
     known = recognised(loops, len(chunks), config.recognised)
     window = Window(config.window, config.turn_window, config.turn_step)
     groups = []
-    for first in range(0, len(chunks), _FIRST_STEP):
-        seconds = _candidates(chunks, poses, known, first)
+    steps = _step(chunks, _GRIDS_APART), _step(chunks, _CHUNKS_APART)
+    for first in range(0, len(chunks), steps[0]):
+        seconds = _candidates(chunks, poses, known, first, steps)
         if not len(seconds):
             continue
         grid = search_grid(chunks.maps[first], config.window, chunks.config.matching)
@@ -45,15 +46,21 @@ def search_widely(chunks: Chunks, poses: FloatArray, loops: list[Loop]) -> list[
     return [group for group in groups if group]
 
 
-def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int) -> IntArray:
+def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int, steps: tuple[int, int]) -> IntArray:
     """Chunks not recognised that may show what ``first`` shows; of two of these each pair counts once."""
     config = chunks.config.wide
     near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= config.max_distance
     apart = np.abs(chunks.travel - chunks.travel[first]) >= config.min_travel
     # A chunk that is not searched itself as a grid must meet the others from both sides.
     numbers = np.arange(len(chunks))
-    once = known[first] | (numbers > first) | (numbers % _FIRST_STEP != 0)
-    return np.nonzero(near & apart & ~known & once)[0]
+    once = known[first] | (numbers > first) | (numbers % steps[0] != 0)
+    return np.nonzero(near & apart & ~known & once & (numbers % steps[1] == 0))[0]
+
+
+def _step(chunks: Chunks, apart: float) -> int:
+    """How many chunks lie so far apart, m of driving."""
+    hop = max(float(np.median(np.diff(chunks.travel))), 1e-6)
+    return max(1, int(np.ceil(apart / hop - 0.05)))
 
 
 def _group(chunks: Chunks, poses: FloatArray, first: int, second: int, found: Match) -> list[Loop]:
@@ -76,7 +83,6 @@ def _group(chunks: Chunks, poses: FloatArray, first: int, second: int, found: Ma
 
 def _neighbours(chunks: Chunks, first: int, second: int) -> list[tuple[int, int]]:
     """Pairs of chunks some metres of driving away, the second one always another than ``second``."""
-    hop = max(float(np.median(np.diff(chunks.travel))), 1e-6) if len(chunks) > 1 else 1.0
-    near, far = int(np.ceil(_NEAR / hop - 0.05)), int(np.ceil(_FAR / hop - 0.05))
+    near, far = _step(chunks, _NEAR), _step(chunks, _FAR)
     pairs = [(first + a, second + b) for a in (-far, -near, 0, near, far) for b in (-far, far, -near, near)]
     return [(i, j) for i, j in pairs if 0 <= i < len(chunks) and 0 <= j < len(chunks) and i != j]

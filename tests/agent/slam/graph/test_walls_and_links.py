@@ -133,7 +133,7 @@ def test_a_cloud_is_the_same_wherever_the_frame_is(drive, true_cloud):
     log, truth, keys = drive
     cos, sin = np.cos(2.5), np.sin(2.5)
     turned = truth[keys.first_event] @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    cloud = point_cloud(keys, Trajectory(turned + [0.0, 0.0, 2.5], np.zeros(3)), LinkConfig(), log.range_std)
+    cloud = point_cloud(keys, Trajectory(turned + np.array([0.0, 0.0, 2.5]), np.zeros(3)), LinkConfig(), log.range_std)
     assert isinstance(cloud, PointCloud)
     assert np.allclose(cloud.normals_in_key, true_cloud.normals_in_key, atol=1e-6)
     assert np.array_equal(cloud.good, true_cloud.good)
