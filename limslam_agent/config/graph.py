@@ -390,6 +390,8 @@ class RoundConfig(Bounded):
         In how many rounds places are searched widely; afterwards the map is near enough for the union matching.
     trial, hopeless
         After so many rounds of both starts, the start whose score is worse by this is given up.
+    tie
+        Scores this near to the best are as good; the last such round is taken.
     settled
         Rounds end when the score rises by less and no new place was recognised.
     """
@@ -398,7 +400,8 @@ class RoundConfig(Bounded):
     iterations: tuple[int, ...] = (6, 6, 6, 8)
     wide_search: Count = 2
     trial: Count = 2
-    hopeless: NonNegative = 0.05
+    hopeless: NonNegative = 0.02
+    tie: NonNegative = 0.003
     settled: NonNegative = 0.002
 
 

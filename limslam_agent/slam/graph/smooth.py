@@ -145,7 +145,8 @@ def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = No
     if len(log.middles(0)) < 2:
         return _result(keys, "local", {"local": [_unlooped(local)]})
     rounds = _both_starts(log)
-    return _result(keys, max(rounds, key=lambda name: _best(rounds[name]).score), rounds)
+    best = max(rounds, key=lambda name: max(each.score for each in rounds[name]))
+    return _result(keys, best, rounds, config.rounds.tie)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,15 +223,17 @@ def _both_starts(log: _Log) -> dict[str, list[Round]]:
     config = log.config.rounds
     found = loops_along_the_way(log.chunks(log.local, 0))
     rounds = {name: _rounds(log, [], found, name, config.trial) for name in _STARTS}
-    best = max(_best(each).score for each in rounds.values())
+    best = max(each.score for several in rounds.values() for each in several)
     for name, done in rounds.items():
-        if _best(done).score > best - config.hopeless:
+        if max(each.score for each in done) > best - config.hopeless:
             rounds[name] = _rounds(log, done, found, name, len(config.hops))
     return rounds
 
 
-def _best(rounds: list[Round]) -> Round:
-    return max(rounds, key=lambda each: each.score)
+def _best(rounds: list[Round], tie: float) -> Round:
+    """The round with the highest score; of rounds within ``tie`` of it the last one, in which most has been tested."""
+    highest = max(each.score for each in rounds)
+    return [each for each in rounds if each.score >= highest - tie][-1]
 
 
 def _rounds(log: _Log, done: list[Round], found: list[Loop], start: str, end: int) -> list[Round]:
@@ -338,8 +341,8 @@ def _unlooped(trajectory: Trajectory) -> Round:
     return Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)), 0)
 
 
-def _result(keys: KeyPoses, start: str, rounds: dict[str, list[Round]]) -> GraphResult:
-    best = _best(rounds[start])
+def _result(keys: KeyPoses, start: str, rounds: dict[str, list[Round]], tie: float = 0.0) -> GraphResult:
+    best = _best(rounds[start], tie)
     turn_bias, scale, turn_gain = (float(value) for value in best.trajectory.bias)
     return GraphResult(
         poses=event_poses(keys, best.trajectory),

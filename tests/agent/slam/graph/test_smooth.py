@@ -7,17 +7,19 @@ from support.data import data_folder
 
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
+from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.smooth import KEPT, NO_SUPPORT, OUTVOTED, smooth_log
 from limslam_env.geometry import se2
 
 LAP = 345  # events, about
+TWO_ROUNDS = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6)))
 
 
 @pytest.fixture(scope="module")
 def two_laps():
     log, truth = corridor_log()
-    return log, truth, smooth_log(log, truth[0])
+    return log, truth, smooth_log(log, truth[0], TWO_ROUNDS)
 
 
 def test_biased_odometry_comes_out_right(two_laps):
@@ -53,17 +55,17 @@ def test_uncertainty_grows_with_the_way_from_the_start(two_laps):
 
 def test_the_same_log_gives_the_same_poses(two_laps):
     log, truth, result = two_laps
-    assert np.array_equal(smooth_log(log, truth[0]).poses, result.poses)
+    assert np.array_equal(smooth_log(log, truth[0], TWO_ROUNDS).poses, result.poses)
 
 
 def test_a_slip_of_the_wheels_is_survived():
     log, truth = corridor_log(slip=np.radians(25.0), seed=1)
-    assert loop_errors(smooth_log(log, truth[0]).poses, truth, LAP).mean() < 0.1
+    assert loop_errors(smooth_log(log, truth[0], TWO_ROUNDS).poses, truth, LAP).mean() < 0.1
 
 
 def test_four_beams_suffice_where_the_robot_comes_by_again():
     log, truth = corridor_log(robot=FOUR_BEAMS, seed=2, bias=0.5 * TURN_PER_METRE)
-    assert loop_errors(smooth_log(log, truth[0]).poses, truth, LAP).mean() < 0.3
+    assert loop_errors(smooth_log(log, truth[0], TWO_ROUNDS).poses, truth, LAP).mean() < 0.3
 
 
 def test_a_log_without_readings_is_its_odometry():
