@@ -77,8 +77,9 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     `reset(options={"start": (x, y, theta)})` sets the start pose.
 
     ## Episode End
-    The episode terminates when `coverage` reaches `coverage_goal`; with `None` it never terminates. An environment
-    made by `gymnasium.make` truncates the episode after `max_episode_steps` steps (18000 by default: 30 minutes).
+    The episode terminates when `coverage` reaches `coverage_goal` (default 0.99); with `None` it never
+    terminates. An environment made by `gymnasium.make` truncates the episode after `max_episode_steps` steps
+    (18000 by default: 30 minutes).
 
     ## Arguments
     | Argument      | Default           | Meaning                                                       |

@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from support.drives import ROBOT, along, drive, room
 
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.batch.batch_slam import state_of
 from limslam_agent.slam.batch.compilation import entry
 from limslam_agent.slam.batch.state import (
@@ -51,8 +51,14 @@ def config_of(noise: float = NOISE) -> AgentConfig:
     return preset("consistent", NominalNoise(noise))
 
 
+def estimator_config() -> ConsistentConfig:
+    config = config_of().estimator
+    assert isinstance(config, ConsistentConfig)
+    return config
+
+
 def spec() -> Spec:
-    return spec_of(ROBOT, config_of())
+    return spec_of(ROBOT, config_of(), estimator_config())
 
 
 @cache
@@ -70,7 +76,7 @@ def estimator_after(steps: int) -> ConsistentEstimator:
 
 def state_from(estimator: ConsistentEstimator) -> States:
     """The state of one robot that equals the plain estimator's."""
-    state = state_of.py_func(states_for(ROBOT, config_of(), 1, Capacity()), 0)  # type: ignore[attr-defined]
+    state = state_of.py_func(states_for(ROBOT, estimator_config(), 1, Capacity()), 0)  # type: ignore[attr-defined]
     fill_filter(state.filter, estimator._filter)
     fill_walls(state, estimator._map)
     pending = estimator._pending[0]

@@ -746,17 +746,17 @@ def test_the_numbers_in_the_docstring_are_those_of_the_code():
     assert f"{', '.join(degrees[:-1])} and {degrees[-1]} degrees" in text
     assert f"from {robot.beams[0].min_range} to {robot.beams[0].max_range} m" in text
     assert f"`max_wheel_travel` is {robot.max_wheel_travel:g} m" in text
-    assert f"{rewards.new_area:g}, {rewards.step:g} and {rewards.collision:g}" in text
+    assert {row["Term"]: row["Default"] for row in table("Rewards", LimSlamEnv)} == {
+        name: f"{value:g}" for name, value in vars(rewards).items()
+    }
     steps = limslam_env.MAX_EPISODE_STEPS
-    assert f"{steps} steps ({round(steps * robot.control_period / 60.0)} minutes)" in text
+    assert f"({steps} by default: {round(steps * robot.control_period / 60.0)} minutes)" in text
     goal = LimSlamEnv("env1").task.coverage_goal
-    assert f"`coverage_goal` ({goal:g}; `None` never ends it)" in text
+    assert f"`coverage_goal` (default {goal:g}); with `None` it never terminates" in text
 
 
 def test_the_pieces_of_info_are_those_of_the_docstring():
-    body = inspect.getdoc(LimSlamEnv).split("## Info\n", 1)[1].split("\n## ", 1)[0]
-    # What comes before the first full stop is the list; what follows tells of one of them.
-    listed = re.findall(r"`(\w+)`", body.split(".", 1)[0])
+    listed = [row["Key"] for row in table("Info", LimSlamEnv)]
     assert listed == list(LimSlamEnv("env1").reset(seed=0)[1])
 
 

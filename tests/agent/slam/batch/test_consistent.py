@@ -118,7 +118,7 @@ def test_merging(recorded: ConsistentEstimator, state: States) -> None:
 @pytest.mark.parametrize("most", [70, 8, 3])
 def test_pruned_clones(recorded: ConsistentEstimator, state: States, most: int) -> None:
     plain = copy.deepcopy(recorded)
-    plain._settings = replace(plain._settings, max_clones=most)
+    plain._settings = replace(plain._settings, pending=replace(plain._settings.pending, max_clones=most))
     # Some readings have been consumed, so some clones have none.
     for name in SIDES:
         plain._pending[0].by_side[name] = plain._pending[0].by_side[name][::3]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.batch_stages import NOISE, cached, config_of, estimator_after, spec
+from support.batch_stages import NOISE, cached, estimator_after, estimator_config, spec
 
 from limslam_agent.slam.batch import hough, line_fit
 from limslam_agent.slam.consistent.pending_readings import SIDES
@@ -13,7 +13,7 @@ from limslam_agent.slam.core.line_fit import fit_line
 from limslam_env.geometry import FloatArray
 
 extract, fit = cached(hough.extract_lines), cached(line_fit.fit_line)
-CONFIG = config_of().clones.hough
+CONFIG = estimator_config().hough
 
 
 def clouds() -> list[FloatArray]:

@@ -1,7 +1,7 @@
 """The batch collects the readings that the plain pending readings collect."""
 
 import numpy as np
-from support.batch_stages import ROBOT, cached, config_of, observations, spec
+from support.batch_stages import ROBOT, cached, estimator_config, observations, spec
 
 from limslam_agent.slam.batch import pending_readings
 from limslam_agent.slam.batch.state import BEAM, CLONE, DRIVEN, DRIVEN_AT, DRIVEN_THEN, FRESH, PENDING, RANGE, TURNED
@@ -14,8 +14,8 @@ has_ended, readings_of = cached(pending_readings.has_ended), cached(pending_read
 
 
 def test_a_drive_is_collected_alike() -> None:
-    config, settings, beams = config_of(), spec().settings[0], spec().beams
-    plain, front = PendingReadings(ROBOT, config.buffer, config.clones.beams), FrontEnd(ROBOT)
+    config, settings, beams = estimator_config(), spec().settings[0], spec().beams
+    plain, front = PendingReadings(ROBOT, config.pending, config.pending.beams), FrontEnd(ROBOT)
     travel, pending, counts = np.zeros(7), np.zeros((3, 900, 4)), np.zeros(13, dtype=np.int64)
     travel[DRIVEN_AT] = travel[AT] = -np.inf
     generator, number, ended = np.random.default_rng(0), 0, 0

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.batch_stages import NOISE, cached, config_of, estimator_after, spec, state_from
+from support.batch_stages import NOISE, cached, estimator_after, estimator_config, spec, state_from
 
 from limslam_agent.slam.batch import beam_model, segmentation
 from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
@@ -17,7 +17,7 @@ from limslam_env.geometry import FloatArray, IntArray
 split, predicted, ends = (
     cached(segmentation.wall_segments), cached(beam_model.expected_ranges), cached(beam_model.hit_points),
 )  # fmt: skip
-CONFIG = config_of().clones.straight
+CONFIG = estimator_config().segmentation
 
 
 @pytest.fixture(scope="module")
