@@ -276,7 +276,11 @@ class WideSearchConfig(Bounded):
     min_travel, max_distance
         Least driving between two chunks (m), and largest distance (m).
     window, turn_window, turn_step
-        Of a match, m and rad.
+        Largest window of a match, m and rad, and the step of its turns, rad.
+    least_window, least_turn, sigmas
+        What of the window does not depend on the uncertainty (m, rad), and standard deviations that are added to it.
+    near
+        Chunks are compared within this distance beyond the window, m: so far two chunks can see the same.
     score
         Least score.
     neighbours, neighbour_window, neighbour_turn
@@ -290,6 +294,10 @@ class WideSearchConfig(Bounded):
     window: Positive = 10.0
     turn_window: Angle = 100.0 * _DEGREE
     turn_step: Positive = 4.0 * _DEGREE
+    least_window: NonNegative = 1.5
+    least_turn: Angle = 20.0 * _DEGREE
+    sigmas: NonNegative = 4.0
+    near: NonNegative = 3.0
     score: NonNegative = 0.60
     neighbours: Count = 3
     neighbour_window: NonNegative = 0.7

@@ -276,7 +276,7 @@ def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:
 def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
     """The careful start: groups of the wide search must raise G, and doubtful groups are taken out."""
     placed = _pruned(chunks, placed, score)
-    groups = search_widely(chunks, placed.solution.poses, placed.loops)
+    groups = search_widely(chunks, placed.solution, placed.loops)
     decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
     gained = len(decision.loops) > len(placed.loops)
     placed = placed.after(decision, NOT_ADDED)
@@ -285,7 +285,7 @@ def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
 
 def _place_all(chunks: Chunks, placed: _Placed, _: MapScore) -> _Placed:
     """The bold start: all groups of the wide search come in, and only the robust kernels judge them."""
-    groups = search_widely(chunks, placed.solution.poses, placed.loops)
+    groups = search_widely(chunks, placed.solution, placed.loops)
     loops = placed.loops + [loop for group in groups for loop in group]
     solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
     return _Placed(loops, solution, placed.dropped, len(loops) - len(placed.loops))

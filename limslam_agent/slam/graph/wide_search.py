@@ -1,12 +1,14 @@
 """The search for places that were not recognised along the way, with hardly any knowledge of where the robot is.
 
-A match in so wide a window may well be wrong. It counts only if several neighbouring chunks match where it predicts
-them, and these matches make a group with it.
+A match in so wide a window may well be wrong: one corridor looks like another. So the window is as wide as the graph of
+chunks is unsure, with sigmas to spare, and a match counts only if several neighbouring chunks match where it predicts
+them. These matches make a group with it.
 """
 
 import numpy as np
 
-from limslam_agent.slam.graph.chunk_graph import Loop
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Loop, information_matrix
+from limslam_agent.slam.graph.least_squares import relation_factor
 from limslam_agent.slam.graph.loop_search import Chunks
 from limslam_agent.slam.graph.matching import Match, Window, match, search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -26,20 +28,26 @@ def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
     return marked
 
 
-def search_widely(chunks: Chunks, poses: FloatArray, loops: list[Loop]) -> list[list[Loop]]:
-    """Groups of loops for chunks that no loop of ``loops`` lies near to, with the chunks at poses (c, 3)."""
-    config = chunks.config.wide
+def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) -> list[list[Loop]]:
+    """Groups of loops for chunks that no loop of ``loops`` lies near to, from the graph's solution with these loops."""
+    config, poses = chunks.config.wide, solution.poses
     known = recognised(loops, len(chunks), config.recognised)
-    window = Window(config.window, config.turn_window, config.turn_step)
+    if known.all():
+        return []
+    joint = np.asarray(np.linalg.inv(information_matrix(poses, chunks.hops, loops, solution.weights)))
     groups = []
     steps = _step(chunks, _GRIDS_APART), _step(chunks, _CHUNKS_APART)
     for first in range(0, len(chunks), steps[0]):
         seconds = _candidates(chunks, poses, known, first, steps)
-        if not len(seconds):
+        shifts, turns = _windows(chunks, poses, joint, first, seconds)
+        near = np.hypot(*(poses[seconds, :2] - poses[first, :2]).T) <= config.near + shifts
+        if not near.any():
             continue
         grid = search_grid(chunks.maps[first], config.window, chunks.config.matching)
-        for second in map(int, seconds):
+        for row in np.nonzero(near)[0]:
+            second = int(seconds[row])
             guess, points = se2.between(poses[first], poses[second]), chunks.maps[second].points
+            window = Window(shifts[row], turns[row], config.turn_step)
             found = match(grid, points, guess, window, chunks.config.matching, config.score - _LEEWAY)
             if found.score >= config.score:
                 groups.append(_group(chunks, poses, first, second, found))
@@ -55,6 +63,24 @@ def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int,
     numbers = np.arange(len(chunks))
     once = known[first] | (numbers > first) | (numbers % steps[0] != 0)
     return np.nonzero(near & apart & ~known & once & (numbers % steps[1] == 0))[0]
+
+
+def _windows(
+    chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """How wide to search for chunks (k,) in the grid of the first one: shifts (k,), m, and turns (k,), rad.
+
+    ``joint`` (3 c, 3 c) is the covariance of all chunks.
+    """
+    config = chunks.config.wide
+    firsts = np.full(len(seconds), first)
+    _, jacobian = relation_factor(poses, firsts, seconds, np.zeros((len(seconds), 3)))
+    columns = np.hstack((3 * firsts[:, None] + np.arange(3), 3 * seconds[:, None] + np.arange(3)))
+    covariance = jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1)
+    variances = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)
+    position, heading = np.sqrt(variances[:, :2].max(axis=1)), np.sqrt(variances[:, 2])
+    shift = np.minimum(config.window, config.least_window + config.sigmas * position)
+    return shift, np.minimum(config.turn_window, config.least_turn + config.sigmas * heading)
 
 
 def _step(chunks: Chunks, apart: float) -> int:

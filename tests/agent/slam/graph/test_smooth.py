@@ -5,9 +5,9 @@ import pytest
 from support.corridors import FOUR_BEAMS, TURN_PER_METRE, corridor_log, loop_errors
 from support.data import data_folder
 
+from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
-from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.smooth import KEPT, NO_SUPPORT, OUTVOTED, smooth_log
 from limslam_env.geometry import se2
