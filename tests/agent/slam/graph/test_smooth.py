@@ -68,6 +68,16 @@ def test_four_beams_suffice_where_the_robot_comes_by_again():
     assert loop_errors(smooth_log(log, truth[0], TWO_ROUNDS).poses, truth, LAP).mean() < 0.3
 
 
+def test_corridors_that_look_alike_are_not_taken_for_each_other():
+    log, truth = corridor_log(laps=2, bias=np.radians(0.5))
+    count = LAP
+    once = LogData(
+        log.time[:count], log.odometry[:count], log.ranges[:count], log.hit[:count], log.origins, log.angles, 5.0
+    )
+    result = smooth_log(once, truth[0], TWO_ROUNDS)
+    assert np.hypot(*(result.poses - truth[:count])[:, :2].T).mean() < 0.15
+
+
 def test_a_log_without_readings_is_its_odometry():
     log, truth = corridor_log(laps=1)
     blind = LogData(log.time, log.odometry, log.ranges, np.zeros_like(log.hit), log.origins, log.angles, 5.0)
