@@ -58,6 +58,7 @@ AGENT = {
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
     },
+    "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid")},
@@ -72,7 +73,7 @@ AGENT = {
     "limslam_agent.logs": WHAT_AN_AGENT_MAY_KNOW,
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid")},
     "limslam_agent.replay": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "grid", "logs", "mapper", "output"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.graph", "grid", "logs", "mapper", "output"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip
@@ -88,7 +89,12 @@ BENCHMARKS = {
     "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
 }
 RULES = ENV | AGENT | BENCHMARKS
-COMPILED = {"limslam_env.kernels", "limslam_agent.slam.batch", "limslam_agent.slam.line_graph"}
+COMPILED = {
+    "limslam_env.kernels",
+    "limslam_agent.slam.batch",
+    "limslam_agent.slam.graph",
+    "limslam_agent.slam.line_graph",
+}
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
 MOST_MODULES, LONGEST_FILE = 15, 520
 
@@ -224,7 +230,8 @@ def test_importing_the_env_loads_no_heavy_library():
 
 
 def test_importing_the_agent_loads_no_simulator():
-    compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]] + ["limslam_agent.wrappers.vector"]
+    compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
+    compiled += ["limslam_agent.wrappers.vector", "limslam_agent.replay.smoothing"]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
     unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")

@@ -14,7 +14,10 @@ from limslam_agent.cli.settings import ReplayOptions, RunOptions
 _RUN, _REPLAY = RunOptions(), ReplayOptions()
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
 _LOG, _ODOMETRY, _SCORE = "Log", "Odometry", "Score"
-_PRESETS = "Settings of the agent: consistent, paper (the published method), or odometry (no corrections)."
+_PRESETS = (
+    "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
+    "or graph (consistent, and a recorded log is smoothed at its end)."
+)
 
 
 def _option(panel: str, words: str, default: Any = None, *names: str) -> Any:

@@ -142,6 +142,7 @@ class Given:
         table = self._table_without("agent", {"noise": "range_std"} if "noise" in self.options else {})
         if base.preset != preset_in_file:
             table.pop("estimator", None)
+            table.pop("smoothing", None)
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
     def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":

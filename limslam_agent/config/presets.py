@@ -6,6 +6,7 @@ from limslam_agent.config.bounds import Bounded, NonNegative
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
+from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_env.interface import NominalNoise
@@ -16,6 +17,7 @@ __all__ = [
     "AgentConfig",
     "ConsistentConfig",
     "EstimatorConfig",
+    "GraphConfig",
     "GridConfig",
     "HoughConfig",
     "OdometryConfig",
@@ -33,8 +35,9 @@ ESTIMATORS: dict[str, EstimatorConfig] = {
     "consistent": ConsistentConfig(),
     "paper": PublishedConfig(),
     "odometry": PublishedConfig(filter=FilterConfig(correct=False)),
+    "graph": ConsistentConfig(),
 }
-"""The estimator's settings in each preset."""
+"""The estimator's settings in each preset. The preset ``graph`` also smooths a log after its end."""
 
 PRESETS = tuple(ESTIMATORS)
 
@@ -62,6 +65,8 @@ class AgentConfig(Bounded):
         The occupancy grid.
     policy
         Exploration.
+    smoothing
+        The graph of local maps that smooths a recorded log after its end. None leaves the log as the filter saw it.
     """
 
     preset: str = DEFAULT_PRESET
@@ -72,6 +77,7 @@ class AgentConfig(Bounded):
     team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
+    smoothing: GraphConfig | None = None
 
     @property
     def range_std(self) -> float:
@@ -85,8 +91,8 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     Parameters
     ----------
     name
-        One of ``PRESETS``: ``consistent``, ``paper`` (the published method) or ``odometry`` (the published method
-        without corrections).
+        One of ``PRESETS``: ``consistent``, ``paper`` (the published method), ``odometry`` (the published method
+        without corrections) or ``graph`` (like ``consistent``, and a recorded log is smoothed after its end).
     noise
         Nominal noise of the robot; that of ideal ranges when None.
 
@@ -97,7 +103,8 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     """
     if name not in ESTIMATORS:
         raise ValueError(f"no preset is called {name!r}; there are {', '.join(PRESETS)}")
-    return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise())
+    smoothing = GraphConfig() if name == "graph" else None
+    return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise(), smoothing=smoothing)
 
 
 def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:

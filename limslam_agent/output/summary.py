@@ -91,7 +91,10 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _errors(metrics)
-    for prefix, words in (("", "estimate"), ("odometry_", "odometry, corrected"), ("raw_odometry_", "odometry, raw")):
+    trajectories = {
+        "smoothed_": "smoothed", "": "estimate", "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
+    }  # fmt: skip
+    for prefix, words in trajectories.items():
         if _has(metrics, f"{prefix}relation_error_m", f"{prefix}relation_error_deg"):
             lines.append(f"relations   {words:20}" + _relation_text(metrics, prefix))
     if _has(metrics, "landmarks"):

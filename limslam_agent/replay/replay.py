@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from limslam_agent.output.summary import record_of
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_env.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from limslam_agent.replay.smoothing import Smoothed
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +90,8 @@ class Replay:
         Systematic odometry errors that the filter has estimated. None if this was not asked for.
     slam_ms, wall_clock
         Cost of the SLAM for each event (n,), ms, and of the whole replay, s.
+    smoothed
+        What is known at the end of the log. None if the settings do not smooth it.
     """
 
     log: RecordedLog
@@ -101,6 +106,7 @@ class Replay:
     self_calibration: SelfCalibration | None
     slam_ms: FloatArray
     wall_clock: float
+    smoothed: "Smoothed | None" = None
 
 
 def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], None] | None = None) -> Replay:
@@ -127,7 +133,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         if progress is not None:
             progress(number + 1)
     mapper.finish()
-    return Replay(
+    replay = Replay(
         log=log,
         config=config,
         estimated=estimated,
@@ -141,6 +147,11 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )
+    if config.smoothing is None:
+        return replay
+    from limslam_agent.replay.smoothing import smoothed_replay
+
+    return smoothed_replay(replay, config.smoothing)
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
@@ -149,6 +160,8 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
     """
     log = replay.log
     trajectories = {"": replay.estimated, "odometry_": replay.odometry}
+    if replay.smoothed is not None:
+        trajectories["smoothed_"] = replay.smoothed.poses
     if log.odometry is not None:
         trajectories["raw_odometry_"] = log.odometry
     scores: dict[str, Any] = {}
@@ -181,18 +194,26 @@ def write_replay(
     log, config = replay.log, replay.config
     write_tum(folder / "trajectory_est.tum", log.time, replay.estimated)
     write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
+    smoothed = replay.smoothed
+    if smoothed is not None:
+        write_tum(folder / "trajectory_smoothed.tum", log.time, smoothed.poses)
+        write_json(folder / "loops.json", smoothed.loops)
     if log.true_pose is not None:
         write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
     write_map(folder, replay)
     true_path = None if log.true_pose is None else log.true_pose[:, :2]
     title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
-    picture = MapPicture(title, replay.segments, replay.estimated[:, :2], replay.odometry[:, :2], true_path=true_path)
+    path = replay.estimated if smoothed is None else smoothed.poses
+    picture = MapPicture(title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path)
     draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
     found = replay.self_calibration.figures if replay.self_calibration else {}
+    cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)
+    if smoothed is not None:
+        counts, cost = {**counts, **smoothed.figures}, {**cost, "smoothing_cpu_s": smoothed.seconds}
     result = {
         "metrics": {**scores, **found, **counts},
-        "cost": run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms),
+        "cost": cost,
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
         "record": record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry]),
         "versions": versions,

@@ -24,7 +24,12 @@ from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
 
-KINDS = {"consistent": ConsistentConfig, "paper": PublishedConfig, "odometry": PublishedConfig}
+KINDS = {
+    "consistent": ConsistentConfig,
+    "paper": PublishedConfig,
+    "odometry": PublishedConfig,
+    "graph": ConsistentConfig,
+}
 
 
 def groups(settings):
@@ -55,7 +60,7 @@ def test_only_the_preset_odometry_does_not_correct():
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="no preset is called 'magic'; there are consistent, paper, odometry"):
+    with pytest.raises(ValueError, match="no preset is called 'magic'; there are consistent, paper, odometry, graph"):
         preset("magic")
 
 

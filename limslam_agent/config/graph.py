@@ -1,0 +1,433 @@
+"""Settings of the graph of local maps, one frozen dataclass a stage. One setting serves all logs; m and rad."""
+
+import math
+from dataclasses import dataclass, field
+
+from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive
+
+_DEGREE = math.pi / 180.0
+
+
+@dataclass(frozen=True)
+class KeyPoseConfig(Bounded):
+    """Which poses of a log are estimated, and which of its scans are used.
+
+    Attributes
+    ----------
+    distance, turn
+        A new key pose begins after so much driving (m) or turning (rad).
+    scan_distance, scan_turn
+        A scan gives points only if the robot has moved (m) or turned (rad) so much since the last one that did.
+    """
+
+    distance: Positive = 0.25
+    turn: Angle = 12.0 * _DEGREE
+    scan_distance: NonNegative = 0.015
+    scan_turn: Angle = 1.0 * _DEGREE
+
+
+@dataclass(frozen=True)
+class MotionConfig(Bounded):
+    """How far odometry is trusted, and what is known of its constant errors beforehand.
+
+    Attributes
+    ----------
+    along, across
+        Standard deviation of the motion in m for the square root of a metre driven.
+    slip
+        Of both in m for the square root of a radian turned.
+    turn_per_metre, turn_per_radian
+        Of the heading in rad for the square root of a metre driven and of a radian turned.
+    least_position, least_turn
+        Least standard deviations between two key poses, m and rad.
+    bias_std
+        Prior standard deviation of the heading that odometry misses on each metre, rad/m.
+    scale_std, turn_gain_std
+        Prior standard deviations of the shares by which distances and turns are wrong.
+    """
+
+    along: NonNegative = 0.05
+    across: NonNegative = 0.05
+    slip: NonNegative = 0.03
+    turn_per_metre: NonNegative = 2.0 * _DEGREE
+    turn_per_radian: NonNegative = 6.0 * _DEGREE
+    least_position: Positive = 1e-3
+    least_turn: Angle = 0.05 * _DEGREE
+    bias_std: Positive = 1.5 * _DEGREE
+    scale_std: Positive = 0.03
+    turn_gain_std: Positive = 0.03
+
+
+@dataclass(frozen=True)
+class LinkConfig(Bounded):
+    """Normals of points, and links from points to the line through another point.
+
+    Attributes
+    ----------
+    normal_radius, normal_travel
+        Neighbours of a point within this distance (m) and this much driving (m) give its normal.
+    min_neighbours, min_spread, max_thickness, max_ratio, min_incidence
+        Fewest neighbours; least standard deviation along and largest across the line (m); largest ratio of the two
+        variances; least sine of the angle between beam and wall.
+    radius, min_travel, travel
+        Points are linked within this distance (m) and between these lengths of driving (m).
+    bands
+        Inner borders of the bands of driving, m; the nearest point of each band is linked.
+    min_cosine, max_offset
+        Least cosine between the normals, and largest distance from the line as a share of ``radius``.
+    std, kernel
+        Standard deviation of a link (m), and the residual in standard deviations where the Geman-McClure kernel bends.
+    cross_travel, cross_min_cosine
+        Links between visits: least driving between the points (m), and least cosine between the normals.
+    """
+
+    normal_radius: Positive = 0.4
+    normal_travel: Positive = 3.0
+    min_neighbours: Count = 5
+    min_spread: NonNegative = 0.07
+    max_thickness: NonNegative = 0.05
+    max_ratio: NonNegative = 0.15
+    min_incidence: NonNegative = 0.17
+    radius: Positive = 0.35
+    min_travel: NonNegative = 0.4
+    travel: Positive = 10.0
+    bands: tuple[float, float] = (1.2, 3.0)
+    min_cosine: NonNegative = 0.85
+    max_offset: NonNegative = 0.7
+    std: Positive = 0.08
+    kernel: Positive = 2.0
+    cross_travel: NonNegative = 8.0
+    cross_min_cosine: NonNegative = 0.8
+
+
+@dataclass(frozen=True)
+class WallLineConfig(Bounded):
+    """Straight walls found by a Hough transform in windows of driving.
+
+    Attributes
+    ----------
+    window, first_window
+        Length of a window (m), and of those of the first iteration; windows overlap by half.
+    tolerance
+        Largest distance of a point from its line, m.
+    offset_bin, angle_bin, spread
+        Bins of the Hough space (m, rad), and how many angle bins a point votes for on either side.
+    min_points, min_length, max_gap, max_angle
+        Fewest points, least length (m), largest gap along the line (m), largest angle between normals (rad).
+    max_lines, max_tries
+        Most lines in a window, and peaks looked at.
+    std, inflation
+        Standard deviation of a point about its line (m), and the factor by which it is enlarged.
+    """
+
+    window: Positive = 10.0
+    first_window: Positive = 4.0
+    tolerance: NonNegative = 0.12
+    offset_bin: Positive = 0.08
+    angle_bin: Positive = 3.0 * _DEGREE
+    spread: Count = 4
+    min_points: Count = 10
+    min_length: NonNegative = 0.8
+    max_gap: NonNegative = 1.5
+    max_angle: Angle = 20.0 * _DEGREE
+    max_lines: Count = 25
+    max_tries: Count = 60
+    std: Positive = 0.06
+    inflation: NonNegative = 2.0
+
+
+@dataclass(frozen=True)
+class SmoothingConfig(Bounded):
+    """Iterations of the local smoothing with links alone, and with links and lines."""
+
+    link_iterations: Count = 5
+    line_iterations: Count = 10
+
+
+@dataclass(frozen=True)
+class LocalMapConfig(Bounded):
+    """Local maps: chunks of driving drawn into small grids.
+
+    Attributes
+    ----------
+    half
+        Driving to either side of a chunk's middle, m.
+    hop
+        Driving between the middles of successive chunks, m.
+    cell, hit_radius
+        Side of a cell, and how far around a point cells count as hit, m.
+    """
+
+    half: Positive = 3.5
+    hop: Positive = 2.5
+    cell: Positive = 0.1
+    hit_radius: NonNegative = 0.15
+
+
+@dataclass(frozen=True)
+class MatchConfig(Bounded):
+    """Correlative matching of local maps.
+
+    Attributes
+    ----------
+    block
+        Width of the coarse search's blocks, cells.
+    prior
+        What a match at the border of its window loses, for shift and turn each.
+    sharpness
+        How a score's lack turns into likelihood, for each point.
+    floor_position, floor_turn
+        Least standard deviations of a match, m and rad.
+    """
+
+    block: Count = 8
+    prior: NonNegative = 0.05
+    sharpness: NonNegative = 0.25
+    floor_position: NonNegative = 0.06
+    floor_turn: Angle = 1.2 * _DEGREE
+
+
+@dataclass(frozen=True)
+class LoopConfig(Bounded):
+    """Loops looked for along the way, and the agreement between loops that they need.
+
+    Attributes
+    ----------
+    min_travel
+        Least driving between two chunks of a loop, m.
+    gate, gate_sigmas, max_distance
+        Chunks are matched if their distance is below ``gate`` + ``gate_sigmas`` standard deviations, at most
+        ``max_distance``; m.
+    window, turn_window, turn_step
+        Largest window of a match, m and rad, and the step of its turns, rad.
+    least_window, least_turn
+        What of it does not depend on the uncertainty, m and rad.
+    score, backward_score
+        Least score, and least score of the match the other way round.
+    best
+        Most loops that are taken from a chunk.
+    agree_distance, agree_turn
+        Two loops agree if one predicts the other so well, m and rad.
+    support_from, support_to
+        A supporting loop lies so much driving away, m.
+    group_distance, group_turn, group_chunks
+        Agreement within a group of loops, m and rad, between chunks so many apart.
+    """
+
+    min_travel: NonNegative = 10.0
+    gate: NonNegative = 2.5
+    gate_sigmas: NonNegative = 2.5
+    max_distance: NonNegative = 12.0
+    window: Positive = 4.0
+    turn_window: Angle = 35.0 * _DEGREE
+    turn_step: Positive = 3.0 * _DEGREE
+    least_window: NonNegative = 0.6
+    least_turn: Angle = 8.0 * _DEGREE
+    score: NonNegative = 0.60
+    backward_score: NonNegative = 0.50
+    best: Count = 3
+    agree_distance: NonNegative = 0.6
+    agree_turn: Angle = 9.0 * _DEGREE
+    support_from: NonNegative = 2.2
+    support_to: NonNegative = 7.8
+    group_distance: NonNegative = 0.7
+    group_turn: Angle = 10.0 * _DEGREE
+    group_chunks: Count = 3
+
+
+@dataclass(frozen=True)
+class ChunkGraphConfig(Bounded):
+    """The pose graph of the chunks.
+
+    Attributes
+    ----------
+    hop_inflation, hop_position, hop_turn
+        The covariance of a hop is that of the local graph times this, plus these standard deviations squared, m, rad.
+    hop_kernel
+        Chi-square where the Cauchy kernel of the hops bends.
+    loop_kernel
+        The parameter of dynamic covariance scaling (DCS) of the loops.
+    annealing, refining
+        Factors of both kernels, one after the other, from the chain of hops and from a solution that is nearly right.
+    iterations, tolerance
+        Most iterations for each factor, and the step (m, rad) below which they stop.
+    kept
+        Loops of a lower weight are not used further.
+    """
+
+    hop_inflation: NonNegative = 6.0
+    hop_position: NonNegative = 0.03
+    hop_turn: Angle = 1.0 * _DEGREE
+    hop_kernel: Positive = 9.0
+    loop_kernel: Positive = 3.0
+    annealing: tuple[float, ...] = (1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0)
+    refining: tuple[float, ...] = (10.0, 3.0, 1.0)
+    iterations: Count = 8
+    tolerance: NonNegative = 1e-3
+    kept: NonNegative = 0.3
+
+
+@dataclass(frozen=True)
+class WideSearchConfig(Bounded):
+    """The search for places that were not recognised, with hardly any knowledge of where the robot is.
+
+    Attributes
+    ----------
+    min_travel, max_distance
+        Least driving between two chunks (m), and largest distance (m).
+    window, turn_window, turn_step
+        Largest window of a match, m and rad, and the step of its turns, rad.
+    least_window, least_turn, sigmas
+        What of the window does not depend on the uncertainty (m, rad), and standard deviations that are added to it.
+    near
+        Chunks are compared within this distance beyond the window, m: so far two chunks can see the same.
+    score
+        Least score.
+    neighbours, neighbour_window, neighbour_turn
+        So many neighbouring chunks must match where predicted, within this window, m and rad.
+    recognised
+        Chunks so near to the end of a loop, counted in chunks, need no wide search.
+    """
+
+    min_travel: NonNegative = 15.0
+    max_distance: NonNegative = 18.0
+    window: Positive = 10.0
+    turn_window: Angle = 100.0 * _DEGREE
+    turn_step: Positive = 4.0 * _DEGREE
+    least_window: NonNegative = 1.5
+    least_turn: Angle = 20.0 * _DEGREE
+    sigmas: NonNegative = 4.0
+    near: NonNegative = 3.0
+    score: NonNegative = 0.60
+    neighbours: Count = 3
+    neighbour_window: NonNegative = 0.7
+    neighbour_turn: Angle = 10.0 * _DEGREE
+    recognised: Count = 2
+
+
+@dataclass(frozen=True)
+class UnionConfig(Bounded):
+    """Matching of a chunk against the union of all chunks of other visits nearby.
+
+    Attributes
+    ----------
+    radius, min_travel
+        Chunks within this distance and more than this driving away make the union, m.
+    window, turn_window, turn_step
+        Of a match, m and rad.
+    score
+        Least score.
+    recognised
+        Chunks so near to the end of a loop, counted in chunks, are not matched.
+    """
+
+    radius: Positive = 8.0
+    min_travel: NonNegative = 12.0
+    window: Positive = 2.5
+    turn_window: Angle = 20.0 * _DEGREE
+    turn_step: Positive = 3.0 * _DEGREE
+    score: NonNegative = 0.60
+    recognised: Count = 1
+
+
+@dataclass(frozen=True)
+class BundleConfig(Bounded):
+    """The least-squares problem of all key poses, walls, loops and links between visits.
+
+    Attributes
+    ----------
+    radius, last_radius
+        Points of other visits are linked within this distance in the first and in the last iteration, m.
+    link_inflation, cross_inflation
+        Factors of the standard deviations of links along the way and between visits.
+    max_turn
+        A step that turns a pose by more than this (rad) is scaled down.
+    damping
+        Share of the diagonal that is added to it.
+    tolerance
+        Iterations stop when no pose turns by more than this, rad.
+    """
+
+    radius: Positive = 0.4
+    last_radius: Positive = 0.2
+    link_inflation: NonNegative = 1.5
+    cross_inflation: NonNegative = 2.0
+    max_turn: Angle = 0.3
+    damping: NonNegative = 1e-6
+    tolerance: NonNegative = 1e-3
+
+
+@dataclass(frozen=True)
+class AgreementConfig(Bounded):
+    """The score without truth, and the decisions that rest on it.
+
+    Attributes
+    ----------
+    min_travel, max_distance
+        Chunks that are compared are more than this driving and less than this distance apart, m.
+    gain
+        A group of loops of the wide search is kept if the score rises by this.
+    max_groups, max_group
+        Most groups that are tried, and most loops of one.
+    doubtful
+        At most so many groups are tried without in a pass.
+    prune_gain
+        A group of loops is removed if the score rises by this without it.
+    """
+
+    min_travel: NonNegative = 13.5
+    max_distance: NonNegative = 13.0
+    gain: NonNegative = 0.001
+    max_groups: Count = 40
+    max_group: Count = 8
+    doubtful: Count = 8
+    prune_gain: NonNegative = 0.002
+
+
+@dataclass(frozen=True)
+class RoundConfig(Bounded):
+    """Rounds in which everything is tested anew.
+
+    Attributes
+    ----------
+    hops
+        The hop between chunks in each round, as a share of ``LocalMapConfig.hop``.
+    iterations
+        Of the bundle, in each round.
+    wide_search
+        In how many rounds places are searched widely; afterwards the map is near enough for the union matching.
+    trial, hopeless
+        After so many rounds of both starts, the start whose score is worse by this is given up.
+    tie
+        Scores this near to the best are as good; the last such round is taken.
+    settled
+        Rounds end when the score rises by less and no new place was recognised.
+    """
+
+    hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
+    iterations: tuple[int, ...] = (6, 6, 6, 8)
+    wide_search: Count = 2
+    trial: Count = 2
+    hopeless: NonNegative = 0.02
+    tie: NonNegative = 0.003
+    settled: NonNegative = 0.002
+
+
+@dataclass(frozen=True)
+class GraphConfig(Bounded):
+    """All settings of the graph of local maps."""
+
+    keys: KeyPoseConfig = field(default_factory=KeyPoseConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    links: LinkConfig = field(default_factory=LinkConfig)
+    lines: WallLineConfig = field(default_factory=WallLineConfig)
+    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
+    maps: LocalMapConfig = field(default_factory=LocalMapConfig)
+    matching: MatchConfig = field(default_factory=MatchConfig)
+    loops: LoopConfig = field(default_factory=LoopConfig)
+    chunks: ChunkGraphConfig = field(default_factory=ChunkGraphConfig)
+    wide: WideSearchConfig = field(default_factory=WideSearchConfig)
+    union: UnionConfig = field(default_factory=UnionConfig)
+    bundle: BundleConfig = field(default_factory=BundleConfig)
+    agreement: AgreementConfig = field(default_factory=AgreementConfig)
+    rounds: RoundConfig = field(default_factory=RoundConfig)

@@ -1,0 +1,138 @@
+"""A replayed log smoothed after its end by the graph of local maps, and the map drawn from the smoothed poses."""
+
+import math
+import time
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig, WallLineConfig
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.replay.replay import Replay
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
+from limslam_agent.slam.graph.smooth import GraphResult, smooth_log
+from limslam_agent.slam.graph.wall_lines import lines_in
+from limslam_env.geometry import FloatArray
+
+# The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
+_DRAWN_LINES = WallLineConfig(
+    tolerance=0.12, angle_bin=math.radians(1.0), spread=10, min_points=8, min_length=0.4, max_gap=0.6,
+    max_lines=2000, max_tries=6000,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """What is known at the end of a log.
+
+    Attributes
+    ----------
+    poses
+        (n, 3) of all events.
+    figures
+        For ``result.json``: counts of loops, the score of the map, and what odometry was found to be wrong by.
+    loops
+        For ``loops.json``: each loop that was found, with the reason why it was kept or left out.
+    seconds
+        CPU time of the smoothing, s.
+    """
+
+    poses: FloatArray
+    figures: dict[str, Any]
+    loops: list[dict[str, Any]]
+    seconds: float
+
+
+def smoothed_replay(replay: Replay, config: GraphConfig) -> Replay:
+    """The replay with its log smoothed, and with the map drawn from the smoothed poses."""
+    log, range_std = replay.log, replay.config.range_std
+    begin = time.process_time()
+    found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config)
+    seconds = time.process_time() - begin
+    cloud = point_cloud(found.keys, found.trajectory, config.links, range_std)
+    landmarks = draw_walls(cloud, range_std)
+    segments = np.array([mark.ends.ravel() for mark in landmarks]).reshape(-1, 4)
+    smoothed = Smoothed(found.poses, _figures(found), _loops(found, log), seconds)
+    grid = draw_grid(replay, found.poses)
+    return replace(replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed)
+
+
+def log_data(log: RecordedLog, odometry: FloatArray, range_std: float) -> LogData:
+    """What the graph needs of a log, with ``odometry`` (n, 3) in the frame of the estimate."""
+    robot = log.robot
+    ranges = log.ranges.astype(np.float64)
+    hit = log.has_scan[:, None] & (ranges > robot.too_near) & (ranges < robot.too_far)
+    reach = float(robot.max_ranges.max())
+    return LogData(log.time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, reach, range_std)
+
+
+def draw_walls(cloud: PointCloud, range_std: float) -> list[Landmark]:
+    """Walls through the final points: Hough lines, fitted by least squares, and cut where there are gaps."""
+    spans = np.array([[0, len(cloud.places)]])
+    lines = lines_in(cloud.places, cloud.normals, cloud.good, spans, _DRAWN_LINES, _DRAWN_LINES.tolerance)
+    borders = np.searchsorted(lines.lines, np.arange(len(lines.angles) + 1))
+    return [
+        _landmark(cloud.places[lines.points[low:high]], range_std, number)
+        for number, (low, high) in enumerate(pairwise(borders))
+    ]
+
+
+def _landmark(places: FloatArray, range_std: float, number: int) -> Landmark:
+    """The least-squares line through places (k, 2), and its covariance."""
+    centre = places.mean(axis=0)
+    apart = places - centre
+    _, _, axes = np.linalg.svd(apart, full_matrices=False)
+    normal = np.array([-axes[0][1], axes[0][0]])
+    if normal @ centre < 0.0:
+        normal = -normal
+    tangent = np.array([-normal[1], normal[0]])
+    along = apart @ tangent
+    variance = max(range_std, float(np.std(apart @ normal))) ** 2
+    of_turn, lever = variance / float(along @ along), float(tangent @ centre)
+    covariance = np.array([[variance / len(places) + lever**2 * of_turn, lever * of_turn], [lever * of_turn, of_turn]])
+    ends = centre + np.array([[along.min()], [along.max()]]) * tangent
+    theta = math.atan2(normal[1], normal[0])
+    return Landmark(float(normal @ centre), theta, covariance, ends, len(places), number)
+
+
+def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
+    """The occupancy grid of a log's readings from poses (n, 3)."""
+    log, grid = replay.log, OccupancyGrid(replay.config.grid)
+    usable = np.ones(len(log.robot.beams), dtype=np.bool_)
+    for row in np.nonzero(log.has_scan)[0]:
+        grid.update(poses[row], log.robot, log.ranges[row].astype(np.float64), usable)
+    return grid.view
+
+
+def _figures(found: GraphResult) -> dict[str, Any]:
+    reasons = [verdict.reason for verdict in found.verdicts]
+    return {
+        "smoothed_score": found.score,
+        "smoothed_start": found.start,
+        "smoothed_turn_deg_per_m": math.degrees(found.turn_bias),
+        "smoothed_scale": 1.0 + found.scale,
+        "smoothed_turn_gain": 1.0 + found.turn_gain,
+        "loops_found": len(reasons),
+        "loops_kept": sum(verdict.kept for verdict in found.verdicts),
+        "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
+    }
+
+
+def _loops(found: GraphResult, log: RecordedLog) -> list[dict[str, Any]]:
+    times = log.time[found.chunk_events]
+    return [
+        {
+            "first_time": float(times[verdict.loop.first]),
+            "second_time": float(times[verdict.loop.second]),
+            "relative": [round(float(value), 6) for value in verdict.loop.relative],
+            "score": round(verdict.loop.score, 4),
+            "source": verdict.loop.source,
+            "reason": verdict.reason,
+        }
+        for verdict in found.verdicts
+    ]

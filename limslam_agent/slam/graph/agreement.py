@@ -1,0 +1,261 @@
+"""Agreement without truth: between loops, and between what different visits have seen of one place.
+
+Scores of good and of bad matches overlap, so no threshold tells them apart. Two loops that predict each other do.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.config.graph import AgreementConfig, GraphConfig, LoopConfig
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, refine, solve_annealed
+from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_env.compilation import entry_of
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
+
+
+def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How well each loop (row) predicts each other one (column): distances (k, k), m, and angles (k, k), rad.
+
+    The ways between the loops' ends are those of poses (c, 3).
+    """
+    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    relative = np.array([loop.relative for loop in loops])
+    before = se2.between(poses[first][None], poses[first][:, None])
+    after = se2.between(poses[second][:, None], poses[second][None])
+    predicted = se2.compose(se2.compose(before, relative[:, None]), after)
+    apart = se2.between(predicted, np.broadcast_to(relative[None], predicted.shape))
+    return np.hypot(apart[..., 0], apart[..., 1]), np.abs(apart[..., 2])
+
+
+def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, config: LoopConfig) -> BoolArray:
+    """Which loops (k,) have another one nearby that agrees, seen from another chunk.
+
+    ``travel`` (c,) is the distance driven up to each chunk, m.
+    """
+    if not loops:
+        return np.zeros(0, dtype=np.bool_)
+    distance, angle = agreements(loops, poses)
+    first = travel[[loop.first for loop in loops]]
+    second = travel[[loop.second for loop in loops]]
+    gap = np.abs(second[:, None] - second[None])
+    near = (gap >= config.support_from) & (gap <= config.support_to)
+    near &= np.abs(first[:, None] - first[None]) <= config.support_to
+    agree = (distance < config.agree_distance) & (angle < config.agree_turn)
+    return np.asarray((near & agree).any(axis=0))
+
+
+def groups_of(loops: Sequence[Loop], poses: FloatArray, config: LoopConfig) -> list[list[int]]:
+    """Loops that agree with each other, directly or through others, each group with its first loop first."""
+    distance, angle = agreements(loops, poses)
+    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    near = np.abs(first[:, None] - first[None]) <= config.group_chunks
+    near &= np.abs(second[:, None] - second[None]) <= config.group_chunks
+    joined = near & (distance < config.group_distance) & (angle < config.group_turn)
+    label = np.arange(len(loops))
+    for row in range(len(loops)):
+        for column in np.nonzero(joined[row] | joined[:, row])[0]:
+            label[label == label[column]] = label[row]
+    return [list(map(int, np.nonzero(label == each)[0])) for each in dict.fromkeys(label.tolist())]
+
+
+@dataclass(frozen=True, eq=False)
+class MapScore:
+    """The score G of a set of chunks, for any poses of them.
+
+    Attributes
+    ----------
+    grids
+        (c, n, n) cells of all chunks.
+    low, cell
+        Of the grids, m.
+    points, starts
+        (p, 2) m, points of all chunks, one chunk after the other; (c + 1,) where each begins.
+    travel
+        (c,) distance driven up to each chunk, m.
+    config
+        The settings.
+    """
+
+    grids: NDArray[np.int8]
+    low: float
+    cell: float
+    points: FloatArray
+    starts: IntArray
+    travel: FloatArray
+    config: AgreementConfig
+
+    @classmethod
+    def of(cls, maps: Sequence[LocalMap], config: AgreementConfig) -> "MapScore":
+        """The score of these chunks."""
+        return cls(
+            grids=np.stack([each.grid for each in maps]),
+            low=maps[0].low,
+            cell=maps[0].cell,
+            points=np.concatenate([each.points for each in maps]),
+            starts=np.cumsum([0, *[len(each.points) for each in maps]]),
+            travel=np.array([each.travel for each in maps]),
+            config=config,
+        )
+
+    def verdicts(self, poses: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Points (p,) of which more other visits have seen a wall there than free space, and the other way round."""
+        far = np.array([self.config.min_travel, self.config.max_distance])
+        hits, frees = _votes(
+            self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far
+        )
+        return (hits > 0) & (hits >= frees), frees > hits
+
+    def __call__(self, poses: FloatArray) -> float:
+        """Share of points that other visits confirm, minus the share that they contradict, for poses (c, 3)."""
+        confirmed, contradicted = self.verdicts(poses)
+        return float(confirmed.mean() - contradicted.mean())
+
+
+@kernel
+def _votes(
+    grids: NDArray[np.int8],
+    low: float,
+    cell: float,
+    points: FloatArray,
+    starts: IntArray,
+    poses: FloatArray,
+    travel: FloatArray,
+    far: FloatArray,
+) -> tuple[IntArray, IntArray]:
+    hits, frees = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    size = grids.shape[1]
+    for q in range(len(poses)):
+        for p in range(len(poses)):
+            dx, dy = poses[q, 0] - poses[p, 0], poses[q, 1] - poses[p, 1]
+            if abs(travel[p] - travel[q]) < far[0] or dx * dx + dy * dy > far[1] * far[1]:
+                continue
+            cos, sin = np.cos(poses[p, 2]), np.sin(poses[p, 2])
+            x, y = cos * dx + sin * dy, cos * dy - sin * dx
+            cos, sin = np.cos(poses[q, 2] - poses[p, 2]), np.sin(poses[q, 2] - poses[p, 2])
+            for k in range(starts[q], starts[q + 1]):
+                i = int(np.floor((cos * points[k, 0] - sin * points[k, 1] + x - low) / cell))
+                j = int(np.floor((sin * points[k, 0] + cos * points[k, 1] + y - low) / cell))
+                if 0 <= i < size and 0 <= j < size:
+                    hits[k] += 1 if grids[p, i, j] > 0 else 0
+                    frees[k] += 1 if grids[p, i, j] < 0 else 0
+    return hits, frees
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What was decided about groups of loops.
+
+    Attributes
+    ----------
+    loops
+        The loops of the graph from now on.
+    solution
+        The graph with them.
+    dropped
+        Loops that were left out, or taken out again.
+    """
+
+    loops: list[Loop]
+    solution: ChunkSolution
+    dropped: list[Loop]
+
+
+def prune_groups(poses: FloatArray, hops: Hops, loops: list[Loop], score: MapScore, config: GraphConfig) -> Decision:
+    """Take out small groups of loops without which the map agrees better with itself.
+
+    The groups around which visits contradict each other most are tried. ``poses`` (c, 3) are those of the chunks by
+    the trajectory, by which loops are grouped.
+    """
+    agreement, dropped = config.agreement, []
+    solution = solve_annealed(poses[0], hops, loops, config.chunks)
+    value = score(solution.poses)
+    for _ in range(3):
+        groups = [each for each in groups_of(loops, poses, config.loops) if len(each) <= agreement.max_group]
+        doubts = _contradictions(groups, loops, score, solution.poses)
+        best: tuple[float, list[int], ChunkSolution] | None = None
+        for place in np.argsort(-doubts, kind="stable")[: agreement.doubtful]:
+            rest = [loop for number, loop in enumerate(loops) if number not in groups[place]]
+            if not rest:
+                continue
+            trial = solve_annealed(poses[0], hops, rest, config.chunks)
+            gained = score(trial.poses)
+            if gained > (best[0] if best else value + agreement.prune_gain):
+                best = gained, groups[place], trial
+        if best is None:
+            break
+        value, out, solution = best
+        dropped += [loops[number] for number in out]
+        loops = [loop for number, loop in enumerate(loops) if number not in out]
+    return Decision(loops, solution, dropped)
+
+
+def _contradictions(groups: list[list[int]], loops: Sequence[Loop], score: MapScore, poses: FloatArray) -> FloatArray:
+    """For each group, the share of contradicted points among all judged ones around its loops."""
+    confirmed, contradicted = score.verdicts(poses)
+    shares = np.zeros(len(groups))
+    for row, group in enumerate(groups):
+        around = np.zeros(len(confirmed), dtype=np.bool_)
+        for number in group:
+            for end in (loops[number].first, loops[number].second):
+                low, high = max(0, end - 4), min(len(poses), end + 5)
+                around[score.starts[low] : score.starts[high]] = True
+        judged = ((confirmed | contradicted) & around).sum()
+        shares[row] = (contradicted & around).sum() / max(1, judged)
+    return shares
+
+
+def accept_groups(
+    poses: FloatArray,
+    hops: Hops,
+    loops: list[Loop],
+    new: Sequence[Sequence[Loop]],
+    score: MapScore,
+    config: GraphConfig,
+    gain: float,
+    *,
+    near: bool,
+) -> Decision:
+    """Add groups of loops, the best supported first, each only if the score rises by ``gain``.
+
+    Groups that agree are one. ``poses`` (c, 3) are those of the chunks by the trajectory. Where the loops are ``near``,
+    each trial starts from the solution so far with kernels that are not so wide, which is faster.
+    """
+    waiting = _ranked([loop for group in new for loop in group], poses, config)
+    solution = solve_annealed(poses[0], hops, loops, config.chunks)
+    value = score(solution.poses) if waiting else 0.0
+    for _ in range(2):
+        rest = []
+        for group in waiting:
+            problem = hops, [*loops, *group], config.chunks
+            trial = refine(solution.poses, *problem) if near else solve_annealed(poses[0], *problem)
+            gained = score(trial.poses)
+            if gained > value + gain and trial.weights[len(loops) :].mean() > config.chunks.kept:
+                loops, solution, value = [*loops, *group], trial, gained
+            else:
+                rest.append(group)
+        if len(rest) == len(waiting):
+            break
+        waiting = rest
+    return Decision(loops, solution, [loop for group in waiting for loop in group])
+
+
+def _ranked(loops: list[Loop], poses: FloatArray, config: GraphConfig) -> list[list[Loop]]:
+    """Groups of loops, at most one loop a pair of chunks, in the order of their evidence."""
+    if not loops:
+        return []
+    ranked = []
+    for group in groups_of(loops, poses, config.loops):
+        pairs: dict[tuple[int, int], Loop] = {}
+        for number in sorted(group, key=lambda each: -loops[each].score):
+            loop = loops[number]
+            pairs.setdefault((min(loop.first, loop.second), max(loop.first, loop.second)), loop)
+        chosen = list(pairs.values())[: config.agreement.max_group]
+        ranked.append((len(group) * float(np.mean([loop.score for loop in chosen])), chosen))
+    ranked.sort(key=lambda each: -each[0])
+    return [chosen for _, chosen in ranked[: config.agreement.max_groups]]

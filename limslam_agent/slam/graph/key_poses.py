@@ -1,0 +1,254 @@
+"""Key poses: which poses of a log are estimated, and how all its events and points hang on them.
+
+A new key pose begins after some driving or turning. Events between two key poses ride on odometry, which is corrected
+for its constant errors: a heading bias on each metre, a scale of distances and a gain of turns.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
+from limslam_env.compilation import entry_of
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class LogData:
+    """What a robot has recorded, one row an event.
+
+    Attributes
+    ----------
+    time
+        (n,) s.
+    odometry
+        (n, 3) m, m, rad: absolute odometry poses in a frame of their own.
+    ranges, hit
+        (n, b) m, and whether the beam has measured a wall.
+    origins, angles
+        (b, 2) m and (b,) rad: where the beams begin on the robot and where they point.
+    max_range
+        Longest reading, m.
+    range_std
+        Stated standard deviation of a range, m.
+    variances
+        (n, 3) m^2, m^2, rad^2: variances of the motion since the event before (along, across, heading), or None for
+        those of the settings.
+    """
+
+    time: FloatArray
+    odometry: FloatArray
+    ranges: FloatArray
+    hit: BoolArray
+    origins: FloatArray
+    angles: FloatArray
+    max_range: float
+    range_std: float = 0.0
+    variances: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        count, beams = self.ranges.shape
+        shapes = {
+            "time": (self.time, (count,)),
+            "odometry": (self.odometry, (count, 3)),
+            "hit": (self.hit, (count, beams)),
+            "origins": (self.origins, (beams, 2)),
+            "angles": (self.angles, (beams,)),
+        }
+        if self.variances is not None:
+            shapes["variances"] = (self.variances, (count, 3))
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name} holds something that is not finite")
+        if not count:
+            raise ValueError("the log holds no events")
+
+
+@dataclass(frozen=True, eq=False)
+class KeyPoses:
+    """The part of the problem that never changes: m key poses, n events, p points.
+
+    Attributes
+    ----------
+    event_key, first_event
+        (n,) the key pose that each event hangs on; (m,) the first event of each.
+    offset, offset_forward
+        (n, 3) raw odometry of each event in the frame of its key pose; (n,) m, distance driven ahead since it.
+    step, step_forward, step_variances
+        (m - 1, 3) raw odometry from one key pose to the next; (m - 1,) m; (m - 1, 3).
+    travel
+        (n,) m, path driven up to each event.
+    point_event, point_key, point_travel
+        (p,) of each point; points are in the order of events.
+    in_robot, origin_in_robot
+        (p, 2) m: each point, and the origin of its beam, in the robot's frame at its event.
+    """
+
+    event_key: IntArray
+    first_event: IntArray
+    offset: FloatArray
+    offset_forward: FloatArray
+    step: FloatArray
+    step_forward: FloatArray
+    step_variances: FloatArray
+    travel: FloatArray
+    point_event: IntArray
+    point_key: IntArray
+    point_travel: FloatArray
+    in_robot: FloatArray
+    origin_in_robot: FloatArray
+
+    def __len__(self) -> int:
+        """The number of key poses."""
+        return len(self.first_event)
+
+    @property
+    def key_travel(self) -> FloatArray:
+        """Path driven up to each key pose (m,), m."""
+        return np.asarray(self.travel[self.first_event])
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The estimate: key poses (m, 3) and the odometry's ``bias`` (3,): rad/m, share of distance, share of turns."""
+
+    poses: FloatArray
+    bias: FloatArray
+
+
+def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> KeyPoses:
+    """Divide a log into key poses, and collect the points of its scans."""
+    count = len(data.time)
+    moves = np.zeros((count, 3))
+    moves[1:] = se2.between(data.odometry[:-1], data.odometry[1:])
+    length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
+    key = _count_ups(length, turn, config.distance, config.turn)
+    first = np.searchsorted(key, np.arange(key[-1] + 1))
+    travel, forward = np.cumsum(length), np.cumsum(moves[:, 0])
+    scans = np.diff(_count_ups(length, turn, config.scan_distance, config.scan_turn), prepend=-1) > 0
+    event, beam = np.nonzero(data.hit & scans[:, None])
+    direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
+    return KeyPoses(
+        event_key=key,
+        first_event=first,
+        offset=se2.between(data.odometry[first[key]], data.odometry),
+        offset_forward=forward - forward[first[key]],
+        step=se2.between(data.odometry[first[:-1]], data.odometry[first[1:]]),
+        step_forward=np.diff(forward[first]),
+        step_variances=_step_variances(data, first, length, turn, motion),
+        travel=travel,
+        point_event=event,
+        point_key=key[event],
+        point_travel=travel[event],
+        in_robot=data.origins[beam] + data.ranges[event, beam][:, None] * direction[beam],
+        origin_in_robot=data.origins[beam],
+    )
+
+
+def _step_variances(
+    data: LogData, first: IntArray, length: FloatArray, turn: FloatArray, motion: MotionConfig
+) -> FloatArray:
+    least = np.array([motion.least_position**2] * 2 + [motion.least_turn**2])
+    if data.variances is not None:
+        each = data.variances
+    else:
+        per_metre = np.array([motion.along, motion.across, motion.turn_per_metre]) ** 2
+        per_radian = np.array([motion.slip, motion.slip, motion.turn_per_radian]) ** 2
+        each = length[:, None] * per_metre + turn[:, None] * per_radian
+    return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
+
+
+def calibrated_steps(keys: KeyPoses, bias: FloatArray) -> FloatArray:
+    """Motions from each key pose to the next (m - 1, 3) by odometry without its constant errors."""
+    return _calibrated(keys.step, keys.step_forward, bias)
+
+
+def event_offsets(keys: KeyPoses, bias: FloatArray) -> FloatArray:
+    """Poses (n, 3) of all events in the frames of their key poses, by odometry without its constant errors."""
+    return _calibrated(keys.offset, keys.offset_forward, bias)
+
+
+def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> FloatArray:
+    """The heading missed on the way turns the way by half of it."""
+    turn, scale, gain = bias
+    half = 0.5 * turn * forward
+    cos, sin = np.cos(half), np.sin(half)
+    x = (1.0 + scale) * (cos * motion[:, 0] - sin * motion[:, 1])
+    y = (1.0 + scale) * (sin * motion[:, 0] + cos * motion[:, 1])
+    return np.column_stack((x, y, (1.0 + gain) * motion[:, 2] + turn * forward))
+
+
+def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
+    """Poses (m, 3) that motions (m - 1, 3) lead to from ``start`` (3,)."""
+    return _integrate(np.asarray(start, dtype=np.float64), np.ascontiguousarray(steps))
+
+
+def odometry_trajectory(keys: KeyPoses, start: FloatArray) -> Trajectory:
+    """The trajectory by odometry alone."""
+    bias = np.zeros(3)
+    return Trajectory(integrate(start, calibrated_steps(keys, bias)), bias)
+
+
+def points_in_keys(keys: KeyPoses, bias: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points and the origins of their beams, both (p, 2) m, in the frames of their key poses."""
+    offset = event_offsets(keys, bias)[keys.point_event]
+    return to_world(offset, keys.in_robot), to_world(offset, keys.origin_in_robot)
+
+
+def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """Take points (p, 2) from the frames of poses (p, 3), one each, into the frame that the poses are given in."""
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x = poses[:, 0] + cos * points[:, 0] - sin * points[:, 1]
+    return np.column_stack((x, poses[:, 1] + sin * points[:, 0] + cos * points[:, 1]))
+
+
+def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
+    """Poses (n, 3) of all events.
+
+    What odometry and the next key pose differ by is spread over the way between two key poses.
+    """
+    poses, key = trajectory.poses, keys.event_key
+    ridden = se2.compose(poses[key], event_offsets(keys, trajectory.bias))
+    arrival = np.vstack((se2.compose(poses[:-1], calibrated_steps(keys, trajectory.bias)), poses[-1:]))
+    gap = np.vstack((poses[1:], poses[-1:])) - arrival
+    gap[:, 2] = se2.wrap_angle(gap[:, 2])
+    after = np.append(keys.first_event[1:], len(key))[key]
+    share = (np.arange(len(key)) - keys.first_event[key]) / np.maximum(after - keys.first_event[key], 1)
+    ridden += share[:, None] * gap[key]
+    ridden[:, 2] = se2.wrap_angle(ridden[:, 2])
+    return np.asarray(ridden)
+
+
+@kernel
+def _count_ups(length: FloatArray, turn: FloatArray, distance: float, angle: float) -> IntArray:
+    """How often so much driving or turning has come together, up to each event."""
+    out = np.zeros(len(length), np.int64)
+    driven = turned = 0.0
+    count = 0
+    for row in range(1, len(length)):
+        driven += length[row]
+        turned += turn[row]
+        if driven >= distance or turned >= angle:
+            count += 1
+            driven = turned = 0.0
+        out[row] = count
+    return out
+
+
+@kernel
+def _integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
+    poses = np.empty((len(steps) + 1, 3))
+    poses[0] = start
+    for row in range(len(steps)):
+        x, y, heading = poses[row]
+        cos, sin = np.cos(heading), np.sin(heading)
+        poses[row + 1, 0] = x + cos * steps[row, 0] - sin * steps[row, 1]
+        poses[row + 1, 1] = y + sin * steps[row, 0] + cos * steps[row, 1]
+        heading += steps[row, 2]
+        poses[row + 1, 2] = np.pi - (np.pi - heading) % (2.0 * np.pi)
+    return poses

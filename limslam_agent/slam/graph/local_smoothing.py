@@ -1,0 +1,83 @@
+"""Local smoothing: odometry made straight along the way, before any loop is known.
+
+Points are linked to lines through other points of the same stretch of driving, first alone, then together with walls
+found by a Hough transform in windows. All associations are made anew at each iteration. Each step is applied to the
+relative motions between key poses, which are then integrated again: a turn in the middle of the log carries all that
+comes later along, which steps added to the poses themselves would tear apart.
+"""
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
+from limslam_agent.slam.graph.least_squares import NormalEquations, add_links, add_odometry, relation_factor
+from limslam_agent.slam.graph.point_links import PointCloud, links_along, point_cloud
+from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
+from limslam_env.geometry import FloatArray
+
+
+def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float) -> Trajectory:
+    """Smooth along the way: first with links alone, then with lines in windows that grow.
+
+    Without lines headings drift. With lines from the start the odometry's bias comes out wrong.
+    """
+    for number in range(config.smoothing.link_iterations):
+        widening = max(1.0, 2.0 * 0.7**number)
+        trajectory = _with_links(keys, trajectory, config, range_std, widening)
+    last = max(1, config.smoothing.line_iterations - 3)
+    for number in range(config.smoothing.line_iterations):
+        trajectory = _with_lines(keys, trajectory, config, range_std, min(1.0, number / last))
+    return trajectory
+
+
+def link_std(config: GraphConfig, range_std: float) -> float:
+    """Standard deviation of a link, m: what the model is wrong by and the ranges' noise."""
+    return float(np.hypot(config.links.std, range_std))
+
+
+def line_std(config: GraphConfig, range_std: float) -> float:
+    """Standard deviation of a point about its line, m."""
+    return float(np.hypot(config.lines.std, range_std))
+
+
+def local_equations(
+    keys: KeyPoses, trajectory: Trajectory, cloud: PointCloud, config: GraphConfig, std: float, lines: int = 0
+) -> NormalEquations:
+    """Odometry and links along the way with standard deviation ``std`` (m), with room for so many lines."""
+    equations = NormalEquations(3 * len(keys) + 3 + 2 * lines)
+    add_odometry(equations, keys, trajectory, config.motion)
+    links = links_along(cloud, config.links)
+    add_links(equations, trajectory.poses, cloud.geometry, links, std, config.links.kernel)
+    return equations
+
+
+def chained(trajectory: Trajectory, step: FloatArray) -> Trajectory:
+    """Apply a step to the relative motions between key poses and integrate them again."""
+    count = len(trajectory.poses)
+    first = np.arange(count - 1)
+    motions, jacobian = relation_factor(trajectory.poses, first, first + 1, np.zeros((count - 1, 3)))
+    by_pose = step[: 3 * count].reshape(-1, 3)
+    change = np.einsum("fij,fj->fi", jacobian, np.hstack((by_pose[:-1], by_pose[1:])))
+    poses = integrate(trajectory.poses[0] + by_pose[0], motions + change)
+    return Trajectory(poses, trajectory.bias + step[3 * count : 3 * count + 3])
+
+
+def _with_links(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float, widening: float
+) -> Trajectory:
+    cloud = point_cloud(keys, trajectory, config.links, range_std)
+    equations = local_equations(keys, trajectory, cloud, config, widening * link_std(config, range_std))
+    return chained(trajectory, equations.solve())
+
+
+def _with_lines(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float, progress: float
+) -> Trajectory:
+    """One iteration with lines; windows grow and tolerances shrink as ``progress`` goes from 0 to 1."""
+    cloud = point_cloud(keys, trajectory, config.links, range_std)
+    window = config.lines.first_window + (config.lines.window - config.lines.first_window) * progress
+    widening = 1.8 - 0.8 * progress
+    lines = find_lines(cloud, config.lines, window, widening * config.lines.tolerance)
+    equations = local_equations(keys, trajectory, cloud, config, link_std(config, range_std), len(lines.angles))
+    add_lines(equations, trajectory.poses, cloud, lines, widening * line_std(config, range_std), config.lines.inflation)
+    return chained(trajectory, equations.solve())

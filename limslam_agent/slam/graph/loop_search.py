@@ -1,0 +1,184 @@
+"""Loops looked for along the way: each chunk is matched against earlier ones that may be the same place.
+
+The search goes from chunk to chunk as if the log were happening. A covariance of all chunks so far says which earlier
+chunks can be near and how wide the window of a match has to be; each loop that is found shrinks it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.chunk_graph import Hops, Loop, information_matrix, solve
+from limslam_agent.slam.graph.least_squares import relation_factor
+from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_agent.slam.graph.matching import (
+    Match,
+    SearchGrid,
+    Window,
+    match,
+    match_covariance,
+    search_grid,
+)
+from limslam_env.geometry import FloatArray, IntArray, se2
+
+_BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
+_EARLY_ANNEALING, _EARLY_ITERATIONS = (5.0, 1.0), 3
+# Where a loop's weight has changed by more than this, the covariance is computed anew.
+_WEIGHT_CHANGE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Chunks:
+    """The chunks of a log, as one trajectory has cut them.
+
+    Attributes
+    ----------
+    maps
+        The c chunks in the order of driving.
+    middles, poses, travel
+        (c,) key poses in their middle; (c, 3) where the trajectory has them; (c,) distance driven, m.
+    hops
+        Motions between them.
+    config
+        The settings.
+    """
+
+    maps: list[LocalMap]
+    middles: IntArray
+    poses: FloatArray
+    travel: FloatArray
+    hops: Hops
+    config: GraphConfig
+    _grids: dict[int, SearchGrid] = field(default_factory=dict, repr=False)
+
+    def __len__(self) -> int:
+        """The number of chunks."""
+        return len(self.maps)
+
+    def grid(self, number: int) -> SearchGrid:
+        """The grid of a chunk, ready for the windows of loops along the way."""
+        if number not in self._grids:
+            self._grids[number] = search_grid(self.maps[number], self.config.loops.window, self.config.matching)
+        return self._grids[number]
+
+    def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float, least: float) -> Match:
+        """Match the points of a chunk into the grid of the first one, within a window about a guess (3,)."""
+        window = Window(shift, turn, self.config.loops.turn_step)
+        return match(self.grid(first), self.maps[second].points, guess, window, self.config.matching, least)
+
+    def matches_backward(self, first: int, second: int, pose: FloatArray) -> bool:
+        """Whether they match the other way round, too, near to where the second chunk was found in the first one."""
+        least = self.config.loops.backward_score
+        return self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN, least).score >= least
+
+    def loop(self, first: int, second: int, found: Match, source: str, grid: SearchGrid | None = None) -> Loop:
+        """A loop with the covariance of its match, from the first chunk's grid or from another one in its frame."""
+        step = self.config.loops.turn_step
+        mean, covariance = match_covariance(
+            grid or self.grid(first), self.maps[second].points, found.pose, step, self.config.matching
+        )
+        return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score, source)
+
+
+def loops_along_the_way(chunks: Chunks) -> list[Loop]:
+    """All loops that are found, right ones and wrong ones."""
+    belief = _Belief(chunks)
+    for _ in range(len(chunks) - 1):
+        belief.advance()
+        found = _loops_of_newest(chunks, belief)
+        if found:
+            belief.close(found)
+    return belief.loops
+
+
+def _loops_of_newest(chunks: Chunks, belief: "_Belief") -> list[Loop]:
+    config, newest = chunks.config.loops, belief.count - 1
+    candidates: list[tuple[int, Match]] = []
+    old = np.nonzero(chunks.travel[newest] - chunks.travel[: newest - 1] >= config.min_travel)[0]
+    if not len(old):
+        return []
+    guesses, position_std, turn_std = belief.seen_from(old)
+    distance = np.hypot(guesses[:, 0], guesses[:, 1])
+    reach = np.minimum(config.max_distance, config.gate + config.gate_sigmas * position_std)
+    for row in np.nonzero(distance <= reach)[0]:
+        shift = min(config.window, config.least_window + config.gate_sigmas * position_std[row])
+        turn = min(config.turn_window, config.least_turn + config.gate_sigmas * turn_std[row])
+        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, config.score)
+        if found.score > config.score:
+            candidates.append((int(old[row]), found))
+    candidates.sort(key=lambda each: -each[1].score)
+    return [
+        chunks.loop(first, newest, found, "along the way")
+        for first, found in candidates[: config.best]
+        if chunks.matches_backward(first, newest, found.pose)
+    ]
+
+
+class _Belief:
+    """Where the chunks so far are, with their joint covariance, as loops are found."""
+
+    def __init__(self, chunks: Chunks) -> None:
+        self._chunks = chunks
+        self._poses = np.zeros((len(chunks), 3))
+        self._poses[0] = chunks.poses[0]
+        self._covariance = np.zeros((3 * len(chunks), 3 * len(chunks)))
+        self._weights = np.zeros(0)
+        self.count = 1
+        self.loops: list[Loop] = []
+
+    def advance(self) -> None:
+        """Go on to the next chunk by the hop."""
+        last, hops = self.count - 1, self._chunks.hops
+        motion = hops.motions[last]
+        self._poses[last + 1] = se2.compose(self._poses[last], motion)
+        by_pose, by_motion = se2.compose_jacobians(self._poses[last], motion)
+        end = 3 * self.count
+        moved = by_pose @ self._covariance[end - 3 : end, :end]
+        self._covariance[end : end + 3, :end], self._covariance[:end, end : end + 3] = moved, moved.T
+        noise = by_motion @ hops.covariances[last] @ by_motion.T
+        self._covariance[end : end + 3, end : end + 3] = moved[:, -3:] @ by_pose.T + noise
+        self.count += 1
+
+    def seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The newest chunk's pose in the frames of old ones (k, 3), and its standard deviations (k,), m and rad."""
+        newest = np.full(len(old), self.count - 1)
+        poses = self._poses[: self.count]
+        _, jacobian = relation_factor(poses, newest, old, np.zeros((len(old), 3)))
+        columns = np.hstack((3 * newest[:, None] + np.arange(3), 3 * old[:, None] + np.arange(3)))
+        joint = self._covariance[columns[:, :, None], columns[:, None, :]]
+        covariance = np.einsum("kij,kjl,kml->kim", jacobian, joint, jacobian)
+        position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
+        return se2.between(poses[old], poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
+
+    def close(self, found: Sequence[Loop]) -> None:
+        """Take in loops of the newest chunk."""
+        chunks, config = self._chunks, self._chunks.config.chunks
+        self.loops += found
+        poses = self._poses[: self.count]
+        solution = solve(poses, chunks.hops, self.loops, config, _EARLY_ANNEALING, _EARLY_ITERATIONS)
+        known = len(self._weights)
+        changed = np.abs(solution.weights[:known] - self._weights)
+        self._poses[: self.count], self._weights = solution.poses, solution.weights.copy()
+        if known and changed.max() > _WEIGHT_CHANGE:
+            self._recompute()
+        else:
+            for loop, weight in zip(found, solution.weights[known:], strict=True):
+                self._update(loop, float(weight))
+
+    def _recompute(self) -> None:
+        information = information_matrix(self._poses[: self.count], self._chunks.hops, self.loops, self._weights)
+        size = 3 * self.count
+        self._covariance[:size, :size] = np.linalg.inv(information)
+
+    def _update(self, loop: Loop, weight: float) -> None:
+        """What a loop teaches about all chunks (the Kalman filter's update of the covariance)."""
+        ends = np.array([[loop.first], [loop.second]])
+        _, jacobian = relation_factor(self._poses, ends[0], ends[1], loop.relative[None])
+        columns = (3 * ends + np.arange(3)).ravel()
+        size = 3 * self.count
+        covariance = self._covariance[:size, :size]
+        across = covariance[:, columns] @ jacobian[0].T
+        innovation = jacobian[0] @ across[columns] + np.linalg.inv(max(weight, 1e-6) * loop.information)
+        covariance -= across @ np.linalg.solve(innovation, across.T)

@@ -1,0 +1,265 @@
+"""Correlative matching: the pose at which the points of one chunk fit best into the grid of another.
+
+The score of a pose is the mean of the cells that the points fall on, 1 where all fall on hits, less a small penalty
+towards the border of the window. The search is exact branch and bound on two levels: the maximum over each block of
+shifts bounds the scores in it (Olson, "Real-time correlative scan matching", 2009), and blocks are opened in the order
+of their bounds until no bound is better than the best score. The grid of block maxima is stored by its phase, so that
+the bounds of a whole row of blocks lie side by side and are summed up together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.config.graph import MatchConfig
+from limslam_agent.slam.graph.local_maps import Cells, LocalMap
+from limslam_env.compilation import entry_of
+from limslam_env.geometry import FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
+
+_VOLUME_CELLS, _VOLUME_TURNS = 10, 5
+# Rows of bounds are summed up in whole vectors of so many.
+_LANES = 16
+NO_MATCH = -9.0
+
+Sums = NDArray[np.int16]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchGrid:
+    """A chunk's grid made ready for searches.
+
+    Attributes
+    ----------
+    padded
+        (n, n) cells with room for the window all around.
+    blocks
+        (w, w, r, r + 16): maxima over blocks of w x w cells, by the phase of their first cell. Rows are longer than
+        needed, since they are read in whole vectors.
+    low
+        Lowest x and y of the padded grid, m.
+    cell
+        Side of a cell, m.
+    margin
+        Largest shift that can be searched, cells.
+    """
+
+    padded: Cells
+    blocks: Cells
+    low: float
+    cell: float
+    margin: int
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is searched about a first guess: shifts up to ``shift`` (m) along x and y, turns up to ``turn`` (rad)."""
+
+    shift: float
+    turn: float
+    turn_step: float
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """The best pose (3,) of a chunk in another one's frame, and its score; ``NO_MATCH`` if none is good enough."""
+
+    score: float
+    pose: FloatArray
+
+
+def search_grid(chunk: LocalMap, window: float, config: MatchConfig) -> SearchGrid:
+    """Make a chunk's grid ready for windows of up to ``window`` m."""
+    width = config.block
+    margin = max(int(window / chunk.cell + 1e-6), _VOLUME_CELLS)
+    # A point that lies further outside can be moved nearer: it still meets only unknown cells.
+    pad = -(-(2 * margin + 2 * width + 2) // width) * width
+    size = -(-(len(chunk.grid) + 2 * pad) // width) * width
+    padded, blocks = _blocks_of(chunk.grid, pad, size, width, _LANES)
+    return SearchGrid(padded, blocks, chunk.low - pad * chunk.cell, chunk.cell, margin)
+
+
+def match(
+    grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Window, config: MatchConfig, least: float
+) -> Match:
+    """The best pose of points (k, 2) within a window about a guess (3,), if its score is above ``least``.
+
+    Raises
+    ------
+    ValueError
+        If the grid was not made for so large a window.
+    """
+    margin = int(window.shift / grid.cell + 1e-6)
+    if margin > grid.margin:
+        raise ValueError(f"the grid is made for windows of {grid.margin} cells, not {margin}")
+    turns = int(window.turn / window.turn_step + 1e-6)
+    if not len(points):
+        return Match(NO_MATCH, guess)
+    numbers = np.array([grid.low, grid.cell, window.turn_step, config.prior, least])
+    found = _search(grid.padded, grid.blocks, points, guess, margin, turns, numbers)
+    return Match(float(found[0]), np.array(found[1:]))
+
+
+def match_covariance(
+    grid: SearchGrid, points: FloatArray, pose: FloatArray, turn_step: float, config: MatchConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (3,) and covariance (3, 3) of a match, from the scores of all poses around it.
+
+    Scores are taken for likelihoods: exp of ``sharpness`` times the number of points times the score.
+    """
+    scores = _volume(grid.padded, points, pose, grid.low, grid.cell, turn_step, _VOLUME_CELLS, _VOLUME_TURNS)
+    weight = np.exp((scores - scores.max()) * len(points) * config.sharpness)
+    weight /= weight.sum()
+    turn, x, y = np.indices(scores.shape)
+    shifts = [grid.cell * (x - _VOLUME_CELLS), grid.cell * (y - _VOLUME_CELLS), turn_step * (turn - _VOLUME_TURNS)]
+    offsets = np.stack(shifts, axis=-1).reshape(-1, 3)
+    mean = weight.ravel() @ offsets
+    apart = offsets - mean
+    floor = np.diag([config.floor_position**2, config.floor_position**2, config.floor_turn**2])
+    return pose + mean, (apart * weight.reshape(-1, 1)).T @ apart + floor
+
+
+def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
+    """The score of points (k, 2) at one pose (3,), without the penalty."""
+    return float(_volume(grid.padded, points, pose, grid.low, grid.cell, 1.0, 0, 0)[0, 0, 0])
+
+
+@kernel
+def _blocks_of(grid: Cells, pad: int, size: int, width: int, spare: int) -> tuple[Cells, Cells]:
+    padded = np.zeros((size, size), np.int8)
+    padded[pad : pad + len(grid), pad : pad + len(grid)] = grid
+    # The maximum over width cells, by maxima over 2, 4, 8, ... cells.
+    maxima, done = padded.copy(), 1
+    while done < width:
+        more = min(done, width - done)
+        for i in range(size):
+            for j in range(size - more):
+                maxima[i, j] = max(maxima[i, j], maxima[i, j + more])
+        for i in range(size - more):
+            for j in range(size):
+                maxima[i, j] = max(maxima[i, j], maxima[i + more, j])
+        done += more
+    rows = size // width
+    blocks = np.zeros((width, width, rows, rows + spare), np.int8)
+    for i in range(size):
+        for j in range(size):
+            blocks[i % width, j % width, i // width, j // width] = maxima[i, j]
+    return padded, blocks
+
+
+@kernel
+def _pixels(
+    points: FloatArray, x: float, y: float, turn: float, low: float, cell: float, edge: int, size: int, out: IntArray
+) -> None:
+    """Cells (k, 2) of points at a pose, moved to at least ``edge`` cells from the border."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    for k in range(len(points)):
+        i = int(np.floor((cos * points[k, 0] - sin * points[k, 1] + x - low) / cell))
+        j = int(np.floor((sin * points[k, 0] + cos * points[k, 1] + y - low) / cell))
+        out[k, 0], out[k, 1] = min(max(i, edge), size - 1 - edge), min(max(j, edge), size - 1 - edge)
+
+
+@kernel
+def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
+    """Add a patch of cells to sums of the same shape, from a row and a column on."""
+    for a in range(sums.shape[0]):
+        line = cells[row + a, column : column + sums.shape[1]]
+        total = sums[a]
+        for b in range(sums.shape[1]):
+            total[b] += line[b]
+
+
+@kernel
+def _bounds(blocks: Cells, pixels: IntArray, margin: int, sums: Sums) -> None:
+    """Sums of the maxima over all blocks of shifts; the first block begins at minus ``margin``."""
+    width = blocks.shape[0]
+    sums[:] = 0
+    for k in range(len(pixels)):
+        i, j = pixels[k, 0] - margin, pixels[k, 1] - margin
+        _add_rows(sums, blocks[i % width, j % width], i // width, j // width)
+
+
+@kernel
+def _open(padded: Cells, pixels: IntArray, first_x: int, first_y: int, sums: Sums) -> None:
+    """Sums of the cells for all shifts in a block."""
+    sums[:] = 0
+    for k in range(len(pixels)):
+        _add_rows(sums, padded, pixels[k, 0] + first_x, pixels[k, 1] + first_y)
+
+
+@kernel
+def _best_in_block(
+    sums: Sums, full: float, first: tuple[int, int], margin: int, by_shift: float
+) -> tuple[float, int, int]:
+    """The best score in an opened block, and its shift."""
+    best, best_x, best_y = -9.0, 0, 0
+    for u in range(sums.shape[0]):
+        for v in range(sums.shape[1]):
+            x, y = first[0] + u, first[1] + v
+            score = sums[u, v] / full - by_shift * (x * x + y * y)
+            if score > best and x <= margin and y <= margin:
+                best, best_x, best_y = score, x, y
+    return best, best_x, best_y
+
+
+@kernel
+def _search(
+    padded: Cells, blocks: Cells, points: FloatArray, guess: FloatArray, margin: int, turns: int, numbers: FloatArray
+) -> tuple[float, float, float, float]:
+    """Score, x, y and turn of the best pose; a score of -9 if none is above the least one."""
+    low, cell, turn_step, prior, least = numbers
+    width, size, count = blocks.shape[0], padded.shape[0], len(points)
+    across, angles = (2 * margin) // width + 1, 2 * turns + 1
+    full, edge = 5.0 * count, margin + width
+    by_shift, by_turn = prior / (margin * margin + 1.0), prior / (turns * turns + 1.0)
+    pixels = np.empty((angles, count, 2), np.int64)
+    bounds = np.empty((angles, across, across), np.float32)
+    sums = np.empty((across, -(-across // 16) * 16), np.int16)
+    for t in range(angles):
+        _pixels(points, guess[0], guess[1], guess[2] + (t - turns) * turn_step, low, cell, edge, size, pixels[t])
+        _bounds(blocks, pixels[t], margin, sums)
+        bounds[t] = sums[:, :across] / full - by_turn * (t - turns) ** 2
+    flat = bounds.ravel()
+    worth = np.nonzero(flat > least)[0]
+    best, best_x, best_y, best_turn, found = least, 0, 0, 0, False
+    inner = np.empty((width, width), np.int16)
+    for place in worth[np.argsort(-flat[worth])]:
+        if flat[place] <= best:
+            break
+        t, a, b = place // (across * across), (place // across) % across, place % across
+        first = (a * width - margin, b * width - margin)
+        _open(padded, pixels[t], first[0], first[1], inner)
+        score, x, y = _best_in_block(inner, full, first, margin, by_shift)
+        score -= by_turn * (t - turns) ** 2
+        if score > best:
+            best, best_x, best_y, best_turn, found = score, x, y, t - turns, True
+    if not found:
+        best = -9.0
+    return best, guess[0] + best_x * cell, guess[1] + best_y * cell, guess[2] + best_turn * turn_step
+
+
+@kernel
+def _volume(
+    padded: Cells,
+    points: FloatArray,
+    pose: FloatArray,
+    low: float,
+    cell: float,
+    turn_step: float,
+    cells: int,
+    turns: int,
+) -> FloatArray:
+    """Scores (2 turns + 1, 2 cells + 1, 2 cells + 1) of all poses around one."""
+    wide, count, size = 2 * cells + 1, len(points), padded.shape[0]
+    scores = np.empty((2 * turns + 1, wide, wide))
+    pixels, sums = np.empty((count, 2), np.int64), np.empty((wide, wide), np.int16)
+    for t in range(2 * turns + 1):
+        _pixels(points, pose[0], pose[1], pose[2] + (t - turns) * turn_step, low, cell, cells, size, pixels)
+        sums[:] = 0
+        for k in range(count):
+            _add_rows(sums, padded, pixels[k, 0] - cells, pixels[k, 1] - cells)
+        scores[t] = sums / (5.0 * count)
+    return scores

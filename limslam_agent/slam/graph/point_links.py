@@ -1,0 +1,249 @@
+"""Normals of points from their neighbours, and links from points to the lines through other points.
+
+All neighbours are sought in a grid of cells whose points are sorted by the distance driven, so that points of one
+stretch of driving are found without looking at all the other visits of the place.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.graph import LinkConfig
+from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
+from limslam_env.compilation import entry_of
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
+
+_ROW = 1 << 24
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """The points of a trajectory, p of them in the order of driving.
+
+    Attributes
+    ----------
+    key, travel
+        (p,) the key pose and the distance driven, m.
+    in_key, places
+        (p, 2) m, in the frame of the key pose and in the world.
+    normals, normals_in_key
+        (p, 2) unit vectors towards the sensor, in the world and in the frame of the key pose.
+    good
+        (p,) whether the normal can be trusted.
+    """
+
+    key: IntArray
+    travel: FloatArray
+    in_key: FloatArray
+    places: FloatArray
+    normals: FloatArray
+    normals_in_key: FloatArray
+    good: BoolArray
+
+    @property
+    def geometry(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Key pose, place and normal in its frame, as factors need them."""
+        return self.key, self.in_key, self.normals_in_key
+
+
+def point_cloud(keys: KeyPoses, trajectory: Trajectory, config: LinkConfig, range_std: float) -> PointCloud:
+    """Put all points into the world and find their normals."""
+    in_key, origin_in_key = points_in_keys(keys, trajectory.bias)
+    pose = trajectory.poses[keys.point_key]
+    places, origins = to_world(pose, in_key), to_world(pose, origin_in_key)
+    normals, good = find_normals(places, origins, keys.point_travel, config, range_std)
+    back = np.column_stack((np.zeros((len(pose), 2)), -pose[:, 2]))
+    return PointCloud(keys.point_key, keys.point_travel, in_key, places, normals, to_world(back, normals), good)
+
+
+def find_normals(
+    places: FloatArray, origins: FloatArray, travel: FloatArray, config: LinkConfig, range_std: float
+) -> tuple[FloatArray, BoolArray]:
+    """Normals (p, 2) of points by principal component analysis of their neighbours, and whether they can be trusted.
+
+    Neighbours come from the same stretch of driving: the distance between two points counts the driving between them,
+    too. Normals point towards the beams' origins.
+    """
+    index = _index(places, travel, config.normal_radius)
+    thickness = config.max_thickness**2 + range_std**2
+    limits = np.array([config.min_neighbours, config.min_spread**2, thickness, config.max_ratio, config.min_incidence])
+    return _normals(places, origins, travel, *index, config.normal_radius, config.normal_travel, limits)
+
+
+def links_along(cloud: PointCloud, config: LinkConfig) -> IntArray:
+    """Links (l, 2) between points of one stretch of driving: to the nearest point in each band of driving."""
+    index = _index(cloud.places, cloud.travel, config.radius)
+    borders = np.array([config.min_travel, *config.bands, config.travel])
+    limits = np.array([config.radius, config.min_cosine, config.max_offset * config.radius])
+    return _along(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, borders, limits)
+
+
+def links_across(cloud: PointCloud, radius: float, config: LinkConfig) -> IntArray:
+    """Links (l, 2) to points of other visits: to the nearest one, and to the nearest one of yet another visit."""
+    index = _index(cloud.places, cloud.travel, radius)
+    limits = np.array([radius, config.cross_min_cosine, config.cross_travel])
+    return _across(cloud.places, cloud.normals, cloud.good, cloud.travel, *index, limits)
+
+
+def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArray, IntArray, float]:
+    """Cells (p,) in ascending order, the points (p,) in them in the order of driving, and the cells' side, m."""
+    cells = np.floor(places / side).astype(np.int64)
+    number = cells[:, 0] * _ROW + cells[:, 1]
+    order = np.lexsort((travel, number))
+    return number[order], order, side
+
+
+@kernel
+def _span(cells: IntArray, order: IntArray, travel: FloatArray, cell: int, low: float, high: float) -> tuple[int, int]:
+    """First and last (excluded) place in ``order`` of the points in a cell that were seen between two travels."""
+    begin, end = int(np.searchsorted(cells, cell)), int(np.searchsorted(cells, cell + 1))
+    while begin < end and travel[order[begin]] < low:
+        begin += 1
+    stop = begin
+    while stop < end and travel[order[stop]] <= high:
+        stop += 1
+    return begin, stop
+
+
+@kernel
+def _normals(
+    places: FloatArray,
+    origins: FloatArray,
+    travel: FloatArray,
+    cells: IntArray,
+    order: IntArray,
+    side: float,
+    radius: float,
+    reach: float,
+    limits: FloatArray,
+) -> tuple[FloatArray, BoolArray]:
+    count = len(places)
+    normals, good = np.zeros((count, 2)), np.zeros(count, np.bool_)
+    per_metre = (radius / reach) ** 2
+    for i in range(count):
+        x, y, s = places[i, 0], places[i, 1], travel[i]
+        column, row = int(np.floor(x / side)), int(np.floor(y / side))
+        n = sx = sy = sxx = syy = sxy = 0.0
+        for a in range(column - 1, column + 2):
+            for b in range(row - 1, row + 2):
+                begin, end = _span(cells, order, travel, a * (1 << 24) + b, s - reach, s + reach)
+                for place in range(begin, end):
+                    j = order[place]
+                    dx, dy, ds = places[j, 0] - x, places[j, 1] - y, travel[j] - s
+                    if dx * dx + dy * dy + per_metre * ds * ds <= radius * radius:
+                        n += 1.0
+                        sx, sy = sx + dx, sy + dy
+                        sxx, syy, sxy = sxx + dx * dx, syy + dy * dy, sxy + dx * dy
+        sx, sy = sx / n, sy / n
+        sxx, syy, sxy = sxx / n - sx * sx, syy / n - sy * sy, sxy / n - sx * sy
+        middle, half = 0.5 * (sxx + syy), 0.5 * np.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy)
+        angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
+        nx, ny = -np.sin(angle), np.cos(angle)
+        ox, oy = origins[i, 0] - x, origins[i, 1] - y
+        towards = ox * nx + oy * ny
+        if towards < 0.0:
+            nx, ny = -nx, -ny
+        normals[i, 0], normals[i, 1] = nx, ny
+        wide, thin = middle + half, middle - half
+        straight = wide > limits[1] and thin < limits[2] and thin < limits[3] * wide
+        good[i] = n >= limits[0] and straight and abs(towards) > limits[4] * max(np.sqrt(ox * ox + oy * oy), 1e-6)
+    return normals, good
+
+
+@kernel
+def _band(gap: float, borders: FloatArray) -> int:
+    """Between which borders, in ascending order, a length of driving lies; the last ones have no end."""
+    band = 0
+    while band < len(borders) - 2 and gap >= borders[band + 1]:
+        band += 1
+    return band
+
+
+@kernel
+def _along(
+    places: FloatArray,
+    normals: FloatArray,
+    good: BoolArray,
+    travel: FloatArray,
+    key: IntArray,
+    cells: IntArray,
+    order: IntArray,
+    side: float,
+    borders: FloatArray,
+    limits: FloatArray,
+) -> IntArray:
+    bands = len(borders) - 1
+    radius, reach = limits[0], borders[bands]
+    per_metre = (radius / reach) ** 2
+    links, count = np.empty((len(places) * bands, 2), np.int64), 0
+    best, nearest = np.empty(bands, np.int64), np.empty(bands)
+    for i in np.nonzero(good)[0]:
+        x, y, s = places[i, 0], places[i, 1], travel[i]
+        best[:] = -1
+        nearest[:] = radius * radius
+        column, row = int(np.floor(x / side)), int(np.floor(y / side))
+        for a in range(column - 1, column + 2):
+            for b in range(row - 1, row + 2):
+                begin, end = _span(cells, order, travel, a * (1 << 24) + b, s - reach, s + reach)
+                for place in range(begin, end):
+                    j = order[place]
+                    gap = abs(travel[j] - s)
+                    if not good[j] or gap < borders[0] or key[j] == key[i]:
+                        continue
+                    dx, dy = x - places[j, 0], y - places[j, 1]
+                    square = dx * dx + dy * dy + per_metre * gap * gap
+                    band = _band(gap, borders)
+                    if square >= nearest[band]:
+                        continue
+                    cosine = normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1]
+                    if cosine > limits[1] and abs(dx * normals[j, 0] + dy * normals[j, 1]) < limits[2]:
+                        best[band], nearest[band] = j, square
+        for band in range(bands):
+            if best[band] >= 0:
+                links[count, 0], links[count, 1] = i, best[band]
+                count += 1
+    return links[:count].copy()
+
+
+@kernel
+def _across(
+    places: FloatArray,
+    normals: FloatArray,
+    good: BoolArray,
+    travel: FloatArray,
+    cells: IntArray,
+    order: IntArray,
+    side: float,
+    limits: FloatArray,
+) -> IntArray:
+    links, count = np.empty((2 * len(places), 2), np.int64), 0
+    for i in range(len(places)):
+        if not good[i]:
+            continue
+        x, y, s = places[i, 0], places[i, 1], travel[i]
+        column, row = int(np.floor(x / side)), int(np.floor(y / side))
+        first = -1
+        for _turn in range(2):
+            best, nearest = -1, limits[0] ** 2
+            for a in range(column - 1, column + 2):
+                cell = a * (1 << 24) + row
+                begin, end = np.searchsorted(cells, cell - 1), np.searchsorted(cells, cell + 2)
+                for place in range(begin, end):
+                    j = order[place]
+                    if not good[j] or abs(travel[j] - s) <= limits[2]:
+                        continue
+                    if first >= 0 and abs(travel[j] - travel[first]) <= limits[2]:
+                        continue
+                    dx, dy = x - places[j, 0], y - places[j, 1]
+                    square = dx * dx + dy * dy
+                    if square < nearest and normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1] > limits[1]:
+                        best, nearest = j, square
+            if best < 0:
+                break
+            links[count, 0], links[count, 1] = i, best
+            count += 1
+            first = best
+    return links[:count].copy()

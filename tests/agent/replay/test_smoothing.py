@@ -1,0 +1,122 @@
+"""A replay with the preset graph: the smoothed path, its map, and what is written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.corridors import SIX_BEAMS, corridor_log, loop_errors, walls
+
+from limslam_agent.config.graph import GraphConfig, RoundConfig
+from limslam_agent.config.presets import preset
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.relations import Relations
+from limslam_agent.replay.replay import relation_scores, replay_log, write_replay
+from limslam_agent.replay.smoothing import draw_walls
+from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_env.geometry import se2
+from limslam_env.geometry.segment import distances
+from limslam_env.interface import NominalNoise
+
+TWO_ROUNDS = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6)))
+LAP = 345
+
+
+def recorded():
+    data, truth = corridor_log(laps=2, bias=np.radians(0.5))
+    log = RecordedLog(
+        robot=SIX_BEAMS,
+        time=data.time,
+        ranges=data.ranges.astype(np.float32),
+        has_scan=np.ones(len(data.time), dtype=bool),
+        start_pose=truth[0],
+        odometry=data.odometry,
+    )
+    return log, truth
+
+
+@pytest.fixture(scope="module")
+def smoothed():
+    log, truth = recorded()
+    config = replace(preset("graph", NominalNoise(0.01)), smoothing=TWO_ROUNDS)
+    return replay_log(log, config), truth
+
+
+def test_the_smoothed_path_is_right_and_the_filter_keeps_its_own(smoothed):
+    replay, truth = smoothed
+    assert loop_errors(replay.smoothed.poses, truth, LAP).mean() < 0.1
+    assert not np.array_equal(replay.estimated, replay.smoothed.poses)
+    without = replay_log(replay.log, replace(replay.config, smoothing=None))
+    assert np.array_equal(without.estimated, replay.estimated)
+    assert without.smoothed is None
+
+
+def test_the_map_is_drawn_from_the_smoothed_path(smoothed):
+    replay, truth = smoothed
+    seen = np.vstack([mark.ends for mark in replay.landmarks])
+    start = se2.between(replay.smoothed.poses, truth)
+    drift = np.hypot(start[:, 0], start[:, 1]).max()
+    off = distances(seen, walls()).min(axis=1)
+    assert len(replay.landmarks) >= 8
+    assert np.median(off) < 0.1 + drift
+    assert replay.segments.shape == (len(replay.landmarks), 4)
+    assert replay.grid.free.sum() > 100
+
+
+def test_known_motions_score_the_smoothed_path_too(smoothed):
+    replay, truth = smoothed
+    rows = np.arange(0, len(truth) - LAP, 20)
+    time = replay.log.time
+    known = Relations(time[rows], time[rows + LAP], se2.between(truth[rows], truth[rows + LAP]))
+    scores = relation_scores(replay, known)
+    assert scores["smoothed_relation_error_m"] < 0.1
+    assert scores["raw_odometry_relation_error_m"] > 5.0 * scores["smoothed_relation_error_m"]
+
+
+def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):
+    replay, _ = smoothed
+    write_replay(tmp_path, replay, {"log": "corridor", "relations": None}, {}, {})
+    result = json.loads((tmp_path / "result.json").read_text())
+    loops = json.loads((tmp_path / "loops.json").read_text())
+    paths = [np.loadtxt(tmp_path / f"trajectory_{name}.tum") for name in ("est", "smoothed")]
+    assert np.allclose(paths[0][:, 1:3], replay.estimated[:, :2], atol=1e-5)
+    assert np.allclose(paths[1][:, 1:3], replay.smoothed.poses[:, :2], atol=1e-5)
+    assert result["metrics"]["loops_found"] == len(loops)
+    assert result["metrics"]["loops_kept"] == sum(each["reason"] == "kept" for each in loops)
+    assert result["metrics"]["landmarks"] == len(json.loads((tmp_path / "map.json").read_text())["landmarks"])
+    assert result["cost"]["smoothing_cpu_s"] > 0.0
+
+
+def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
+    generator = np.random.default_rng(0)
+    along = np.concatenate((np.linspace(0.0, 2.0, 60), np.linspace(3.0, 5.0, 60)))
+    places = np.column_stack((along, np.full(120, 1.5) + generator.normal(0.0, 0.01, 120)))
+    normals = np.tile([0.0, -1.0], (120, 1))
+    cloud = PointCloud(np.zeros(120, dtype=int), along, places, places, normals, normals, np.ones(120, dtype=bool))
+    marks = draw_walls(cloud, 0.01)
+    assert len(marks) == 2
+    for mark in marks:
+        assert mark.r == pytest.approx(1.5, abs=0.05)
+        assert abs(se2.wrap_angle(mark.theta - np.pi / 2.0)) < 0.02
+        assert np.ptp(mark.ends[:, 0]) == pytest.approx(2.0, abs=0.05)
+        assert 1e-5 < np.sqrt(mark.covariance[1, 1]) < 0.01
+
+
+def test_a_log_of_wheel_travel_is_smoothed_too():
+    log, truth = recorded()
+    moves = se2.between(log.odometry[:-1], log.odometry[1:])
+    axle, distance = log.robot.axle, np.hypot(moves[:, 0], moves[:, 1])
+    half = 0.5 * axle * moves[:, 2]
+    wheels = np.vstack((np.zeros((1, 2)), np.column_stack((distance - half, distance + half))))
+    rows = 400
+    log = replace(
+        log,
+        odometry=None,
+        wheels=wheels[:rows],
+        time=log.time[:rows],
+        ranges=log.ranges[:rows],
+        has_scan=log.has_scan[:rows],
+    )
+    replay = replay_log(log, replace(preset("graph"), smoothing=TWO_ROUNDS))
+    errors = [loop_errors(poses, truth[:rows], 100).mean() for poses in (replay.odometry, replay.smoothed.poses)]
+    assert errors[1] < 0.5 * errors[0]

@@ -1,0 +1,131 @@
+"""The graph of chunks: a loop closes, wrong loops and slips are survived, and corrections reach the key poses."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.graph import AgreementConfig, ChunkGraphConfig, LoopConfig
+from limslam_agent.slam.graph.agreement import agreements, groups_of, supported
+from limslam_agent.slam.graph.chunk_graph import Hops, Loop, hops_between, information_matrix, solve, solve_annealed
+from limslam_env.geometry import se2
+
+CONFIG = ChunkGraphConfig()
+INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
+
+
+def ring(laps=2, sides=4, each=6):
+    """True poses of chunks 2.5 m apart round a square."""
+    pose, poses = np.zeros(3), [np.zeros(3)]
+    for step in range(laps * sides * each):
+        turn = np.pi / 2.0 if step % each == each - 1 else 0.0
+        pose = se2.compose(pose, np.array([2.5, 0.0, turn]))
+        poses.append(pose)
+    return np.array(poses)
+
+
+def drifting(truth, bias=0.05, seed=0):
+    """Hops with a constant heading error, and noise."""
+    generator = np.random.default_rng(seed)
+    motions = se2.between(truth[:-1], truth[1:])
+    motions[:, 2] += bias
+    motions += generator.normal(0.0, [0.03, 0.03, 0.01], motions.shape)
+    covariance = np.diag([0.1**2, 0.1**2, 0.05**2])
+    return Hops(motions, np.tile(covariance, (len(motions), 1, 1)))
+
+
+def loops_of(truth, pairs):
+    return [Loop(a, b, se2.between(truth[a], truth[b]), INFORMATION, 0.7, "test") for a, b in pairs]
+
+
+def worst(poses, truth):
+    return np.hypot(*(poses - truth)[:, :2].T).max()
+
+
+@pytest.fixture
+def truth():
+    return ring()
+
+
+def right_pairs(truth):
+    return [(number, number + 24) for number in range(0, len(truth) - 24, 3)]
+
+
+def test_right_loops_bring_a_drifting_chain_back(truth):
+    hops = drifting(truth)
+    alone = solve_annealed(truth[0], hops, [], CONFIG).poses
+    closed = solve_annealed(truth[0], hops, loops_of(truth, right_pairs(truth)), CONFIG)
+    revisits = np.hypot(*(closed.poses[24:48] - closed.poses[:24])[:, :2].T)
+    assert worst(alone, truth) > 10.0
+    assert revisits.max() < 0.5
+    assert np.all(closed.weights > 0.5)
+
+
+def test_wrong_loops_lose_their_weight(truth):
+    generator = np.random.default_rng(4)
+    hops, right = drifting(truth, bias=0.02), loops_of(truth, right_pairs(truth))
+    wrong = [
+        Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7, "wrong")
+        for a in generator.integers(0, 30, 5)
+    ]
+    with_wrong = solve_annealed(truth[0], hops, right + wrong, CONFIG)
+    without = solve_annealed(truth[0], hops, right, CONFIG)
+    assert np.all(with_wrong.weights[len(right) :] < 0.1)
+    assert np.all(with_wrong.weights[: len(right)] > 0.5)
+    assert worst(with_wrong.poses, without.poses) < 0.5
+
+
+def test_a_slip_bends_the_graph_in_one_place(truth):
+    hops = drifting(truth, bias=0.0)
+    motions = hops.motions.copy()
+    motions[20, 2] += np.radians(60.0)
+    loops = loops_of(truth, [(number, number + 24) for number in range(len(truth) - 24)])
+    closed = solve_annealed(truth[0], Hops(motions, hops.covariances), loops, CONFIG)
+    assert worst(closed.poses, truth) < 1.0
+    bent = np.abs(se2.wrap_angle(se2.between(closed.poses[:-1], closed.poses[1:])[:, 2] - motions[:, 2]))
+    assert bent.argmax() == 20
+    assert np.sort(bent)[-2] < np.radians(10.0)
+
+
+def test_a_solution_is_where_no_step_is_left(truth):
+    hops, loops = drifting(truth), loops_of(truth, right_pairs(truth))
+    once = solve_annealed(truth[0], hops, loops, CONFIG)
+    again = solve(once.poses, hops, loops, CONFIG, (1.0,), 30)
+    assert worst(again.poses, once.poses) < 0.02
+
+
+def test_information_of_a_chain_is_that_of_compounded_motions():
+    truth = ring(laps=1)[:4]
+    hops = drifting(truth, bias=0.0)
+    poses = solve_annealed(truth[0], hops, [], CONFIG).poses
+    joint = np.linalg.inv(information_matrix(poses, hops, [], np.zeros(0)))
+    covariance = np.zeros((3, 3))
+    for row in range(3):
+        by_pose, by_motion = se2.compose_jacobians(poses[row], hops.motions[row])
+        covariance = by_pose @ covariance @ by_pose.T + by_motion @ hops.covariances[row] @ by_motion.T
+    assert np.allclose(joint[9:, 9:], covariance, atol=1e-6)
+
+
+def test_hops_are_less_sure_than_the_local_graph_says(truth):
+    local = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(truth) - 1, 1, 1))
+    hops = hops_between(truth, local, CONFIG)
+    assert np.allclose(se2.compose(truth[:-1], hops.motions)[:, :2], truth[1:, :2])
+    assert hops.covariances[0, 0, 0] == pytest.approx(6e-4 + 0.03**2)
+
+
+def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
+    travel = 2.5 * np.arange(len(truth))
+    pair = loops_of(truth, [(0, 24), (1, 25)])
+    astray = Loop(10, 40, np.array([1.0, 1.0, 1.0]), INFORMATION, 0.8, "wrong")
+    same_chunk = loops_of(truth, [(12, 36), (13, 36)])
+    found = supported([*pair, astray, *same_chunk], truth, travel, LoopConfig())
+    assert found.tolist() == [True, True, False, False, False]
+    assert supported([], truth, travel, LoopConfig()).tolist() == []
+
+
+def test_loops_that_contradict_are_in_different_groups(truth):
+    pair = loops_of(truth, [(0, 24), (1, 25), (2, 26)])
+    other = Loop(1, 26, se2.compose(se2.between(truth[1], truth[26]), np.array([2.0, 0.0, 0.0])), INFORMATION, 0.7, "x")
+    distance, _ = agreements([*pair, other], truth)
+    assert distance[0, 1] == pytest.approx(0.0, abs=1e-9)
+    assert distance[0, 3] == pytest.approx(2.0)
+    assert groups_of([*pair, other], truth, LoopConfig()) == [[0, 1, 2], [3]]
+    assert AgreementConfig().max_group >= 3

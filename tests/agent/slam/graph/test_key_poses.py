@@ -1,0 +1,113 @@
+"""Key poses: frames there and back, calibration, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
+from limslam_agent.slam.graph.key_poses import (
+    LogData,
+    calibrated_steps,
+    choose_keys,
+    event_poses,
+    odometry_trajectory,
+    points_in_keys,
+    to_world,
+)
+from limslam_env.geometry import se2
+
+RNG = np.random.default_rng(1)
+
+
+def wandering(count=200, beams=3):
+    moves = np.column_stack((RNG.normal(0.05, 0.02, count), RNG.normal(0.0, 0.02, count), RNG.normal(0.0, 0.05, count)))
+    odometry = np.zeros((count, 3))
+    for row in range(1, count):
+        odometry[row] = se2.compose(odometry[row - 1], moves[row])
+    angles = np.linspace(-1.5, 1.5, beams)
+    ranges = RNG.uniform(0.3, 4.0, (count, beams))
+    origins = RNG.normal(0.0, 0.1, (beams, 2))
+    return LogData(np.arange(count) * 0.1, odometry, ranges, ranges < 3.5, origins, angles, 5.0)
+
+
+def keys_of(log):
+    return choose_keys(log, KeyPoseConfig(), MotionConfig())
+
+
+def test_without_correction_every_event_is_where_odometry_has_it():
+    log = wandering()
+    start = np.array([3.0, -2.0, 1.0])
+    poses = event_poses(keys_of(log), odometry_trajectory(keys_of(log), start))
+    wanted = se2.compose(start, se2.between(log.odometry[0], log.odometry))
+    assert np.allclose(poses[:, :2], wanted[:, :2])
+    assert np.allclose(se2.wrap_angle(poses[:, 2] - wanted[:, 2]), 0.0)
+
+
+def test_points_lie_where_their_beams_end():
+    log = wandering()
+    keys = keys_of(log)
+    trajectory = odometry_trajectory(keys, log.odometry[0])
+    points, origins = points_in_keys(keys, trajectory.bias)
+    world, begin = (to_world(trajectory.poses[keys.point_key], each) for each in (points, origins))
+    row = 57
+    event = keys.point_event[row]
+    lengths = np.hypot(*(world - begin).T)
+    assert lengths[row] == pytest.approx(lengths[row])
+    assert np.min(np.abs(log.ranges[event] - lengths[row])) < 1e-9
+    beam = int(np.argmin(np.abs(log.ranges[event] - lengths[row])))
+    assert np.allclose(begin[row], se2.transform_points(log.odometry[event], log.origins[beam][None])[0])
+
+
+def test_key_poses_are_neither_far_nor_turned_apart():
+    log, config = wandering(), KeyPoseConfig()
+    keys = keys_of(log)
+    assert np.all(np.diff(keys.key_travel) < config.distance + 0.2)
+    assert np.all(keys.first_event[keys.event_key] <= np.arange(len(log.time)))
+
+
+def test_constant_errors_of_odometry_are_undone():
+    truth = wandering()
+    moves = se2.between(truth.odometry[:-1], truth.odometry[1:])
+    bias, scale, gain = 0.03, 0.02, -0.01
+    turn = (moves[:, 2] - bias * moves[:, 0] / (1.0 + scale)) / (1.0 + gain)
+    half = -0.5 * bias * moves[:, 0] / (1.0 + scale)
+    cos, sin = np.cos(half), np.sin(half)
+    x, y = cos * moves[:, 0] - sin * moves[:, 1], sin * moves[:, 0] + cos * moves[:, 1]
+    reported = np.zeros_like(truth.odometry)
+    for row, move in enumerate(np.column_stack((x / (1.0 + scale), y / (1.0 + scale), turn)), 1):
+        reported[row] = se2.compose(reported[row - 1], move)
+    keys = keys_of(replace(truth, odometry=reported))
+    steps = calibrated_steps(keys, np.array([bias, scale, gain]))
+    wanted = se2.between(truth.odometry[keys.first_event[:-1]], truth.odometry[keys.first_event[1:]])
+    raw = se2.between(reported[keys.first_event[:-1]], reported[keys.first_event[1:]])
+    assert np.abs(steps - wanted).max() < 3e-3
+    assert np.abs(raw - wanted).max() > 6e-3
+
+
+def test_a_standing_robot_gives_points_once():
+    log = wandering()
+    odometry = np.repeat(log.odometry[:1], len(log.time), axis=0)
+    assert set(keys_of(replace(log, odometry=odometry)).point_event) <= {0}
+
+
+def test_stated_variances_replace_those_of_the_settings():
+    log = wandering()
+    keys = keys_of(replace(log, variances=np.full((len(log.time), 3), 0.01)))
+    events = np.diff(keys.first_event)
+    assert np.allclose(keys.step_variances, 0.01 * events[:, None], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["time", "odometry", "hit", "angles"])
+def test_a_misshapen_log_is_refused(name):
+    log = wandering()
+    with pytest.raises(ValueError, match=name):
+        replace(log, **{name: getattr(log, name)[1:]})
+
+
+def test_a_log_with_holes_in_its_odometry_is_refused():
+    log = wandering()
+    odometry = log.odometry.copy()
+    odometry[5, 1] = np.nan
+    with pytest.raises(ValueError, match="odometry"):
+        replace(log, odometry=odometry)

@@ -1,0 +1,138 @@
+"""Jacobians of the graph's factors against central differences, and its normal equations against dense ones."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
+from limslam_agent.slam.graph.key_poses import LogData, Trajectory, choose_keys, odometry_trajectory
+from limslam_agent.slam.graph.least_squares import (
+    NormalEquations,
+    add_links,
+    add_odometry,
+    link_error,
+    loop_weights,
+    odometry_factor,
+    pose_columns,
+    relation_factor,
+)
+from limslam_agent.slam.graph.wall_lines import line_error
+
+RNG = np.random.default_rng(3)
+
+
+def central_differences(function, values, step=1e-6):
+    columns = []
+    for place in range(values.size):
+        high, low = values.copy(), values.copy()
+        high.flat[place] += step
+        low.flat[place] -= step
+        columns.append((function(high) - function(low)) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def curved_log(count=60):
+    time = np.arange(count, dtype=float)
+    turn = np.cumsum(RNG.normal(0.0, 0.1, count))
+    odometry = np.column_stack((np.cumsum(0.1 * np.cos(turn)), np.cumsum(0.1 * np.sin(turn)), turn))
+    ranges = RNG.uniform(0.5, 3.0, (count, 2))
+    hit = np.ones((count, 2), dtype=bool)
+    return LogData(time, odometry, ranges, hit, np.zeros((2, 2)), np.array([1.5, -1.5]), 5.0)
+
+
+def keys_of(log):
+    return choose_keys(log, KeyPoseConfig(), MotionConfig())
+
+
+def test_relation_jacobian():
+    poses = RNG.normal(0.0, 2.0, (2, 3))
+    measured = RNG.normal(0.0, 1.0, (1, 3))
+
+    def error(both):
+        return relation_factor(both, np.array([0]), np.array([1]), measured)[0][0]
+
+    _, jacobian = relation_factor(poses, np.array([0]), np.array([1]), measured)
+    assert np.allclose(jacobian[0], central_differences(error, poses), atol=1e-7)
+
+
+def test_odometry_jacobian_by_poses_and_constant_errors():
+    keys = keys_of(curved_log())
+    bias = np.array([0.02, 0.01, -0.02])
+    poses = odometry_trajectory(keys, np.array([1.0, 2.0, 0.5])).poses + RNG.normal(0.0, 0.02, (len(keys), 3))
+    _, jacobian = odometry_factor(keys, Trajectory(poses, bias))
+    by_bias = central_differences(lambda each: odometry_factor(keys, Trajectory(poses, each))[0], bias)
+    by_poses = central_differences(lambda each: odometry_factor(keys, Trajectory(each, bias))[0], poses)
+    # The missed heading is spread along the step: second-order terms of it are left out.
+    assert np.allclose(jacobian[:, :, 6:], by_bias, atol=1e-3)
+    for row in range(len(keys) - 1):
+        assert np.allclose(jacobian[row, :, :6], by_poses[row, :, 3 * row : 3 * row + 6], atol=1e-7)
+
+
+def test_link_jacobian():
+    poses = RNG.normal(0.0, 2.0, (2, 3))
+    point, other = RNG.normal(0.0, 2.0, (2, 2))
+    normal = np.array([np.cos(0.7), np.sin(0.7)])
+    by, scratch = np.empty(6), np.empty(6)
+    link_error(poses[0], poses[1], point, other, normal, by)
+    wanted = central_differences(lambda both: link_error(both[0], both[1], point, other, normal, scratch), poses)
+    assert np.allclose(by, wanted, atol=1e-7)
+
+
+def test_line_jacobian():
+    pose, place = RNG.normal(0.0, 2.0, 3), RNG.normal(0.0, 2.0, 2)
+    centre, angle, scratch, by = RNG.normal(0.0, 2.0, 2), 0.4, np.empty(5), np.empty(5)
+    in_robot = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]]) @ (place - pose[:2])
+
+    def error(unknowns):
+        x, y, heading, turn, offset = unknowns
+        rotation = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        moved = centre + offset * np.array([np.cos(angle), np.sin(angle)])
+        return line_error(pose, rotation @ in_robot + [x, y], angle + turn, moved, scratch)
+
+    line_error(pose, place, angle, centre, by)
+    assert np.allclose(by, central_differences(error, np.append(pose, [0.0, 0.0])), atol=1e-7)
+
+
+def test_the_sparse_step_equals_a_dense_one():
+    equations = NormalEquations(9)
+    first, second = np.array([0, 1, 0]), np.array([1, 2, 2])
+    poses = RNG.normal(0.0, 1.0, (3, 3))
+    error, jacobian = relation_factor(poses, first, second, RNG.normal(0.0, 1.0, (3, 3)))
+    information = np.tile(np.diag([4.0, 5.0, 6.0]), (3, 1, 1))
+    columns = np.hstack((pose_columns(first), pose_columns(second)))
+    equations.add(columns, jacobian, error, information)
+    dense = np.zeros((9, 9))
+    for row in range(3):
+        wide = np.zeros((3, 9))
+        wide[:, columns[row]] = jacobian[row]
+        dense += wide.T @ information[row] @ wide
+    step = np.zeros(9)
+    step[3:] = -np.linalg.solve(dense[3:, 3:], equations.gradient[3:])
+    assert np.allclose(equations.solve(), step)
+    covariance = np.zeros((9, 9))
+    covariance[3:, 3:] = np.linalg.inv(dense[3:, 3:])
+    wanted = jacobian[1] @ covariance[np.ix_(columns[1], columns[1])] @ jacobian[1].T
+    assert np.allclose(equations.covariances(columns, jacobian)[1], wanted)
+
+
+def test_linked_points_pull_a_wrong_pose_onto_the_line():
+    keys = keys_of(curved_log())
+    poses = odometry_trajectory(keys, np.zeros(3)).poses
+    key = np.array([2, 5])
+    normals = np.array([[0.0, 1.0], [0.0, 1.0]])
+    geometry = key, np.array([[0.3, 1.0], [0.0, 1.0]]), normals
+    before, scratch = [], np.empty(6)
+    for std in (1e-3, 10.0):
+        equations = NormalEquations(3 * len(keys) + 3)
+        trajectory = Trajectory(poses, np.zeros(3))
+        add_odometry(equations, keys, trajectory, MotionConfig())
+        add_links(equations, poses, geometry, np.array([[0, 1]]), std, 1e3)
+        moved = poses + equations.solve()[: 3 * len(keys)].reshape(-1, 3)
+        before.append(abs(link_error(moved[2], moved[5], geometry[1][0], geometry[1][1], normals[1], scratch)))
+    assert before[0] < 0.05 * before[1]
+
+
+def test_loops_that_fit_count_fully_and_others_hardly():
+    error = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    weights = loop_weights(error, np.tile(np.eye(3), (3, 1, 1)), 3.0)
+    assert weights[:2] == pytest.approx(1.0)
+    assert weights[2] == pytest.approx((6.0 / 103.0) ** 2)

@@ -1,0 +1,121 @@
+"""Matching of local maps: branch and bound against trying everything, and matches that must be found."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.graph import LocalMapConfig, MatchConfig
+from limslam_agent.slam.graph.local_maps import FREE, HIT, LocalMap, draw_grid, thinned, united
+from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, score_at, search_grid
+from limslam_env.geometry import se2
+
+MAPS, MATCHING = LocalMapConfig(), MatchConfig()
+
+
+def corner(generator, count=60):
+    """Points on two walls at a right angle, seen from the origin."""
+    along = generator.uniform(-3.0, 3.0, count)
+    aside = generator.uniform(-1.0, 2.0, count // 2)
+    return np.vstack(
+        (np.column_stack((along, np.full(count, 2.0))), np.column_stack((np.full(len(aside), 3.0), aside)))
+    )
+
+
+def chunk_of(places):
+    origins = np.zeros_like(places)
+    grid = draw_grid(places, origins, 160, MAPS)
+    return LocalMap(0, 0.0, places, origins, thinned(places, MAPS.cell), grid, MAPS.cell)
+
+
+def penalty(x, y, turn, cells, turns):
+    return MATCHING.prior * ((x * x + y * y) / (cells**2 + 1.0) + turn * turn / (turns**2 + 1.0))
+
+
+def by_trying_everything(grid, points, guess, window):
+    cells, turns = int(window.shift / grid.cell + 1e-6), int(window.turn / window.turn_step + 1e-6)
+    best = (NO_MATCH, None)
+    for turn in range(-turns, turns + 1):
+        for x in range(-cells, cells + 1):
+            for y in range(-cells, cells + 1):
+                pose = guess + np.array([x * grid.cell, y * grid.cell, turn * window.turn_step])
+                score = score_at(grid, points, pose) - penalty(x, y, turn, cells, turns)
+                best = max(best, (score, pose), key=lambda each: each[0])
+    return best
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_branch_and_bound_equals_trying_everything(seed):
+    generator = np.random.default_rng(seed)
+    chunk = chunk_of(corner(generator))
+    points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
+    window = Window(1.3, np.radians(20.0), np.radians(5.0))
+    grid, guess = search_grid(chunk, window.shift, MATCHING), generator.normal(0.0, 0.2, 3)
+    found = match(grid, points, guess, window, MATCHING, -1.0)
+    score, pose = by_trying_everything(grid, points, guess, window)
+    assert found.score == pytest.approx(score, abs=1e-6)
+    assert found.pose == pytest.approx(pose) or score_at(grid, points, found.pose) == pytest.approx(
+        score_at(grid, points, pose), abs=0.05
+    )
+
+
+def test_bounds_of_wide_windows_hold_beyond_the_grid():
+    generator = np.random.default_rng(5)
+    chunk = chunk_of(corner(generator))
+    points = chunk.points + np.array([9.0, -9.0])
+    grid = search_grid(chunk, 10.0, MATCHING)
+    found = match(grid, points, np.zeros(3), Window(10.0, 0.2, 0.1), MATCHING, 0.5)
+    assert found.pose[:2] == pytest.approx([-9.0, 9.0], abs=0.11)
+
+
+@pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (2.1, -1.4, 0.5), (-5.0, 4.0, -1.5)])
+def test_a_moved_chunk_is_found(moved):
+    generator = np.random.default_rng(7)
+    chunk = chunk_of(corner(generator, 200))
+    pose = np.array(moved)
+    points = se2.transform_points(se2.inverse(pose), corner(generator, 40))
+    window = Window(8.0, np.radians(100.0), np.radians(4.0))
+    found = match(search_grid(chunk, 8.0, MATCHING), points, np.zeros(3), window, MATCHING, 0.5)
+    assert found.score > 0.7
+    assert np.hypot(*(found.pose - pose)[:2]) < 0.3
+    assert abs(se2.wrap_angle(found.pose[2] - pose[2])) < np.radians(6.0)
+
+
+def test_nothing_is_found_where_nothing_fits():
+    generator = np.random.default_rng(8)
+    chunk = chunk_of(corner(generator))
+    points = generator.uniform(-3.0, 3.0, (80, 2))
+    grid = search_grid(chunk, 2.0, MATCHING)
+    assert match(grid, points, np.zeros(3), Window(2.0, 0.3, 0.1), MATCHING, 0.9).score == NO_MATCH
+    assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3, 0.1), MATCHING, 0.0).score == NO_MATCH
+
+
+def test_a_window_larger_than_the_grid_is_refused():
+    chunk = chunk_of(corner(np.random.default_rng(8)))
+    with pytest.raises(ValueError, match="cells"):
+        match(search_grid(chunk, 1.0, MATCHING), chunk.points, np.zeros(3), Window(3.0, 0.3, 0.1), MATCHING, 0.0)
+
+
+def test_a_corridor_is_uncertain_along_and_sure_across():
+    along = np.linspace(-4.0, 4.0, 160)
+    places = np.vstack((np.column_stack((along, np.full(160, 1.0))), np.column_stack((along, np.full(160, -1.0)))))
+    chunk = chunk_of(places)
+    points = thinned(places[np.abs(places[:, 0]) < 2.0], MAPS.cell)
+    _, covariance = match_covariance(search_grid(chunk, 1.0, MATCHING), points, np.zeros(3), np.radians(3.0), MATCHING)
+    assert covariance[0, 0] > 10.0 * covariance[1, 1]
+    assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+
+
+def test_a_grid_is_free_along_the_beams_and_hit_at_their_ends():
+    grid = draw_grid(np.array([[2.05, 0.05]]), np.array([[0.05, 0.05]]), 80, MAPS)
+    assert grid[60, 40] == HIT
+    assert grid[45, 40] == FREE
+    assert grid[45, 50] == 0
+
+
+def test_a_union_holds_what_each_chunk_has_seen():
+    generator = np.random.default_rng(9)
+    chunk = chunk_of(corner(generator))
+    poses = np.array([[1.0, 2.0, 0.3], [3.0, 1.0, -0.5]])
+    both = united([chunk, chunk], poses, 160, MAPS)
+    in_world = se2.transform_points(poses[1], chunk.places)
+    expected = se2.transform_points(se2.inverse(poses[0]), in_world)
+    assert np.allclose(both.places[len(chunk.places) :], expected)

@@ -1,0 +1,120 @@
+"""Whole logs: laps of a simulated corridor with wrong odometry come out right, and so do the recorded ones."""
+
+import numpy as np
+import pytest
+from support.corridors import FOUR_BEAMS, TURN_PER_METRE, corridor_log, loop_errors
+from support.data import data_folder
+
+from limslam_agent.config.graph import GraphConfig, RoundConfig
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.relations import read_relations, relation_errors, summary
+from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.smooth import KEPT, NO_SUPPORT, OUTVOTED, smooth_log
+from limslam_env.geometry import se2
+
+LAP = 345  # events, about
+TWO_ROUNDS = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6)))
+
+
+@pytest.fixture(scope="module")
+def two_laps():
+    log, truth = corridor_log()
+    return log, truth, smooth_log(log, truth[0], TWO_ROUNDS)
+
+
+def test_biased_odometry_comes_out_right(two_laps):
+    log, truth, result = two_laps
+    assert loop_errors(log.odometry, truth, LAP).mean() > 3.0
+    assert loop_errors(result.poses, truth, LAP).mean() < 0.1
+    assert np.hypot(*(result.poses - truth)[:, :2].T).mean() < 0.5
+
+
+def test_the_bias_of_odometry_is_found(two_laps):
+    _, _, result = two_laps
+    assert result.turn_bias == pytest.approx(TURN_PER_METRE, rel=0.2)
+    assert abs(result.scale) < 0.03
+    assert abs(result.turn_gain) < 0.05
+
+
+def test_every_loop_has_a_reason(two_laps):
+    _, _, result = two_laps
+    assert sum(verdict.kept for verdict in result.verdicts) >= 5
+    assert all(verdict.kept == (verdict.reason == KEPT) for verdict in result.verdicts)
+    known = {KEPT, NO_SUPPORT, OUTVOTED}
+    assert {verdict.reason for verdict in result.verdicts} & known
+    assert len(result.chunk_poses) == len(result.chunk_events) == len(result.chunk_covariances)
+
+
+def test_uncertainty_grows_with_the_way_from_the_start(two_laps):
+    _, _, result = two_laps
+    position = np.sqrt(np.trace(result.chunk_covariances[:, :2, :2], axis1=1, axis2=2))
+    assert position[0] < 1e-3
+    assert np.all(np.linalg.eigvalsh(result.chunk_covariances) > -1e-9)
+    assert position[1:].min() > 0.01
+
+
+def test_the_same_log_gives_the_same_poses(two_laps):
+    log, truth, result = two_laps
+    assert np.array_equal(smooth_log(log, truth[0], TWO_ROUNDS).poses, result.poses)
+
+
+def test_a_slip_of_the_wheels_is_survived():
+    log, truth = corridor_log(slip=np.radians(25.0), seed=1)
+    assert loop_errors(smooth_log(log, truth[0], TWO_ROUNDS).poses, truth, LAP).mean() < 0.1
+
+
+def test_four_beams_suffice_where_the_robot_comes_by_again():
+    log, truth = corridor_log(robot=FOUR_BEAMS, seed=2, bias=0.5 * TURN_PER_METRE)
+    assert loop_errors(smooth_log(log, truth[0], TWO_ROUNDS).poses, truth, LAP).mean() < 0.3
+
+
+def test_corridors_that_look_alike_are_not_taken_for_each_other():
+    log, truth = corridor_log(laps=2, bias=np.radians(0.5))
+    count = LAP
+    once = LogData(
+        log.time[:count], log.odometry[:count], log.ranges[:count], log.hit[:count], log.origins, log.angles, 5.0
+    )
+    result = smooth_log(once, truth[0], TWO_ROUNDS)
+    assert np.hypot(*(result.poses - truth[:count])[:, :2].T).mean() < 0.15
+
+
+def test_a_log_without_readings_is_its_odometry():
+    log, truth = corridor_log(laps=1)
+    blind = LogData(log.time, log.odometry, log.ranges, np.zeros_like(log.hit), log.origins, log.angles, 5.0)
+    result = smooth_log(blind, truth[0])
+    assert result.start == "odometry"
+    assert np.allclose(result.poses[:, :2], se2.compose(truth[0], log.odometry)[:, :2])
+
+
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_a_short_log_needs_no_loops(count):
+    log, truth = corridor_log(laps=1)
+    short = LogData(
+        log.time[:count], log.odometry[:count], log.ranges[:count], log.hit[:count], log.origins, log.angles, 5.0
+    )
+    result = smooth_log(short, truth[0])
+    assert result.verdicts == []
+    assert np.abs(result.poses - truth[:count]).max() < 0.3
+
+
+RECORDED = {
+    "fr079": ("fr079/fr079_raw.clf.gz", "fr079/fr079.relations.gz", 0.10, 2.5),
+    "csail": ("csail/mit-csail.clf.gz", "csail/csail_pseudo.relations.gz", 0.15, 5.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECORDED)
+def test_a_recorded_log_is_as_good_as_published(name):
+    path, relations, metres, degrees = RECORDED[name]
+    log = read_log(data_folder() / path, (90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 5.0)
+    robot = log.robot
+    hit = log.has_scan[:, None] & (log.ranges > robot.too_near) & (log.ranges < robot.too_far)
+    ranges = log.ranges.astype(float)
+    data = LogData(log.time, log.odometry, ranges, hit, robot.beam_origins, robot.beam_angles, 5.0)
+    result = smooth_log(data, log.start_pose)
+    known = read_relations(data_folder() / relations)
+    figures = summary(relation_errors(known, log.time, result.poses, log.odometry))
+    assert figures["relation_error_m"] < metres
+    assert figures["relation_error_deg"] < degrees
+    assert figures["loop_relation_error_m"] < 0.2
