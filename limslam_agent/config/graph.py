@@ -395,7 +395,7 @@ class RoundConfig(Bounded):
     iterations
         Of the bundle, in each round.
     wide_search
-        In how many rounds places are searched widely; afterwards the map is near enough for the union matching.
+        In how many rounds places are searched widely. A place may become findable only when others have been found.
     trial, hopeless
         After so many rounds of both starts, the start whose score is worse by this is given up.
     tie
@@ -406,7 +406,7 @@ class RoundConfig(Bounded):
 
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
-    wide_search: Count = 2
+    wide_search: Count = 4
     trial: Count = 2
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003
