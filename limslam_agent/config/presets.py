@@ -37,14 +37,14 @@ ESTIMATORS: dict[str, EstimatorConfig] = {
     "odometry": PublishedConfig(filter=FilterConfig(correct=False)),
     "graph": ConsistentConfig(),
 }
-"""The estimator's settings in each preset. The preset ``graph`` also smooths a log after its end."""
+"""The estimator's settings in each preset. The preset ``graph`` also smooths a log of poses after its end."""
 
 PRESETS = tuple(ESTIMATORS)
 
 
 @dataclass(frozen=True)
 class AgentConfig(Bounded):
-    """Everything that an agent is told, besides its robot. ``AgentConfig()`` is the preset ``consistent``.
+    """Everything that an agent is told, besides its robot. ``AgentConfig()`` is the preset ``graph``.
 
     Attributes
     ----------
@@ -66,7 +66,8 @@ class AgentConfig(Bounded):
     policy
         Exploration.
     smoothing
-        The graph of local maps that smooths a recorded log after its end. None leaves the log as the filter saw it.
+        The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
+        saw it.
     """
 
     preset: str = DEFAULT_PRESET
@@ -77,7 +78,7 @@ class AgentConfig(Bounded):
     team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
-    smoothing: GraphConfig | None = None
+    smoothing: GraphConfig | None = field(default_factory=GraphConfig)
 
     @property
     def range_std(self) -> float:
@@ -92,7 +93,8 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     ----------
     name
         One of ``PRESETS``: ``consistent``, ``paper`` (the published method), ``odometry`` (the published method
-        without corrections) or ``graph`` (like ``consistent``, and a recorded log is smoothed after its end).
+        without corrections) or ``graph`` (like ``consistent``, and a recorded log of poses is smoothed after its
+        end).
     noise
         Nominal noise of the robot; that of ideal ranges when None.
 

@@ -147,7 +147,9 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )
-    if config.smoothing is None:
+    # Logs of wheel travel are those of simulated robots with beams of 1.5 m. Local maps of so little are ambiguous:
+    # the smoothed path was 2 to 3 m off in two of three worlds where the filter's was 0.04 to 0.07 m off.
+    if config.smoothing is None or log.odometry is None:
         return replay
     from limslam_agent.replay.smoothing import smoothed_replay
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -158,9 +159,9 @@ def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
         np.testing.assert_array_equal(belief.segments, other.segments)
 
 
-def test_it_starts_at_the_origin_with_the_consistent_preset_unless_told_otherwise():
+def test_it_starts_at_the_origin_with_the_default_preset_unless_told_otherwise():
     mapper = Mapper(ROBOT)
-    assert mapper.config == preset("consistent")
+    assert mapper.config == preset(DEFAULT_PRESET)
     np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
     np.testing.assert_array_equal(mapper.odometry, np.zeros((1, 3)))
 

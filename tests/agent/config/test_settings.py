@@ -9,6 +9,7 @@ import pytest
 from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig, CreationConfig, PendingReadingsConfig
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import (
     PRESETS,
     AgentConfig,
@@ -44,7 +45,7 @@ def numbers(group):
 
 
 def test_the_settings_without_arguments_are_the_default_preset():
-    assert AgentConfig() == preset("consistent")
+    assert AgentConfig() == preset(DEFAULT_PRESET)
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -102,8 +102,8 @@ def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
         assert 1e-5 < np.sqrt(mark.covariance[1, 1]) < 0.01
 
 
-def test_a_log_of_wheel_travel_is_smoothed_too():
-    log, truth = recorded()
+def test_a_log_of_wheel_travel_is_left_as_the_filter_saw_it():
+    log, _ = recorded()
     moves = se2.between(log.odometry[:-1], log.odometry[1:])
     axle, distance = log.robot.axle, np.hypot(moves[:, 0], moves[:, 1])
     half = 0.5 * axle * moves[:, 2]
@@ -117,6 +117,4 @@ def test_a_log_of_wheel_travel_is_smoothed_too():
         ranges=log.ranges[:rows],
         has_scan=log.has_scan[:rows],
     )
-    replay = replay_log(log, replace(preset("graph"), smoothing=TWO_ROUNDS))
-    errors = [loop_errors(poses, truth[:rows], 100).mean() for poses in (replay.odometry, replay.smoothed.poses)]
-    assert errors[1] < 0.5 * errors[0]
+    assert replay_log(log, replace(preset("graph"), smoothing=TWO_ROUNDS)).smoothed is None
