@@ -1,4 +1,4 @@
-"""The minimum versions in ``pyproject.toml`` can be true together with what the required packages require themselves."""
+"""The minimum versions in ``pyproject.toml`` agree with what the required packages require themselves."""
 
 import tomllib
 from importlib.metadata import PackageNotFoundError, requires
