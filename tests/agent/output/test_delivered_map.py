@@ -94,7 +94,7 @@ def test_a_replay_and_show_have_the_walls_that_were_scored(explored, tmp_path, m
 
     def write_replay(folder, replay, *others, written=replay_module.write_replay):
         replays.append(replay)
-        written(folder, replay, *others)
+        return written(folder, replay, *others)
 
     monkeypatch.setattr(replay_module, "write_replay", write_replay)
     again = limslam("replay", explored / "log.npz", "--preset", "consistent", "--out", tmp_path / "again")
