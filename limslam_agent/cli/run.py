@@ -51,6 +51,8 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_agent.runs.results import write_episode
 
     config = run_config(given, options)
+    for warning in config.warnings:
+        typer.echo(f"limslam: warning: {warning}", err=True)
     target = options.out or unused(Path("runs") / _folder_name(config))
     task = "driving" if options.laps else "exploring"
     with new_folder(target, force=options.force) as folder, progress_bar(task, options.max_time) as advance:

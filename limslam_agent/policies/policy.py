@@ -13,6 +13,10 @@ NO_PLAN = no_rows(2)
 NO_PLAN.setflags(write=False)
 
 
+NOT_EXPLORED = "not explored"
+"""The end of the stop reason of a policy that has stopped although it could not explore."""
+
+
 class Policy(Protocol):
     """Anything that turns a belief into wheel speeds: a planner, a rule, or a trained network.
 

@@ -10,6 +10,7 @@ import pettingzoo
 from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
+from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.actors import Actions, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
@@ -167,7 +168,8 @@ def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) ->
     rows, stop_reason = _drive(driver, robots, seed)
     time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))
     true, contact = (np.array([[info[name] for info in row.infos] for row in rows]) for name in ("pose", "collision"))
-    scores: Result = drive_scores(time, coverage, true, contact, has_explored=stop_reason is not None)
+    has_explored = stop_reason is not None and not stop_reason.endswith(NOT_EXPLORED)
+    scores: Result = drive_scores(time, coverage, true, contact, has_explored=has_explored)
     if driver.snapshot_source is not None:
         estimated, covariances = np.array([row.estimated for row in rows]), np.array([row.covariances for row in rows])
         odometry, snapshot = np.array([row.odometry for row in rows]), driver.snapshot_source.snapshot()
