@@ -32,7 +32,10 @@ Force = Annotated[
 ]
 
 # Of limslam run.
-World = Annotated[str | None, _option(_WORLD, "Name of a shipped world, or a world file.", _RUN.world)]
+World = Annotated[
+    str | None,
+    _option(_WORLD, "Name of a shipped world, random:SEED for a random floor plan, or a world file.", _RUN.world),
+]
 Noise = Annotated[
     float | None,
     _option(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.", _RUN.noise),

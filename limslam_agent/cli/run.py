@@ -54,8 +54,8 @@ def carry_out(given: Given, options: RunOptions) -> None:
     for warning in config.warnings:
         typer.echo(f"limslam: warning: {warning}", err=True)
     target = options.out or unused(Path("runs") / _folder_name(config))
-    task = "driving" if options.laps else "exploring"
-    with new_folder(target, force=options.force) as folder, progress_bar(task, options.max_time) as advance:
+    task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
+    with new_folder(target, force=options.force) as folder, progress_bar(task, total) as advance:
         episode = _filmed_run(config, advance, options.video, force=options.force)
         result = write_episode(folder, episode)
         write_run_settings(folder, options, config)
@@ -83,7 +83,8 @@ def _filmed_run(config: "RunConfig", advance: Advance, video: Path | None, *, fo
     from limslam_agent.runs.episode import run_episode
 
     def show(time: float, coverage: float) -> None:
-        advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
+        # An exploration is over when all is seen, and laps have no such end.
+        advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered")
 
     if video is None:
         return run_episode(config, lambda _team, _env, time, coverage: show(time, coverage))

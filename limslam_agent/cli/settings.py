@@ -273,7 +273,8 @@ def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:
 
 
 def _named(world: str) -> str:
-    """A world's name, or the absolute path of its file."""
-    from limslam_env.worlds.formats.loading import shipped_worlds
+    """The name of a shipped world or a floor plan, or the absolute path of its file."""
+    from limslam_env.worlds.formats.loading import RANDOM, shipped_worlds
 
-    return world if world in shipped_worlds() else str(Path(world).absolute())
+    is_name = world in shipped_worlds() or world.startswith(RANDOM)
+    return world if is_name else str(Path(world).absolute())
