@@ -60,6 +60,10 @@ Ablation = Annotated[str | None, _option(_AGENT, "Part of the method to switch o
 Limit = Annotated[
     bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).", None, "--limit/--no-limit")
 ]
+FilmSpeed = Annotated[
+    float | None,
+    _option(_RESULTS, "How much faster the video is than the run.", f"{_RUN.film_speed:g}", "--film-speed"),
+]
 Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
 
 # Of limslam replay.

@@ -28,6 +28,7 @@ def run(
     ablation: take.Ablation = None,
     limit: take.Limit = None,
     video: take.Video = None,
+    film_speed: take.FilmSpeed = None,
     out: take.Out = None,
     force: take.Force = None,
     config: take.Config = None,
@@ -56,7 +57,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
     target = options.out or unused(Path("runs") / _folder_name(config))
     task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
     with new_folder(target, force=options.force) as folder, progress_bar(task, total) as advance:
-        episode = _filmed_run(config, advance, options.video, force=options.force)
+        episode = _filmed_run(config, advance, options)
         result = write_episode(folder, episode)
         write_run_settings(folder, options, config)
     for line in run_summary(result["metrics"], result["cost"]):
@@ -79,19 +80,20 @@ def _folder_name(config: "RunConfig") -> str:
     )
 
 
-def _filmed_run(config: "RunConfig", advance: Advance, video: Path | None, *, force: bool) -> "Episode":
+def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
     from limslam_agent.runs.episode import run_episode
 
     def show(time: float, coverage: float) -> None:
         # An exploration is over when all is seen, and laps have no such end.
         advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered")
 
-    if video is None:
+    if options.video is None:
         return run_episode(config, lambda _team, _env, time, coverage: show(time, coverage))
     from limslam_agent.runs.recording import filming
     from limslam_agent.runs.results import title_of
 
-    with filming(video, config, title_of(config), force=force) as recorder:
+    title, speed = title_of(config), options.film_speed
+    with filming(options.video, config, title, force=options.force, speed=speed) as recorder:
 
         def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
             recorder.watch(team, env, time, coverage)

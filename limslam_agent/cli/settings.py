@@ -21,7 +21,7 @@ _Std = Annotated[float, Bounds(0.0, 1e3)]
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
 # These say where results go, not how they are made.
-_OUTPUT = {"out", "force", "video"}
+_OUTPUT = {"out", "force", "video", "film_speed"}
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class RunOptions(Bounded):
     ablation: str | None = None
     limit: bool = False
     video: Path | None = None
+    film_speed: Annotated[float, Bounds(2.5, 100.0)] = 5.0
     out: Path | None = None
     force: bool = False
 

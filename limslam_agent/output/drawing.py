@@ -158,8 +158,8 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> None:
         axes.plot(*path.T, color=TRUE_PATH, linewidth=1.2, zorder=3)
     for (colour, _), path in zip(colours, picture.estimates, strict=True):
         axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
-        axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=5)
-        axes.plot(*path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=5)
+        axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)
+        axes.plot(*path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=8)
 
 
 def _draw_walls(axes: Axes, segments: FloatArray) -> None:
