@@ -175,7 +175,8 @@ def _figure(drawing: Drawing) -> str:
     width = round(drawing.figure.get_figwidth() * _PIXELS)
     return (
         f'<figure><div class="picture" role="region" tabindex="0" aria-label="{title}">'
-        f'<img style="max-width:{width}px;min-width:min(40rem,{width}px)" alt="{escape(drawing.alt)}" src="data:image/png;base64,{source}"></div>'
+        f'<img style="max-width:{width}px;min-width:min(40rem,{width}px)" '
+        f'alt="{escape(drawing.alt)}" src="data:image/png;base64,{source}"></div>'
         f"<figcaption>{title}</figcaption></figure>"
     )
 
