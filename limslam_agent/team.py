@@ -9,7 +9,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
 from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.policy import Policy
+from limslam_agent.policies.policy import Policy, checked_action, checked_plan
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -140,12 +140,18 @@ class LimSlamTeam:
         self.mapper.step(*observations)
 
     def decide(self) -> list[FloatArray]:
-        """The exploring half of :meth:`act`: wheel speeds (2,) of each robot. The map stays as it is."""
+        """The exploring half of :meth:`act`: wheel speeds (2,) of each robot. The map stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a policy does not answer with two finite numbers.
+        """
         beliefs = self.mapper.beliefs
         self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
-            policy.act(replace(beliefs[number], other_goals=self._goals_of_others(number)))
+            checked_action(policy, replace(beliefs[number], other_goals=self._goals_of_others(number)))
             for number, policy in enumerate(self.policies)
         ]
 
@@ -172,9 +178,15 @@ class LimSlamTeam:
         return reasons[0] if len(set(reasons)) == 1 else "; ".join(reasons)
 
     def snapshot(self) -> Snapshot:
-        """Everything that the team believes now. Later steps do not change the snapshot."""
+        """Everything that the team believes now. Later steps do not change the snapshot.
+
+        Raises
+        ------
+        ValueError
+            If the plan of a policy is not an array (k, 2) of finite points.
+        """
         slam, mapper = self.slam, self.mapper
-        plans = [policy.plan.copy() for policy in self.policies]
+        plans = [checked_plan(policy) for policy in self.policies]
         return Snapshot(
             slam.poses, slam.covariances, mapper.odometry, slam.landmarks, slam.segments, mapper.grid, plans
         )

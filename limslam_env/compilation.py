@@ -8,11 +8,19 @@ discarded whenever the text of any file changes in the packages that the decorat
 import functools
 import hashlib
 import importlib.util
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
+
+QUIET = "LIMSLAM_QUIET"
+"""Name of the environment variable that switches off the messages about compiling, if it is not empty."""
+
+_SECONDS = {"advance": 15, "step_some": 90}
+"""Kernels that take long to compile, and about how long on a usual processor, s."""
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
@@ -65,10 +73,29 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
             return cast(Kernel, njit(**options)(kernel))
+        _announce(kept, kernel.__name__)
         file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
         return cast(Kernel, kept)
 
     return entry
+
+
+def _announce(kept: Any, name: str) -> None:
+    """Let a kernel that takes long say so on stderr, when it is not on disk and has to be compiled."""
+    seconds = _SECONDS.get(name)
+    if seconds is None:
+        return
+    # Not public either: numba asks its cache for the code before it compiles.
+    cache = kept._cache  # noqa: SLF001
+    load = cache.load_overload
+
+    def load_or_announce(*arguments: Any) -> Any:
+        found = load(*arguments)
+        if found is None and not os.environ.get(QUIET):
+            print(f"limslam: compiling {name!r}, once, about {seconds} s", file=sys.stderr, flush=True)  # noqa: T201
+        return found
+
+    cache.load_overload = load_or_announce
 
 
 @functools.cache

@@ -7,6 +7,8 @@ import pytest
 
 # Before numpy is imported: for small matrices a second thread takes longer to wake than it saves.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests look at stderr, which must not depend on what was compiled before.
+os.environ.setdefault("LIMSLAM_QUIET", "1")
 
 FOLDER = Path(__file__).parent
 NOT_QUICK = [

@@ -29,7 +29,8 @@ ENV = {
     "limslam_env.config": set(),
     "limslam_env.robots": {INTERFACE},
     "limslam_env.worlds": {GEOMETRY},
-    "limslam_env.worlds.formats": {GEOMETRY, *env("worlds")},
+    # A world may be named by the seed of a floor plan.
+    "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
     "limslam_env.compilation": set(),
     "limslam_env.kernels": {GEOMETRY, *env("compilation")},

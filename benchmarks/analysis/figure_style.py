@@ -3,6 +3,7 @@
 Figures are made without pyplot, so that nothing global is changed and nothing has to be closed.
 """
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,9 +60,14 @@ def sheet_of(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure
     return figure, [list(line) for line in axes]
 
 
+_NARROWEST, _AROUND = 5.0, 1.0  # inches: least width of a sheet, and the height of title and legend
+_ENTRY, _LETTERS = 1.75, 11.0  # inches of an entry of a legend, and letters of a title on an inch
+
+
 def uneven_sheet(heights: Sequence[float], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
     """As :func:`sheet_of`, each row of a height of its own, inches."""
-    size = (columns * width, sum(heights) + 0.25 * len(heights) + 0.5)
+    # A title and a legend need space that one narrow column has not.
+    size = (max(columns * width, _NARROWEST), sum(heights) + 0.25 * len(heights) + _AROUND)
     figure = Figure(figsize=size, layout="constrained", facecolor="white")
     axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=list(heights))
     return figure, [list(line) for line in axes]
@@ -78,15 +84,17 @@ def plain_axes(axes: Axes) -> None:
 
 def legend_below(figure: Figure, handles: Sequence[Line2D], columns: int = 5) -> None:
     """What is what, under the figure."""
+    fitting = max(int(figure.get_figwidth() / _ENTRY), 1)
     figure.legend(
-        handles=list(handles), loc="outside lower center", ncols=max(1, min(columns, len(handles))), frameon=False,
-        fontsize=9,
+        handles=list(handles), loc="outside lower center", ncols=max(1, min(columns, len(handles), fitting)),
+        frameon=False, fontsize=9,
     )  # fmt: skip
 
 
 def headline(figure: Figure, title: str) -> None:
     """A title over the figure; never read as mathematics."""
-    figure.suptitle(title, fontsize=11, parse_math=False)
+    lines = textwrap.wrap(title, max(int(figure.get_figwidth() * _LETTERS), 20), break_long_words=False)
+    figure.suptitle("\n".join(lines), fontsize=11, parse_math=False)
 
 
 def chosen(values: Sequence[_Value], most: int) -> list[_Value]:

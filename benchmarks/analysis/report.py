@@ -21,6 +21,7 @@ from benchmarks.suite.store import Row, read_jobs
 from limslam_agent.output.atomic_write import atomic_write
 
 _COLOURS = 96
+_PIXELS = 96  # of an inch of a figure on the page
 _KINDS = {
     "confirmed": ("confirmed", "\N{CHECK MARK}"),
     "partly": ("partly", "\N{ALMOST EQUAL TO}"),
@@ -64,9 +65,9 @@ def _page(rows: Sequence[Row], folder: Path) -> str:
     title = f"LimSLAM benchmark: {suite.get('suite', folder.name)}"
     sections = {
         "Summary": _summary(rows, suite),
-        "Claims of the paper": _claims(claims(rows, folder)),
         "Tables": "\n".join(render(sheet, "html") for sheet in number_sheets(rows)),
         "Figures": "\n".join(_figure(drawing) for drawing in drawings(rows, folder)) or "<p>Nothing to draw.</p>",
+        "Claims of the paper": _claims(claims(rows, folder)),
         "Failures": _failures(rows),
         "How it was made": _making(rows, suite),
     }
@@ -136,14 +137,25 @@ def _claims(verdicts: Sequence[Verdict]) -> str:
     counts = {outcome: sum(each.outcome == outcome for each in verdicts) for outcome in _KINDS}
     tried = sum(counts.values())
     words = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
-    items = "\n".join(_claim(each) for each in verdicts)
+    items = "\n".join(_claim(each) for each in verdicts if each.outcome in _KINDS)
+    untried = [each.claim for each in verdicts if each.outcome not in _KINDS]
     counted = f"{tried} were tried{': ' if words else ''}{words}"
     intro = (
         f"Of {len(verdicts)} claims {counted}. Judged on the rows of the published method. The paper gives no "
         "numbers: what counts as confirmed is our choice, and said beside each. Undecided: the 95 % interval holds "
         "both answers, and more runs would tell."
     )
-    return f'<p>{escape(intro)}</p>\n<ul class="claims">\n{items}\n</ul>'
+    cards = f'\n<ul class="claims">\n{items}\n</ul>' if tried else ""
+    return f"<p>{escape(intro)}</p>{cards}{_untried(untried)}"
+
+
+def _untried(claims: Sequence[str]) -> str:
+    """The claims that these rows say nothing to, folded away."""
+    if not claims:
+        return ""
+    items = "".join(f"<li>{escape(claim)}</li>" for claim in claims)
+    words = f"{len(claims)} claims were not tried in these rows" if len(claims) > 1 else "1 claim was not tried"
+    return f'\n<details class="untried"><summary>{words}</summary><ul>{items}</ul></details>'
 
 
 def _claim(verdict: Verdict) -> str:
@@ -159,9 +171,12 @@ def _claim(verdict: Verdict) -> str:
 def _figure(drawing: Drawing) -> str:
     source = base64.b64encode(_small_png(drawing)).decode("ascii")
     title = escape(drawing.title)
+    # No wider than it was drawn: a narrow sheet must not be blown up.
+    width = round(drawing.figure.get_figwidth() * _PIXELS)
     return (
         f'<figure><div class="picture" role="region" tabindex="0" aria-label="{title}">'
-        f'<img alt="{escape(drawing.alt)}" src="data:image/png;base64,{source}"></div>'
+        f'<img style="max-width:{width}px;min-width:min(40rem,{width}px)" '
+        f'alt="{escape(drawing.alt)}" src="data:image/png;base64,{source}"></div>'
         f"<figcaption>{title}</figcaption></figure>"
     )
 

@@ -66,13 +66,7 @@ def world_source(world: str) -> WorldSource:
         If the text names no floor plan.
     """
     if world.startswith(RANDOM):
-        from limslam_env.interface import RobotSpec
-        from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
-
-        seed = world.removeprefix(RANDOM)
-        if not (seed.isascii() and seed.isdigit()):
-            raise ValueError(f"{world!r} names no floor plan: a seed is needed, as in random:17")
-        return floor_plan(FloorPlanConfig(), np.random.default_rng(int(seed)), RobotSpec().radius)
+        return load_world(world)
     if world.startswith(PLAN):
         return data_file(f"kth/{world.removeprefix(PLAN)}.json")
     return world

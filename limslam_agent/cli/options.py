@@ -35,7 +35,10 @@ Force = Annotated[
 ]
 
 # Of limslam run.
-World = Annotated[str | None, _option(_WORLD, "Name of a shipped world, or a world file.", _RUN.world)]
+World = Annotated[
+    str | None,
+    _option(_WORLD, "Name of a shipped world, random:SEED for a random floor plan, or a world file.", _RUN.world),
+]
 Noise = Annotated[
     float | None,
     _option(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.", _RUN.noise),
@@ -59,6 +62,10 @@ Laps = Annotated[
 Ablation = Annotated[str | None, _option(_AGENT, "Part of the method to switch off.", "none")]
 Limit = Annotated[
     bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).", None, "--limit/--no-limit")
+]
+FilmSpeed = Annotated[
+    float | None,
+    _option(_RESULTS, "How much faster the video is than the run.", f"{_RUN.film_speed:g}", "--film-speed"),
 ]
 Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
 

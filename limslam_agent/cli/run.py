@@ -28,6 +28,7 @@ def run(
     ablation: take.Ablation = None,
     limit: take.Limit = None,
     video: take.Video = None,
+    film_speed: take.FilmSpeed = None,
     out: take.Out = None,
     force: take.Force = None,
     config: take.Config = None,
@@ -51,13 +52,15 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_agent.runs.results import write_episode
 
     config = run_config(given, options)
+    for warning in config.warnings:
+        typer.echo(f"limslam: warning: {warning}", err=True)
     target = options.out or Path("runs") / _folder_name(config)
-    task = "driving" if options.laps else "exploring"
+    task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
     with (
         new_folder(target, force=options.force, numbered=options.out is None) as folder,
-        progress_bar(task, options.max_time) as advance,
+        progress_bar(task, total) as advance,
     ):
-        episode = _filmed_run(config, advance, options.video, force=options.force)
+        episode = _filmed_run(config, advance, options)
         result = write_episode(folder.beside, episode)
         write_run_settings(folder.beside, options, config)
     for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):
@@ -80,18 +83,20 @@ def _folder_name(config: "RunConfig") -> str:
     )
 
 
-def _filmed_run(config: "RunConfig", advance: Advance, video: Path | None, *, force: bool) -> "Episode":
+def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
     from limslam_agent.runs.episode import run_episode
 
     def show(time: float, coverage: float) -> None:
-        advance(time, f"{time:6.1f} s  {coverage:6.1%} covered")
+        # An exploration is over when all is seen, and laps have no such end.
+        advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered")
 
-    if video is None:
+    if options.video is None:
         return run_episode(config, lambda _team, _env, time, coverage: show(time, coverage))
     from limslam_agent.runs.recording import filming
     from limslam_agent.runs.results import title_of
 
-    with filming(video, config, title_of(config), force=force) as recorder:
+    title, speed = title_of(config), options.film_speed
+    with filming(options.video, config, title, force=options.force, speed=speed) as recorder:
 
         def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
             recorder.watch(team, env, time, coverage)

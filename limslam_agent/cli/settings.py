@@ -22,7 +22,7 @@ _Std = Annotated[float, Bounds(0.0, 1e3)]
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
 # These say where results go, not how they are made.
-_OUTPUT = {"out", "force", "video"}
+_OUTPUT = {"out", "force", "video", "film_speed"}
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class RunOptions(Bounded):
     ablation: str | None = None
     limit: bool = False
     video: Path | None = None
+    film_speed: Annotated[float, Bounds(2.5, 100.0)] = 5.0
     out: Path | None = None
     force: bool = False
 
@@ -275,7 +276,8 @@ def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:
 
 
 def _named(world: str) -> str:
-    """A world's name, or the absolute path of its file."""
-    from limslam_env.worlds.formats.loading import shipped_worlds
+    """The name of a shipped world or a floor plan, or the absolute path of its file."""
+    from limslam_env.worlds.formats.loading import RANDOM, shipped_worlds
 
-    return world if world in shipped_worlds() else str(Path(world).absolute())
+    is_name = world in shipped_worlds() or world.startswith(RANDOM)
+    return world if is_name else str(Path(world).absolute())

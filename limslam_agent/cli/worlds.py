@@ -44,17 +44,21 @@ def check(
 ) -> None:
     """Check whether a robot can be used in a world, and show the reason if it cannot."""
     from limslam_env.worlds.formats.loading import load_world
+    from limslam_env.worlds.regions import start_region
 
     if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
         raise ValueError(f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not {radius:g}")
     place = load_world(world)
     place.check(radius)
+    region = start_region(place, radius)
     width, height = place.size
     typer.echo(
         f"{place.name}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
         f"{_count(len(place.obstacles), 'obstacle')}, {_count(len(place.doors), 'door')}, "
-        f"{_count(len(place.starts), 'start')}, {reachable_area(place, radius):.1f} m^2 of floor within reach"
+        f"{_count(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
+    if region.warning:
+        typer.echo(f"limslam: warning: {region.warning}", err=True)
 
 
 @worlds.command()
@@ -74,26 +78,6 @@ def convert(
         raise ValueError(f"{in_the_way[0]}: already exists; --force replaces it")
     write_world(load_world(source), target)
     typer.echo(f"world       {target}")
-
-
-def reachable_area(world: "World", radius: float) -> float:
-    """Floor (m^2) that the body of a robot of ``radius`` (m) can cover from the world's starts.
-
-    A world without starts is measured in its largest closed region.
-    """
-    import numpy as np
-    from scipy import ndimage
-
-    space = world.free_space(radius)
-    if len(world.starts):
-        labels = {space.label_of(start[:2]) for start in world.starts} - {0}
-        centres = np.isin(space.labels, list(labels))
-    else:
-        centres = space.largest_closed_region()
-    if not centres.any():
-        return 0.0
-    within = ndimage.distance_transform_edt(~centres, sampling=space.cell) <= radius
-    return float(np.count_nonzero(within)) * space.cell**2
 
 
 def _gym_ids() -> dict[str, str]:

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.style import hexadecimal, robot_colour
 from limslam_env.geometry import FloatArray
 
@@ -17,6 +19,9 @@ TRUTH, WALLS = "0.72", "#c0392b"
 TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
 
 _DASHES = (0, (4, 2))
+_START, _END = "o", "s"
+_GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
+_AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +41,8 @@ class MapPicture:
         unknown.
     true_edges, true_path
         True walls (k, 4), and true positions in the form of ``estimated``. None if they are unknown.
+    grid
+        Occupancy grid, which is drawn behind everything. None draws no grid.
 
     Raises
     ------
@@ -49,6 +56,7 @@ class MapPicture:
     odometry: FloatArray | Sequence[FloatArray]
     true_edges: FloatArray | None = None
     true_path: FloatArray | Sequence[FloatArray] | None = None
+    grid: GridView | None = None
 
     def __post_init__(self) -> None:
         if not self.estimates:
@@ -92,6 +100,8 @@ def draw_map(path: Path, picture: MapPicture) -> None:
 def paint_map(axes: Axes, picture: MapPicture) -> None:
     """Draw truth, paths, walls and a scale bar into axes, without title and legend."""
     low, high = _extent(picture)
+    if picture.grid is not None:
+        _draw_grid(axes, picture.grid)
     if picture.true_edges is not None:
         edges = picture.true_edges.reshape(-1, 2, 2)
         axes.add_collection(LineCollection(list(edges), colors=TRUTH, linewidths=5.0, capstyle="round", zorder=1))
@@ -116,21 +126,27 @@ def legend(picture: MapPicture) -> list[Line2D]:
     robots = len(picture.estimates)
     several, (estimated, odometry) = robots > 1, path_colours(robots)[0]
     handles = [
-        Line2D(
-            [], [], color=WALLS, marker="o", markerfacecolor="white", markersize=4, label="walls of the map, end points"
-        ),
+        Line2D([], [], color=WALLS, marker="o", markersize=3, label="walls of the map, end points"),
     ]
     if several:
         colours = path_colours(robots)
         handles += [Line2D([], [], color=colours[number][0], label=f"robot {number + 1}") for number in range(robots)]
         estimated = odometry = "0.45"
     handles.append(Line2D([], [], color=estimated, label="estimated path"))
+    handles += [
+        Line2D([], [], color=estimated, linestyle="", marker=_START, label="start"),
+        Line2D([], [], color=estimated, linestyle="", marker=_END, label="end"),
+    ]
     if picture.odometries:
-        handles.append(Line2D([], [], color=odometry, linestyle=_DASHES, label="path by odometry alone"))
+        away = ", runs out of the picture" if is_cut(picture) else ""
+        handles.append(Line2D([], [], color=odometry, linestyle=_DASHES, label=f"path by odometry alone{away}"))
     if picture.true_paths:
         handles.append(Line2D([], [], color=TRUE_PATH, label="true path"))
     if picture.true_edges is not None:
         handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
+    if picture.grid is not None:
+        cells = Line2D([], [], linestyle="", marker="s", color=_GRID(2), markeredgecolor="0.8", label="seen free")
+        handles.append(cells)
     return handles
 
 
@@ -142,13 +158,26 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> None:
         axes.plot(*path.T, color=TRUE_PATH, linewidth=1.2, zorder=3)
     for (colour, _), path in zip(colours, picture.estimates, strict=True):
         axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
-        axes.plot(*path[0], marker="o", color=colour, markersize=6, zorder=5)
+        axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)
+        axes.plot(*path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=8)
 
 
 def _draw_walls(axes: Axes, segments: FloatArray) -> None:
+    """Draw walls over their end points, which are small, so that short walls are not hidden by them."""
     ends = segments.reshape(-1, 2)
-    axes.add_collection(LineCollection(list(segments.reshape(-1, 2, 2)), colors=WALLS, linewidths=1.6, zorder=6))
-    axes.plot(*ends.T, linestyle="", marker="o", color="white", markeredgecolor=WALLS, markersize=3.6, zorder=7)
+    axes.plot(*ends.T, linestyle="", marker="o", color=WALLS, markeredgewidth=0.0, markersize=2.6, zorder=6)
+    axes.add_collection(LineCollection(list(segments.reshape(-1, 2, 2)), colors=WALLS, linewidths=1.6, zorder=7))
+
+
+def _draw_grid(axes: Axes, grid: GridView) -> None:
+    """Draw free cells pale and occupied cells darker. Unknown cells stay white."""
+    if not grid.values.size:
+        return
+    low, high = grid.low, grid.low + grid.cell * np.array(grid.values.shape[::-1])
+    axes.imshow(
+        np.sign(grid.values), cmap=_GRID, vmin=-1.0, vmax=1.0, origin="lower", interpolation="nearest", zorder=0,
+        extent=(low[0], high[0], low[1], high[1]), aspect="equal",
+    )  # fmt: skip
 
 
 def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
@@ -163,11 +192,20 @@ def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     )  # fmt: skip
 
 
+def is_cut(picture: MapPicture) -> bool:
+    """Whether odometry leaves the map so far that the picture does not follow it."""
+    low, high = _extent(picture)
+    return any(bool(((path < low) | (path > high)).any()) for path in picture.odometries)
+
+
 def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
+    """Corners of the region that is shown. Odometry that runs away does not make the map small."""
     edges = [] if picture.true_edges is None else [picture.true_edges.reshape(-1, 2)]
-    paths = [*picture.estimates, *picture.odometries, *picture.true_paths]
-    points = np.vstack([picture.segments.reshape(-1, 2), *paths, *edges])
+    points = np.vstack([picture.segments.reshape(-1, 2), *picture.estimates, *picture.true_paths, *edges])
     low, high = points.min(axis=0), points.max(axis=0)
+    around = _AROUND * float((high - low).max()) + 0.25
+    odometry = np.vstack([points, *picture.odometries])
+    low, high = np.maximum(odometry.min(axis=0), low - around), np.minimum(odometry.max(axis=0), high + around)
     margin = 0.04 * float((high - low).max()) + 0.05
     # The strip below the map is for the scale bar.
     return low - np.array([margin, 2.2 * margin]), high + margin

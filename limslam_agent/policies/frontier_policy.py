@@ -13,8 +13,9 @@ from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
 from limslam_agent.policies.goal_memory import GoalMemory
-from limslam_agent.policies.policy import NO_PLAN
+from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED
 from limslam_agent.policies.right_of_way import RightOfWay
+from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, is_walled_in, islands, next_target, open_frontier
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
@@ -28,6 +29,8 @@ _AHEAD, _NEW_CELLS = 0.05, 2
 _MOST_NAMED = 3
 # Number of full turns that a robot makes before it accepts that it is walled in.
 _MOST_ROUNDS = 3
+# Number of cells that the beams must reach from the middle of the robot, so that they see a free cell beside its own.
+_CELLS_SEEN = 1.75
 
 _FROM_AFAR, _FROM_NEAR, _ALL_THE_WAY = range(3)
 
@@ -53,6 +56,10 @@ class FrontierPolicy:
     nearer. A frontier that the robot cannot reach is set aside for a while and tried again up to twice. The robot looks
     at an unreachable frontier from the nearest place, because the wall between may be an error of the map. A pursuit
     ends when it makes no progress, so exploration always ends.
+
+    A robot whose beams reach less than :func:`least_reach` sees no free cell beside its own, and so no frontier. Such a
+    robot follows walls instead until it has seen nothing new for a while, and its stop reason says that the world is
+    not explored.
 
     Parameters
     ----------
@@ -80,6 +87,7 @@ class FrontierPolicy:
         self._step = self._until_plan = self._backing = self._turning = self._rounds = 0
         # Number of steps without progress towards any goal, and largest number of known cells so far.
         self._idle = self._known = 0
+        self._wall_follower: WallFollower | None = None
 
     @property
     def goal(self) -> FloatArray | None:
@@ -91,8 +99,20 @@ class FrontierPolicy:
         self._step += 1
         if self.stop_reason is not None:
             return np.zeros(2)
+        if self._step == 1 and self._robot.reach < least_reach(self._robot, belief.grid.cell):
+            self._wall_follower = WallFollower(self._robot, self._config)
+        if self._wall_follower is not None:
+            return self._follow_walls(belief, self._wall_follower)
         self._collision_guard.add_readings(belief.pose, belief.ranges)
         return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
+
+    def _follow_walls(self, belief: Belief, follower: WallFollower) -> FloatArray:
+        wheels = follower.act(belief)
+        if follower.stop_reason is not None:
+            self.stop_reason = (
+                f"{follower.stop_reason}, and {short_reach(self._robot, belief.grid.cell)}: {NOT_EXPLORED}"
+            )
+        return wheels
 
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of the plan, before the collision guard limits them."""
@@ -233,6 +253,19 @@ class FrontierPolicy:
         near = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
         what = "1 frontier is" if len(places) == 1 else f"{len(places)} frontiers are"
         return f"explored: {what} left that cannot be reached, near {near}"
+
+
+def least_reach(robot: RobotSpec, cell: float) -> float:
+    """Least reach (m) of the beams from the middle of the robot that frontier exploration needs on a grid of cells of
+    a side (m). The beams must see past the body, and a free cell beside the robot's own.
+    """
+    return max(_CELLS_SEEN * cell, robot.radius + cell)
+
+
+def short_reach(robot: RobotSpec, cell: float) -> str:
+    """The words for a robot whose beams are too short for frontiers."""
+    need = least_reach(robot, cell)
+    return f"the beams reach {robot.reach:.3f} m, where frontier exploration needs at least {need:.3f} m"
 
 
 def cut_short(path: FloatArray, distance: float) -> FloatArray:

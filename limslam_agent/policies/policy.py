@@ -1,6 +1,8 @@
-"""The interface of a policy: from the belief of a robot to the speeds of its wheels."""
+"""The interface of a policy, from the belief of a robot to wheel speeds, and checks of what a policy answers."""
 
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_env.geometry import FloatArray, no_rows
@@ -9,6 +11,10 @@ NO_PLAN = no_rows(2)
 """The plan of a policy that plans no path. The array is read-only."""
 
 NO_PLAN.setflags(write=False)
+
+
+NOT_EXPLORED = "not explored"
+"""The end of the stop reason of a policy that has stopped although it could not explore."""
 
 
 class Policy(Protocol):
@@ -28,3 +34,48 @@ class Policy(Protocol):
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,), left and right, as fractions from -1 to 1 of the maximum speed."""
         ...
+
+
+def checked_action(policy: Policy, belief: Belief) -> FloatArray:
+    """The wheel speeds (2,) that a policy chooses.
+
+    Raises
+    ------
+    ValueError
+        If the answer is not two finite numbers, or if ``stop_reason`` is neither None nor a text.
+    """
+    action = _numbers(answer := policy.act(belief))
+    if action is None or action.shape != (2,) or not np.isfinite(action).all():
+        raise _refusal(policy, "act must return two finite numbers, the left and the right wheel speed", answer)
+    if not isinstance(policy.stop_reason, str | None):
+        raise _refusal(policy, "stop_reason must be None or a text", policy.stop_reason)
+    return action
+
+
+def checked_plan(policy: Policy) -> FloatArray:
+    """A copy of the plan (k, 2), m, of a policy. An empty list or tuple is a plan without points.
+
+    Raises
+    ------
+    ValueError
+        If the plan is not a list of finite points.
+    """
+    plan = _numbers(policy.plan)
+    if plan is not None and plan.size == 0:
+        return NO_PLAN.copy()
+    if plan is None or plan.ndim != 2 or plan.shape[1] != 2 or not np.isfinite(plan).all():
+        raise _refusal(policy, "plan must be an array (k, 2) of finite points, m", policy.plan)
+    return plan.copy()
+
+
+def _numbers(value: Any) -> FloatArray | None:
+    """A value as an array of numbers, or None if it is no such array."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def _refusal(policy: Policy, rule: str, value: Any) -> ValueError:
+    text = " ".join(repr(value).split())
+    return ValueError(f"{type(policy).__name__}: {rule}, not {text if len(text) <= 60 else f'{text[:57]}...'}")

@@ -206,7 +206,9 @@ def write_replay(
     true_path = None if log.true_pose is None else log.true_pose[:, :2]
     title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
     path = replay.estimated if smoothed is None else smoothed.poses
-    picture = MapPicture(title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path)
+    picture = MapPicture(
+        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid
+    )
     draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
     found = replay.self_calibration.figures if replay.self_calibration else {}

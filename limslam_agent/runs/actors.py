@@ -1,11 +1,16 @@
 """One interface for anything that can act: from the observations of all robots to the actions of all robots."""
 
+import copy
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
+from limslam_agent.agent import LimSlamAgent
+from limslam_agent.config.presets import preset
 from limslam_env.geometry import FloatArray
+from limslam_env.interface import NominalNoise, RobotSpec
 
 Observations = Mapping[str, Any]
 Actions = Mapping[str, Any]
@@ -46,27 +51,116 @@ class Driver(Protocol):
         ...
 
 
-def driver_of(actor: Any, *, is_team: bool) -> Driver:
+def driver_of(
+    actor: Any, *, is_team: bool, robot: RobotSpec | None = None, noise: NominalNoise | None = None
+) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
+
+    A policy becomes the policy of a `LimSlamAgent` of the preset ``consistent`` for ``robot`` and ``noise``.
 
     Raises
     ------
     ValueError
-        If ``actor`` cannot act.
+        If ``actor`` cannot act, or if it may be a policy and may be an actor.
     """
     if isinstance(actor, Mapping):
         if not is_team:
             raise ValueError("a dict of actors is for parallel environments; here one actor drives one robot")
-        return _ActorPerRobot({name: driver_of(part, is_team=False) for name, part in actor.items()})
+        parts = {name: driver_of(part, is_team=False, robot=robot, noise=noise) for name, part in actor.items()}
+        return _ActorPerRobot(parts)
     if isinstance(actor, type):
         raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
+    if is_policy(actor):
+        if is_team:
+            raise ValueError(
+                f"{type(actor).__name__} is a policy for one robot: "
+                "pass LimSlamTeam(robot, config, num_robots, policies=[...]) with one policy for each robot"
+            )
+        return _PolicyDriver(actor, robot or RobotSpec(), noise)
     if callable(getattr(actor, "act", None)):
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
         return _ModelActor(actor)
     if callable(actor):
+        if _first_argument(actor) == "belief":
+            raise ValueError(
+                f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an observation: "
+                "a policy is an object with act(belief), stop_reason and plan"
+            )
         return _SingleActor(actor, actor, is_team=is_team)
     raise ValueError(f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable")
+
+
+def is_policy(actor: Any) -> bool:
+    """Whether an object is a policy, which acts on a belief, and not an actor, which acts on an observation.
+
+    The name of the argument of ``act`` decides: ``belief`` or ``observation``. With another name, an object is a policy
+    if it has ``stop_reason`` and ``plan``.
+
+    Raises
+    ------
+    ValueError
+        If a policy is incomplete, or if nothing tells which of both the object is.
+    """
+    name, argument = type(actor).__name__, _first_argument(getattr(actor, "act", None))
+    missing = [part for part in ("stop_reason", "plan") if not hasattr(actor, part)]
+    if argument == "belief":
+        if missing:
+            raise ValueError(
+                f"{name} is a policy, because act takes a belief, but it has no {' and no '.join(missing)}: "
+                "write stop_reason = None and plan = np.zeros((0, 2)) in the class"
+            )
+        return True
+    if argument is None or argument.startswith("observation") or missing:
+        return False
+    if any(hasattr(actor, part) for part in ("reset", "done", "predict", "snapshot")):
+        raise ValueError(
+            f"{name} may be a policy or an actor: call the argument of act belief if it is a policy, "
+            "and observation if it is an actor"
+        )
+    return True
+
+
+def _first_argument(act: Any) -> str | None:
+    """The name of the first argument of a function. None if there is no such function or its arguments are unknown."""
+    try:
+        return next(iter(inspect.signature(act).parameters), None)
+    except (TypeError, ValueError):
+        return None
+
+
+class _PolicyDriver:
+    """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
+
+    can_stop = True
+
+    def __init__(self, policy: Any, robot: RobotSpec, noise: NominalNoise | None) -> None:
+        self._policy, self._robot, self._config = policy, robot, preset("consistent", noise)
+        self.snapshot_source = LimSlamAgent(robot, self._config, policy)
+
+    def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
+        self.snapshot_source = LimSlamAgent(self._robot, self._config, self._copied_policy())
+        self.snapshot_source.reset(next(iter(start_poses.values())), seed)
+
+    def _copied_policy(self) -> Any:
+        try:
+            return copy.deepcopy(self._policy)
+        except Exception as error:  # a class may raise anything when it is copied
+            raise ValueError(
+                f"{type(self._policy).__name__} cannot be copied for each episode ({error}): "
+                "pass LimSlamAgent(robot, config, policy=...) and one seed"
+            ) from error
+
+    def act(self, observations: Observations) -> Actions:
+        return {name: self.snapshot_source.act(observation) for name, observation in observations.items()}
+
+    @property
+    def done(self) -> bool:
+        return self.snapshot_source.done
+
+    @property
+    def stop_reason(self) -> str | None:
+        return self.snapshot_source.stop_reason
 
 
 class _SingleActor:

@@ -15,6 +15,8 @@ import numpy as np
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.policies.frontier_policy import least_reach, short_reach
+from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.runs.smoothing import smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
@@ -28,6 +30,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import WorldSource, load_world
+from limslam_env.worlds.regions import start_region
 from limslam_env.worlds.world import World, WorldError
 
 if TYPE_CHECKING:
@@ -119,6 +122,19 @@ class RunConfig:
         """The agent's settings, with the noise that the agent is told."""
         config = self.settings or preset(self.preset, NominalNoise(self.noise))
         return config if self.ablation is None else ablated(config, self.ablation)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Reasons why the run cannot explore the world, one line each.
+
+        They are a small start region, an open outer wall, or beams that are too short for the policy.
+        """
+        region = start_region(load_world(self.world), self.robot.radius).warning
+        found = [] if region is None else [region]
+        cell = self.agent.grid.cell
+        if self.policy.startswith("frontier") and not self.laps and self.robot.reach < least_reach(self.robot, cell):
+            found.append(f"{short_reach(self.robot, cell)}: the robot follows walls instead")
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,10 +269,23 @@ def run_episode(
         closures=list(team.slam.closures),
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
-        stop_reason=team.stop_reason or OUT_OF_TIME,
+        stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         **_columns(rows),
+    )
+
+
+def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
+    """Why the run ended. A small region of a world that is explored is not the world."""
+    if reason is None:
+        return OUT_OF_TIME
+    region = start_region(world, config.robot.radius)
+    if not (reason.startswith("explored") and region.is_small):
+        return reason
+    return (
+        f"stopped: the start region is explored, but {1.0 - region.share:.0%} of the floor cannot be reached from it: "
+        f"{NOT_EXPLORED}"
     )
 
 

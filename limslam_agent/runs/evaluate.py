@@ -10,12 +10,14 @@ import pettingzoo
 from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
+from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.actors import Actions, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
+from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.geometry import FloatArray, no_rows
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import NominalNoise, RobotSpec
 
 Result = dict[str, Any]
 """Metrics of one episode by their names in ``docs/metrics.md``, and its ``seed``."""
@@ -34,16 +36,19 @@ def evaluate(
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> list[Result]:
-    """Let an actor explore once for each seed, and score it with the metrics that score the agent of this package.
+    """Let an actor or a policy explore once for each seed, and score it with the metrics of ``limslam run``.
 
     Parameters
     ----------
     actor
-        Anything with ``act(observation)``, a model of Stable-Baselines3 or another object with ``predict(observation,
-        deterministic=True) -> (action, state)``, or a callable. If the actor has a ``reset(start_pose, seed)``, it is
-        called before each episode. In a parallel environment an actor answers a dict of all robots' observations with a
-        dict of their actions. In a dict of actors by robot names, each actor answers for its own robot. A model with
-        ``predict`` answers for each robot in turn.
+        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). It becomes the
+        policy of a `LimSlamAgent` of the preset ``consistent``, which is told ``robot`` and a plain ``sensor_noise``.
+        Each episode begins with a new copy of the policy. An **actor** is anything with ``act(observation)``, a model
+        of Stable-Baselines3 or another object with ``predict(observation, deterministic=True) -> (action, state)``, or
+        a callable. If the actor has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel
+        environment an actor answers a dict of all robots' observations with a dict of their actions. In a dict of
+        actors by robot names, each actor answers for its own robot. A model with ``predict`` answers for each robot in
+        turn.
     env_id
         A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
@@ -71,8 +76,8 @@ def evaluate(
     if not max_time > 0.0:
         raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
     is_team = env_id.startswith(_TEAMS)
-    driver = driver_of(actor, is_team=is_team)
     robot = arguments.get("robot") or RobotSpec()
+    driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments))
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
@@ -98,6 +103,16 @@ def medians(results: Sequence[Result]) -> dict[str, float | None]:
                 column.append(np.inf)
     middles = {name: float(np.median(column)) for name, column in columns.items() if column}
     return {name: middle if np.isfinite(middle) else None for name, middle in middles.items()}
+
+
+def _nominal_noise(arguments: dict[str, Any]) -> NominalNoise:
+    """The noise that the agent of a policy is told: that of the environment, or the upper end of its interval."""
+    noise: Any = arguments.get("noise") or NoiseConfig()
+    sensor_noise = arguments.get("sensor_noise")
+    setting = getattr(noise, "sensor_noise", None) if sensor_noise is None else sensor_noise
+    highest: Any = max(setting, default=None) if isinstance(setting, tuple) else setting
+    # The environment refuses what is no noise.
+    return NominalNoise(highest) if isinstance(highest, int | float) and 0.0 <= highest < np.inf else NominalNoise()
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +168,8 @@ def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) ->
     rows, stop_reason = _drive(driver, robots, seed)
     time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))
     true, contact = (np.array([[info[name] for info in row.infos] for row in rows]) for name in ("pose", "collision"))
-    scores: Result = drive_scores(time, coverage, true, contact, has_explored=stop_reason is not None)
+    has_explored = stop_reason is not None and not stop_reason.endswith(NOT_EXPLORED)
+    scores: Result = drive_scores(time, coverage, true, contact, has_explored=has_explored)
     if driver.snapshot_source is not None:
         estimated, covariances = np.array([row.estimated for row in rows]), np.array([row.covariances for row in rows])
         odometry, snapshot = np.array([row.odometry for row in rows]), driver.snapshot_source.snapshot()

@@ -11,7 +11,7 @@ from limslam_agent.runs.episode import RunConfig
 from limslam_agent.slam.slam import AssociationRecord, Extraction, LineSlam
 from limslam_agent.team import LimSlamTeam
 from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, HoughView, hough_view
-from limslam_agent.video.film import FPS, Film
+from limslam_agent.video.film import FPS, SPEED, Film
 from limslam_agent.video.video import VideoWriter
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
@@ -100,15 +100,18 @@ class Recorder:
 
 def _buffers(slam: LineSlam) -> list[BufferView]:
     return [
-        BufferView(each.robot, each.side, each.points, each.enough)
+        BufferView(each.robot, each.side, each.points, each.enough, each.new)
         for each in slam.pending_points
         if each.side != "none"
     ]
 
 
 @contextmanager
-def filming(path: Path, config: RunConfig, title: str, *, force: bool = False) -> Iterator[Recorder]:
-    """A recorder for one run. The file appears when the context ends without an error.
+def filming(
+    path: Path, config: RunConfig, title: str, *, force: bool = False, speed: float = SPEED
+) -> Iterator[Recorder]:
+    """A recorder for one run, ``speed`` times as fast as the run. The file appears when the context ends without an
+    error.
 
     Raises
     ------
@@ -117,6 +120,6 @@ def filming(path: Path, config: RunConfig, title: str, *, force: bool = False) -
     """
     corners = load_world(config.world).edges.reshape(-1, 2)
     with VideoWriter(path, FPS, force=force) as writer:
-        recorder = Recorder(Film(writer, corners.min(axis=0), corners.max(axis=0), title))
+        recorder = Recorder(Film(writer, corners.min(axis=0), corners.max(axis=0), title, speed=speed))
         yield recorder
         recorder.finish()

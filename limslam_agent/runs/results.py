@@ -15,6 +15,7 @@ import numpy as np
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import write_json, write_map, write_tum
 from limslam_agent.output.summary import record_of
+from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.smoothing import smoothed_scores
@@ -54,7 +55,8 @@ def score(episode: Episode) -> dict[str, Any]:
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     trajectory = team_scores(episode.true, episode.estimated, episode.odometry, episode.covariances)
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
-    has_explored = episode.is_finished and explores(config.policy, config.laps)
+    is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
+    has_explored = is_over and explores(config.policy, config.laps)
     return {
         **trajectory,
         **limit,

@@ -61,13 +61,27 @@ class BufferView:
     points
         (p, 2), m, in the world frame.
     size
-        Number of points that fill the buffer.
+        Number of new points that fill the buffer.
+    new
+        Number of new points. The other points have waited since an earlier extraction. None if all are new.
     """
 
     robot: int
     side: Literal["left", "right"]
     points: FloatArray
     size: int
+    new: int | None = None
+
+    @property
+    def filled(self) -> int:
+        """Number of points that count towards the size."""
+        return len(self.points) if self.new is None else self.new
+
+    @property
+    def words(self) -> str:
+        """How full the buffer is, in words."""
+        kept = len(self.points) - self.filled
+        return f"{self.side} {self.filled}/{self.size}" + (f" + {kept} kept" if kept > 0 else "")
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,9 +148,10 @@ def draw_buffers(buffers: Sequence[BufferView], width: int, height: int) -> Imag
 
 
 def _draw_bar(panel: Image, buffer: BufferView, x: int, y: int, width: int) -> None:
-    colour, words = side_colour(buffer.side), f"{buffer.side} {len(buffer.points)}/{buffer.size}"
-    length = width - 80
-    filled = round(length * min(len(buffer.points) / max(buffer.size, 1), 1.0))
+    colour, words = side_colour(buffer.side), buffer.words
+    # All bars have one length, with or without points that are kept.
+    length = width - (80 if buffer.new is None else 124)
+    filled = round(length * min(buffer.filled / max(buffer.size, 1), 1.0))
     cv2.rectangle(panel, (x, y), (x + length, y + 9), mixed(colour, PAPER, 0.8), -1)
     if filled:
         cv2.rectangle(panel, (x, y), (x + filled, y + 9), colour, -1)

@@ -23,12 +23,13 @@ from limslam_agent.video.narration import Caption, Narrator
 from limslam_env.geometry import FloatArray
 
 WIDTH, HEIGHT = 1280, 720
-FRAME_PERIOD = 0.2
-"""Simulated time between two frames, s."""
 FPS = 25
-"""Frames per second of the video. The video is five times as fast as the run."""
+"""Frames per second of the video."""
+SPEED = 5.0
+"""How much faster the video is than the run, by default."""
+SLOWEST, FASTEST = 2.5, 100.0
+"""Limits of the speed of a video. A frame is at least one step of 0.1 s."""
 
-_SPEED = FPS * FRAME_PERIOD
 _GAP, _TOP, _FOOT = 16, 80, 134
 _SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
 _LAST_FRAME = 3.0  # s of the video
@@ -65,6 +66,8 @@ class Scene:
         Corners (2,), m, of the region that the picture of the belief shows. By default everything that is known.
     is_paused
         Whether the video is paused for the caption.
+    speed
+        How much faster the video is than the run.
     """
 
     caption: Caption
@@ -73,6 +76,7 @@ class Scene:
     coverage: float | None = None
     window: tuple[FloatArray, FloatArray] | None = None
     is_paused: bool = False
+    speed: float = SPEED
 
 
 @dataclass(frozen=True)
@@ -99,13 +103,29 @@ class Film:
         Title of the run.
     explain
         Whether the video pauses for a short explanation when something happens for the first time.
+    speed
+        How much faster the video is than the run.
+
+    Raises
+    ------
+    ValueError
+        If the speed is out of bounds.
     """
 
     def __init__(
-        self, writer: Writer, low: FloatArray, high: FloatArray, title: str = "", *, explain: bool = True
+        self,
+        writer: Writer,
+        low: FloatArray,
+        high: FloatArray,
+        title: str = "",
+        *,
+        explain: bool = True,
+        speed: float = SPEED,
     ) -> None:
-        self._writer, self._corners, self._title = writer, (low, high), title
-        self._narrator = Narrator(_SPEED, explain=explain)
+        if not SLOWEST <= speed <= FASTEST:
+            raise ValueError(f"the speed of a film must be {SLOWEST:g} to {FASTEST:g} times the run's, not {speed:g}")
+        self._writer, self._corners, self._title, self._speed = writer, (low, high), title, speed
+        self._narrator = Narrator(speed, explain=explain)
         self._next = 0.0
         self._last: tuple[Image, BeliefFrame, Scene] | None = None
 
@@ -125,11 +145,12 @@ class Film:
         coverage
             True coverage, 0 to 1.
         """
-        self._next = frame.time + FRAME_PERIOD
+        # Counted from the last due time, not from the frame: steps need not be a multiple of the period.
+        self._next = max(self._next, frame.time - self._speed / FPS) + self._speed / FPS
         cropped, window = cropped_truth(truth, *self._corners)
         for moment in self._narrator.hear(frame):
             caption = moment.caption
-            scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0)
+            scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0, self._speed)
             # Only the walls of the current caption are highlighted.
             shown = replace(frame, events=() if caption.event is None else (caption.event,))
             self._last = (cropped, shown, scene)
@@ -240,7 +261,7 @@ def _draw_header(page: Image, time: float, scene: Scene) -> None:
         words = f"seen {100.0 * scene.coverage:.0f} %"
         write(page, words, (right - 150, 33), 14, TEXT, anchor="right")
         _bar(page, right - 142, 24, 60, scene.coverage)
-    write(page, "paused" if scene.is_paused else f"{_SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
+    write(page, "paused" if scene.is_paused else f"{scene.speed:g} x", (right - 270, 33), 14, FAINT, anchor="right")
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
 
 

@@ -10,7 +10,11 @@ from limslam_agent.video.belief_frame import BeliefFrame, Event
 _LEAST_HOLD, _HOLD = 0.7, 1.8  # s of the video before a more important caption, and before any caption, may follow
 _MOVED_GOAL = 1.0  # m, so that a goal that moves along a frontier is not a new goal
 _LONGEST_LOG = 24
-_WORDS_PER_SECOND = 5.0
+_WORDS_PER_SECOND = 7.0
+# s of the video between two explanations. Without it all pauses would come in the first seconds of the run.
+_BETWEEN = 4.0
+# s of the video after which the caption of an event gives way to the one of driving.
+_OUTDATED = 4.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Caption:
     @property
     def reading_time(self) -> float:
         """Time to read the caption, s."""
-        return 1.0 + len(f"{self.headline} {self.explanation}".split()) / _WORDS_PER_SECOND
+        return 0.5 + len(f"{self.headline} {self.explanation}".split()) / _WORDS_PER_SECOND
 
 
 @dataclass(frozen=True)
@@ -116,11 +120,12 @@ class Narrator:
         self._waiting: dict[str, Caption] = {}
         self._caption = _captions_of_driving(1)
         self._noted, self._times = "", 0
+        self._explained, self._robots = -np.inf, 1
         self.log: list[tuple[float, str, str]] = []
 
     def hear(self, frame: BeliefFrame) -> list[Moment]:
         """The moments of a frame: explanations first, and then the caption with which the run continues."""
-        several = len(frame.poses) > 1
+        several, self._robots = len(frame.poses) > 1, len(frame.poses)
         new_goals = self._new_goals(frame)
         happening = _happenings(frame, self._last, new_goals)
         for event in frame.events:
@@ -128,12 +133,22 @@ class Narrator:
         for robot in new_goals:
             self._note(frame.time, "goal", _who(robot, several) + "drives to a frontier")
         about: dict[str, Event] = {event.kind: event for event in frame.events}
-        lessons = [replace(LESSONS[kind], event=about.get(kind)) for kind in happening if kind in self._untaught]
-        self._untaught -= set(happening)
+        taught = self._lessons_now(frame.time, happening)
+        lessons = [replace(LESSONS[kind], event=about.get(kind)) for kind in taught]
         self._last = frame
         self._waiting |= {kind: caption for kind, caption in _captions(frame, new_goals).items() if kind in happening}
         self._choose(frame.time)
         return [*(Moment(lesson, lesson.reading_time) for lesson in lessons), Moment(self._caption, 0.0)]
+
+    def _lessons_now(self, time: float, happening: Sequence[str]) -> list[str]:
+        """The kind to explain now: one at a time, with some of the run between two. Loops are rare and do not wait."""
+        new = [kind for kind in happening if kind in self._untaught]
+        if (time - self._explained) / self._speed < _BETWEEN:
+            new = [kind for kind in new if kind == "loop"]
+        if new:
+            self._explained = time
+        self._untaught -= set(new[:1])
+        return new[:1]
 
     def _note(self, time: float, kind: str, words: str) -> None:
         """Put an event on top of the log. Repeated events share one line."""
@@ -158,6 +173,10 @@ class Narrator:
         held = (time - self._since) / self._speed
         others = {kind: caption for kind, caption in self._waiting.items() if kind != self._said} or self._waiting
         best = max(others, key=_WEIGHTS.__getitem__, default=None)
+        if held > _OUTDATED and (best is None or best == self._said != "drive"):
+            self._said, self._caption, self._since = "drive", _captions_of_driving(self._robots), time
+            self._waiting = {}
+            return
         if best is None or held < _LEAST_HOLD:
             return
         if held < _HOLD and _WEIGHTS[best] <= _WEIGHTS[self._said]:

@@ -104,7 +104,9 @@ class ConsistentEstimator(Estimator):
         """End points of the pending readings, by robot and side."""
         del fronts
         return [
-            PendingPoints(number, side, self._points(pending.readings(side)), self._settings.pending.batch)
+            PendingPoints(
+                number, side, self._points(pending.readings(side)), self._settings.pending.batch, pending.fresh[side]
+            )
             for number, pending in enumerate(self._pending)
             for side in SIDES
         ]

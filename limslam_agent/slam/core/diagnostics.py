@@ -64,13 +64,16 @@ class PendingPoints:
     points
         (n, 2), m, in the world.
     enough
-        Number of points at which lines are extracted.
+        Number of new points at which lines are extracted.
+    new
+        Number of points that are new since the last extraction. None if no point outlives an extraction.
     """
 
     robot: int
     side: Side
     points: FloatArray
     enough: int
+    new: int | None = None
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
-"""Reads any world: one that comes with the package, by its name, or a file in any supported format."""
+"""Reads any world: a shipped one by its name, a random floor plan by its seed, or a file in any supported format."""
 
 import os
 from importlib import resources
 from pathlib import Path
 from typing import TypeAlias
+
+import numpy as np
 
 from limslam_env.worlds.formats.house_expo import house_world
 from limslam_env.worlds.formats.json_files import read_table
@@ -12,11 +14,18 @@ from limslam_env.worlds.formats.toml import parse_world
 from limslam_env.worlds.formats.wall_list import wall_list_world
 from limslam_env.worlds.world import World, WorldError, named
 
+RANDOM = "random:"
+"""Beginning of the names of random floor plans; the seed follows."""
+
+_MOST_DIGITS = 30  # of a seed
+
 WorldSource: TypeAlias = str | os.PathLike[str] | World
 
 
 def load_world(source: WorldSource) -> World:
     """A world by the name of a shipped one, by the path of a file, or as it is.
+
+    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the default radius.
 
     Raises
     ------
@@ -28,6 +37,8 @@ def load_world(source: WorldSource) -> World:
     if isinstance(source, str) and source in shipped_worlds():
         text = resources.files("limslam_env.worlds").joinpath(f"{source}.toml").read_text(encoding="utf-8")
         return parse_world(text, source)
+    if isinstance(source, str) and source.startswith(RANDOM):
+        return _random_world(source)
     path = Path(source)
     try:
         is_there = path.is_file()
@@ -36,8 +47,21 @@ def load_world(source: WorldSource) -> World:
     if not is_there:
         if path.suffix:
             raise WorldError(f"{path}: no such file")
-        raise WorldError(f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, or give a file")
+        raise WorldError(
+            f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, random:SEED, or give a file"
+        )
     return _load_file(path)
+
+
+def _random_world(name: str) -> World:
+    # Worlds that are read do without what draws floor plans.
+    from limslam_env.interface import RobotSpec
+    from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+
+    seed = name.removeprefix(RANDOM)
+    if not (seed.isascii() and seed.isdigit() and len(seed) <= _MOST_DIGITS):
+        raise WorldError(f"{name[:60]!r} names no floor plan: a seed is needed, as in random:17")
+    return floor_plan(FloorPlanConfig(), np.random.default_rng(int(seed)), RobotSpec().radius)
 
 
 def _load_file(path: Path) -> World:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from limslam_agent.cli import main as cli
-from limslam_agent.cli.worlds import reachable_area
 from limslam_env.envs import play as play_module
 from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+from limslam_env.worlds.regions import start_region
 from limslam_env.worlds.world import World
 
 GOOD = """
@@ -101,6 +101,21 @@ def test_a_good_file_is_summed_up_in_a_line(limslam, good):
     assert float(out.split(", ")[-1].split(" m^2")[0]) == pytest.approx(2.95, abs=0.1)
 
 
+def test_an_open_outer_wall_is_a_warning_with_its_place(limslam, tmp_path):
+    path = tmp_path / "hall.toml"
+    path.write_text(
+        'name = "hall"\nsize = [6.0, 4.0]\n'
+        "walls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0], "
+        "[0, 1.4, 1.4, 1.4], [1.4, 1.4, 1.4, 0]]\n"
+    )
+    code, out, error = limslam("worlds", "check", path)
+    assert code == 0
+    assert out.startswith("hall: 6 x 4 m, 7 walls")
+    assert error.startswith("limslam: warning: the outer wall is open near (3.")
+    assert error.count("\n") == 1
+    assert limslam("run", "--world", path, "--max-time", 1, "--out", tmp_path / "run")[2] == error
+
+
 @pytest.mark.parametrize("name", shipped_worlds())
 def test_every_shipped_world_passes_its_check(limslam, name):
     assert limslam("worlds", "check", name)[0] == 0
@@ -157,16 +172,16 @@ def test_reachable_area_is_that_of_the_rooms_with_starts():
         dtype=float,
     )  # fmt: skip
     rooms = World("two rooms", (4.0, 2.0), walls)
-    assert reachable_area(rooms, 0.1) == pytest.approx(6.0, abs=0.2)  # the larger room
+    assert start_region(rooms, 0.1).area == pytest.approx(6.0, abs=0.2)  # the larger room
     left = World("two rooms", (4.0, 2.0), walls, starts=np.array([[0.5, 1.0, 0.0]]))
-    assert reachable_area(left, 0.1) == pytest.approx(2.0, abs=0.2)
+    assert start_region(left, 0.1).area == pytest.approx(2.0, abs=0.2)
     both = World("two rooms", (4.0, 2.0), walls, starts=np.array([[0.5, 1.0, 0.0], [2.0, 1.0, 0.0]]))
-    assert reachable_area(both, 0.1) == pytest.approx(8.0, abs=0.2)
+    assert start_region(both, 0.1).area == pytest.approx(8.0, abs=0.2)
 
 
 def test_a_robot_that_fits_nowhere_reaches_nothing():
     walls = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]], dtype=float)
-    assert reachable_area(World("closet", (1.0, 1.0), walls), 0.6) == 0.0
+    assert start_region(World("closet", (1.0, 1.0), walls), 0.6).area == 0.0
 
 
 def test_a_converted_world_is_the_same_world(limslam, tmp_path):

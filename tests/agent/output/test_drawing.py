@@ -5,6 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
 
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map, path_colours
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
@@ -58,16 +59,46 @@ def test_several_robots_have_a_colour_each():
 
 def test_the_legend_names_what_is_there_and_nothing_else():
     bare = MapPicture("bare", WALLS, path(1.0), [])
-    assert labels(bare) == ["walls of the map, end points", "estimated path"]
+    assert labels(bare) == ["walls of the map, end points", "estimated path", "start", "end"]
     full = MapPicture("full", WALLS, path(1.0), path(1.2), WALLS, path(1.1))
-    assert labels(full)[1:] == ["estimated path", "path by odometry alone", "true path", "true walls"]
+    assert labels(full)[1:] == ["estimated path", "start", "end", "path by odometry alone", "true path", "true walls"]
 
 
 def test_all_that_is_drawn_lies_within_the_picture():
-    picture = MapPicture("far", WALLS, [path(1.0), path(9.0)], [path(-7.0), path(2.0)], WALLS, [path(1.0), path(2.0)])
+    picture = MapPicture("far", WALLS, [path(1.0), path(9.0)], [path(1.0), path(2.0)], WALLS, [path(-7.0), path(2.0)])
     axes = painted(picture)
     assert axes.get_ylim()[0] < -7.0
     assert axes.get_ylim()[1] > 9.0
+
+
+def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
+    picture = MapPicture("log", WALLS, path(1.0), path(1.0, drift=30.0))
+    axes = painted(picture)
+    assert axes.get_xlim()[0] > -2.0
+    assert axes.get_ylim()[1] < 5.0
+    assert "path by odometry alone, runs out of the picture" in labels(picture)
+    assert "path by odometry alone" in labels(MapPicture("log", WALLS, path(1.0), path(1.0, drift=0.1)))
+
+
+def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
+    values = np.zeros((30, 40))
+    values[5:20, 5:30], values[0] = 3.0, -2.0
+    grid = GridView(low=np.zeros(2), cell=0.1, values=values)
+    picture = MapPicture("log", WALLS, path(1.0), [], grid=grid)
+    axes = painted(picture)
+    (image,) = axes.images
+    assert image.get_extent() == pytest.approx((0.0, 4.0, 0.0, 3.0))
+    assert image.get_zorder() < min(artist.get_zorder() for artist in (*axes.lines, *axes.collections))
+    assert labels(picture)[-1] == "seen free"
+    marks = {line.get_marker(): line.get_xydata()[0].tolist() for line in axes.lines if len(line.get_xydata()) == 1}
+    assert marks == {"o": [0.5, 1.0], "s": [3.5, 1.0]}
+
+
+def test_end_points_lie_under_the_walls():
+    axes = painted(MapPicture("short", np.array([[0.0, 0.0, 0.05, 0.0]]), path(1.0), []))
+    (ends,) = [line for line in axes.lines if line.get_linestyle() == "None" and len(line.get_xydata()) == 2]
+    assert ends.get_zorder() < axes.collections[-1].get_zorder()
+    assert ends.get_markersize() < 3.0
 
 
 @pytest.mark.parametrize("robots", [1, 2, 8])

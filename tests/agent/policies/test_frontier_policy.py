@@ -24,8 +24,11 @@ from support.beliefs import (
 
 from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.results import score
 from limslam_env.geometry import FloatArray
+from limslam_env.robots import e_puck
 from limslam_env.worlds.world import World
 
 
@@ -247,3 +250,27 @@ def test_narrow_corridors_are_explored_to_their_end(width: float, seed: int) -> 
     assert contacts == 0
     assert policy.stop_reason is not None
     assert policy.stop_reason.startswith("explored: ")
+
+
+def test_a_robot_that_cannot_see_frontiers_follows_walls_and_does_not_call_the_world_explored():
+    robot = e_puck()
+    assert robot.reach < least_reach(robot, 0.1) < e_puck(max_range=0.15).reach
+    episode = run_episode(RunConfig("env1", policy="frontier", robot=robot, max_time=60.0))
+    assert episode.time[-1] == pytest.approx(60.0), "it went on after its first look"
+    # As shipped, it had seen 0.1 % when it called the world explored.
+    assert episode.coverage[-1] > 0.02
+    assert not episode.contact.any()
+
+
+def test_the_end_of_a_robot_that_cannot_see_frontiers_is_no_exploration():
+    walls = [[0, 0, 0.6, 0], [0.6, 0, 0.6, 0.6], [0.6, 0.6, 0, 0.6], [0, 0.6, 0, 0]]
+    box = World("box", (0.6, 0.6), np.array(walls), starts=np.array([[0.3, 0.3, 0.0]]))
+    config = RunConfig(box, robot=e_puck(), max_time=400.0)
+    assert [warning.split(":")[0] for warning in config.warnings] == [
+        "the beams reach 0.095 m, where frontier exploration needs at least 0.175 m"
+    ]
+    episode = run_episode(config)
+    assert episode.is_finished
+    assert episode.stop_reason.startswith("stopped: nothing new was seen along the wall for 90 s")
+    assert episode.stop_reason.endswith("needs at least 0.175 m: not explored")
+    assert score(episode)["exploration_time_s"] is None

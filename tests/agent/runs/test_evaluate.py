@@ -196,3 +196,84 @@ def test_medians_by_hand():
     ]
     assert medians(rows) == {"path_m": 2.0, "exploration_time_s": 30.0, "time_to_95_s": None, "anees": 3.0}
     assert medians([]) == {}
+
+
+class TurnFromWalls:
+    """The policy of the README."""
+
+    stop_reason = None
+    plan = np.zeros((0, 2))
+    steps = 0
+
+    def act(self, belief):
+        self.steps += 1
+        is_near = belief.ranges[1:5].min() < 0.35
+        return np.array([0.6, -0.5] if is_near else [0.7, 0.7])
+
+
+def test_a_policy_is_scored_as_the_policy_of_an_agent():
+    config = preset("consistent", NominalNoise(0.02))
+    arguments = {"max_time": 3.0, "world": ROOM, "sensor_noise": 0.02}
+    policy = TurnFromWalls()
+    first, second = evaluate(policy, "LimSlam-World-v0", [3, 3], **arguments)
+    expected = evaluate(LimSlamAgent(ROBOT, config, TurnFromWalls()), "LimSlam-World-v0", [3], **arguments)
+    assert [first] == [second] == expected
+    assert "ate_m" in first
+    assert policy.steps == 0, "each episode begins with a copy"
+
+
+def test_a_policy_that_stops_serves_for_each_seed():
+    class Brief(TurnFromWalls):
+        def act(self, belief):
+            self.stop_reason = "enough"
+            return super().act(belief)
+
+    results = evaluate(Brief(), "LimSlam-World-v0", [0, 1], max_time=1.0, world=ROOM)
+    assert [result["stop_reason"] for result in results] == ["enough", "enough"]
+
+
+class WithoutAttributes:
+    def act(self, belief):
+        return belief.pose[:2]
+
+
+class Ambiguous(TurnFromWalls):
+    def act(self, anything):
+        return anything
+
+    def reset(self, start_pose, seed):
+        pass
+
+
+class Uncopied(TurnFromWalls):
+    def __deepcopy__(self, memo):
+        raise TypeError("no copies")
+
+
+@pytest.mark.parametrize(
+    ("policy", "env_id", "words"),
+    [
+        (WithoutAttributes(), "LimSlam-Env1-v0", "is a policy.*no stop_reason and no plan.*write stop_reason = None"),
+        (Ambiguous(), "LimSlam-Env1-v0", "policy or an actor: call the argument of act belief"),
+        (Uncopied(), "LimSlam-Env1-v0", "cannot be copied .*no copies.*LimSlamAgent"),
+        (TurnFromWalls(), "limslam/Env1-v0", "a policy for one robot: pass LimSlamTeam"),
+        (lambda belief: belief.pose, "LimSlam-Env1-v0", "a function gets an observation"),
+    ],
+)
+def test_a_policy_that_cannot_be_scored_is_refused_with_what_to_write(policy, env_id, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        evaluate(policy, env_id, [0], max_time=1.0)
+    assert "\n" not in str(refusal.value)
+
+
+def test_the_name_of_the_argument_makes_an_actor():
+    class Both(TurnFromWalls):
+        def act(self, observation):
+            assert set(observation) == {"ranges", "wheels"}
+            return 0.2, 0.2
+
+        def reset(self, start_pose, seed):
+            pass
+
+    (result,) = evaluate(Both(), "LimSlam-World-v0", [0], max_time=1.0, world=ROOM)
+    assert "ate_m" not in result

@@ -12,7 +12,7 @@ from limslam_agent.output import style as video_style
 from limslam_agent.video import belief_panels, video
 from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, hough_image, hough_view, wall_bands
 from limslam_agent.video.belief_picture import draw_belief
-from limslam_agent.video.film import FPS, FRAME_PERIOD, HEIGHT, WIDTH, Film, Scene, compose, cropped_truth, layout_for
+from limslam_agent.video.film import FPS, HEIGHT, SPEED, WIDTH, Film, Scene, compose, cropped_truth, layout_for
 from limslam_agent.video.narration import LESSONS, Caption, Narrator
 from limslam_agent.video.video import VideoError, VideoWriter
 from limslam_env.geometry import line as lines
@@ -260,14 +260,41 @@ def test_what_happens_for_the_first_time_is_explained_once():
     assert start[0].pause > 2.0
     assert start[-1].pause == 0.0
     view = hough_view(np.zeros((3, 2)), np.ones((1, 2)), np.zeros((1, 2, 2)), np.zeros(3), time=1.0, side="left")
-    second = frame_with(time=1.0, poses=[(0.5, 0.0, 0.0)], hough=view, events=[Event("new", 1)])
-    told = narrator.hear(second)
-    assert [moment.caption.headline for moment in told[:-1]] == [
+    explained = []
+    # One event of each kind at each moment: the explanations come one at a time, with some of the run in between.
+    for step in range(400):
+        time = 0.2 * (step + 1)
+        frame = frame_with(
+            time=time, poses=[(time, 0.0, 0.0)], hough=replace(view, time=time), events=[Event("new", 1)]
+        )
+        told = narrator.hear(frame)
+        assert len(told) <= 2
+        explained += [(time, moment.caption) for moment in told[:-1]]
+    assert [caption.headline for _, caption in explained] == [
         LESSONS[kind].headline for kind in ("drive", "hough", "new")
     ]
-    assert told[2].caption.event == Event("new", 1)
-    again = narrator.hear(replace(second, time=1.2, poses=np.array([[0.6, 0.0, 0.0]]), events=[Event("new", 2)]))
-    assert [moment.pause for moment in again] == [0.0]
+    assert explained[2][1].event == Event("new", 1)
+    assert (np.diff([0.0, *(time for time, _ in explained)]) > 5.0 * 3.9).all()
+
+
+def test_a_loop_is_explained_at_once():
+    narrator = Narrator(5.0)
+    narrator.hear(frame_with())
+    told = narrator.hear(frame_with(time=0.2, events=[Event("loop", 2, 1)]))
+    assert [moment.caption.headline for moment in told[:-1]] == [LESSONS["loop"].headline]
+
+
+def test_a_caption_gives_way_when_nothing_more_happens():
+    narrator = Narrator(5.0, explain=False)
+    narrator.hear(frame_with())
+    said = [
+        narrator.hear(frame_with(time=0.2 * step, events=[Event("new", 1)] if step == 1 else []))[-1].caption.headline
+        for step in range(1, 150)
+    ]
+    assert said[30].startswith("Add")
+    assert said[-1].startswith("Predict and collect")
+    # Four seconds of the film are twenty of the run.
+    assert sum(words.startswith("Add") for words in said) == pytest.approx(100, abs=2)
 
 
 def test_without_explanations_nothing_stands_still():
@@ -283,7 +310,7 @@ def test_a_caption_stays_until_it_could_be_read_but_a_loop_comes_sooner():
     captions = []
     for step in range(1, 200):
         events = [Event("again", step)] if step != 64 else [Event("loop", 64, 1)]
-        told = narrator.hear(frame_with(time=FRAME_PERIOD * step, events=events))
+        told = narrator.hear(frame_with(time=(SPEED / FPS) * step, events=events))
         captions.append(told[-1].caption.headline)
     changes = [number for number in range(1, len(captions)) if captions[number] != captions[number - 1]]
     held = np.diff(changes) / FPS  # s of the video
@@ -391,15 +418,39 @@ def test_a_film_has_a_frame_every_fifth_of_a_second_and_pauses_to_explain():
             events = [Event("new", 1)] if time == pytest.approx(1.0) else []
             film.add(truth_picture(), frame_with(time=time, walls=[(1.0, 0.0, 0.0, 2.0)], events=events), 0.5)
     film.finish("explored")
-    np.testing.assert_allclose(due, np.arange(11) * FRAME_PERIOD)
+    np.testing.assert_allclose(due, np.arange(11) * (SPEED / FPS))
     holds = [hold for _, hold in collector.frames]
-    assert sum(hold > 0 for hold in holds) == 3  # the start, the first wall, the end
-    assert len(holds) == 11 + 3
+    # The start and the end. The first wall comes too soon after the start to be explained.
+    assert sum(hold > 0 for hold in holds) == 2
+    assert len(holds) == 11 + 2
     paused = collector.frames[0][0]
     # The strip with the caption changes its colour while the run stands still.
     assert (paused[650] != collector.frames[1][0][650]).any()
     for image, _ in collector.frames:
         assert not (image == np.array([255, 0, 0])).all(axis=2).any()
+
+
+@pytest.mark.parametrize(("speed", "frames"), [(2.5, 21), (5.0, 11), (10.0, 6)])
+def test_a_film_is_as_fast_as_it_is_asked_to_be(speed, frames):
+    collector = Collector()
+    film = Film(collector, np.zeros(2), np.array([4.0, 4.0]), explain=False, speed=speed)
+    for step in range(21):
+        if film.is_due(0.1 * step):
+            film.add(truth_picture(), frame_with(time=0.1 * step))
+    assert len(collector.frames) == frames
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 101.0, np.nan])
+def test_a_film_that_cannot_be_so_slow_or_so_fast_is_refused(speed):
+    with pytest.raises(ValueError, match=r"must be 2\.5 to 100 times"):
+        Film(Collector(), np.zeros(2), np.ones(2), speed=speed)
+
+
+def test_readings_that_outlive_an_extraction_are_not_counted_as_new():
+    points = np.zeros((36, 2))
+    assert BufferView(0, "left", points, 12).words == "left 36/12"
+    assert BufferView(0, "left", points, 12, 5).words == "left 5/12 + 31 kept"
+    assert BufferView(0, "left", points[:5], 12, 5).words == "left 5/12"
 
 
 def test_a_film_of_nothing_ends_quietly():

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.lines import Line2D
 from PIL import Image
 from support.benchmark_rows import failed, grid, row, series_of, write_folder
 
-from benchmarks.analysis.figure_style import chosen, file_word
+from benchmarks.analysis.figure_style import chosen, file_word, headline, legend_below, uneven_sheet
 from benchmarks.analysis.groups import groups
 from benchmarks.analysis.map_figures import median_run
 from benchmarks.analysis.plots import drawings, plot
@@ -172,3 +174,21 @@ def test_names_of_files_are_plain():
 def test_groups_know_their_failed_runs():
     found = groups([row(), failed(row(seed=1))])
     assert [(len(each.rows), each.failed) for each in found] == [(2, 1)]
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3])
+def test_title_and_legend_of_a_narrow_sheet_lie_within_it(columns):
+    figure, _ = uneven_sheet([3.3], columns, 3.3)
+    headline(figure, "Maps by one robot, preset consistent: the run with the median F1 of each setting, 3 of 5 noises")
+    names = ("walls of the map", "true walls", "believed path", "true path")
+    legend_below(figure, [Line2D([], [], label=name) for name in names])
+    figure.canvas = FigureCanvasAgg(figure)
+    figure.canvas.draw()
+    width, height = figure.get_size_inches() * figure.dpi
+    for part in (figure.texts, figure.legends):
+        assert part
+        for artist in part:
+            box = artist.get_window_extent()
+            assert box.x0 >= 0.0
+            assert box.x1 <= width
+            assert box.y1 <= height

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from support.benchmark_rows import failed, grid, row, write_folder
 
+from benchmarks.analysis.claims import CLAIMS
 from benchmarks.analysis.report import report
 
 VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
@@ -121,10 +122,26 @@ def test_phones_dark_rooms_and_paper_are_thought_of(text, page):
         assert word in text
 
 
-def test_the_claims_are_judged(page):
+def test_the_claims_are_judged_after_the_results(text, page):
     kinds = [attrs["class"] for attrs in page.all("li") if "class" in attrs]
-    assert len(kinds) > 15
-    assert "untried" in kinds
+    assert {"refuted", "confirmed"} <= set(kinds)
+    assert text.index('<section id="tables">') < text.index('<section id="claims-of-the-paper">')
+
+
+def test_claims_that_were_not_tried_are_folded_away(text, page):
+    (folded,) = [attrs for attrs in page.all("details") if attrs.get("class") == "untried"]
+    assert "open" not in folded
+    untried = text[text.index('class="untried"') :]
+    untried = untried[: untried.index("</details>")]
+    kinds = [attrs["class"] for attrs in page.all("li") if "class" in attrs]
+    assert untried.count("<li>") == len(CLAIMS) - len(kinds) > 10
+    assert "claims were not tried in these rows" in untried
+
+
+def test_no_figure_is_shown_larger_than_it_was_drawn(page):
+    widths = [attrs["style"] for attrs in page.all("img")]
+    assert widths
+    assert all(re.fullmatch(r"max-width:(\d{3,4})px;min-width:min\(40rem,\1px\)", style) for style in widths)
 
 
 def test_a_folder_gets_a_file(tmp_path):

@@ -1,0 +1,59 @@
+"""``limslam warmup``: compile all kernels now, so that no later run waits for them."""
+
+import os
+import time
+from collections.abc import Callable
+
+import typer
+
+
+def warmup() -> None:
+    """Compile everything that is compiled at its first use, and keep it on disk."""
+    from limslam_env.compilation import QUIET
+
+    # Each step has its own line, which the kernels need not repeat.
+    os.environ[QUIET] = "1"
+    for name, (seconds, step) in STEPS.items():
+        typer.echo(f"{name:12}", nl=False)
+        begin = time.perf_counter()
+        typer.echo(f"{f'up to about {seconds} s ...':24}", nl=False)
+        step()
+        typer.echo(f"done after {time.perf_counter() - begin:.1f} s")
+
+
+def _single() -> None:
+    from limslam_agent.runs.episode import RunConfig, run_episode
+
+    run_episode(RunConfig("square", 0.02, max_time=0.5))
+
+
+def _batch() -> None:
+    import gymnasium as gym
+
+    import limslam_env  # noqa: F401 (registers the ids)
+
+    for world in ("square", "random"):
+        envs = gym.make_vec("LimSlam-World-v0", num_envs=2, world=world)
+        envs.reset(seed=0)
+        envs.step(envs.action_space.sample())
+        envs.close()
+
+
+def _batch_slam() -> None:
+    import numpy as np
+
+    from limslam_agent.slam.batch.batch_slam import BatchSlam
+    from limslam_env.interface import RobotSpec
+
+    robot = RobotSpec()
+    slam = BatchSlam(robot, num_envs=2, num_threads=1)
+    slam.step(np.tile(robot.max_ranges, (2, 1)), np.zeros((2, 2)))
+    slam.close()
+
+
+STEPS: dict[str, tuple[int, Callable[[], None]]] = {
+    "simulator": (15, _single),
+    "batch": (30, _batch),
+    "BatchSlam": (90, _batch_slam),
+}
+"""What is compiled, by names: about how long that takes, s, and a function that uses it."""
