@@ -48,12 +48,14 @@ ENV = {
 }  # fmt: skip
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
+    "limslam_agent.readings": {GEOMETRY},
     "limslam_agent.config": WHAT_AN_AGENT_MAY_KNOW,
-    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
+    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "readings")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.batch": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent", "grid"),
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *agent("config", "readings", "slam.core", "slam.consistent", "grid"),
     },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
@@ -66,7 +68,7 @@ AGENT = {
     },
     "limslam_agent.agent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "team")},
     "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "mapper", "slam.batch")},
-    "limslam_agent.logs": WHAT_AN_AGENT_MAY_KNOW,
+    "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "grid", "logs", "mapper", "output"),

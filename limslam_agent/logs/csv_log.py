@@ -6,9 +6,9 @@
     0.0,0.000,0.000,0.00,1.20,,1.19
     0.1,0.031,0.000,0.01,1.21,nan,1.18
 
-``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. An empty field,
-``nan`` and ``inf`` mean that a beam saw nothing. Columns may also be separated by semicolons or spaces. The header may
-be a comment with a remark in brackets.
+``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. An empty field
+and ``nan`` mean that there is no reading, and ``inf`` means that the beam saw nothing (`limslam_agent.readings`).
+Columns may also be separated by semicolons or spaces. The header may be a comment with a remark in brackets.
 """
 
 import math
@@ -21,14 +21,13 @@ import numpy as np
 
 from limslam_agent.logs.directions import direction_of
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, beam, check_max_range, choose_beams, pose_log
-from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
+from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
 
 NO_SCAN = b"-"
 """Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
 
 _LEADING = ({"t", "time", "stamp"}, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
 _RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
-_NOTHING_SEEN = {b"", b"nan", b"inf", b"+inf"}
 _MOST_BEAMS = 4096
 
 
@@ -195,10 +194,5 @@ def _between(before: list[float], after: list[str]) -> list[float]:
 
 
 def _reading(field: bytes) -> float:
-    """A range, m. NaN where nothing was seen."""
-    if field.lower() in _NOTHING_SEEN:
-        return math.nan
-    value = parse_number(field, "a range")
-    if value < 0.0:
-        raise ValueError(f"a range is negative: {value}")
-    return value
+    """A range, m. NaN where the field is empty: there is no reading."""
+    return parse_range(field, "a range") if field else math.nan

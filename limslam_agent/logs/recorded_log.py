@@ -13,6 +13,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import Observation, RobotSpec
 
@@ -45,7 +46,8 @@ class RecordedLog:
     time
         Times of the log (n,), s. They may step back a little.
     ranges
-        (n, n_beams) float32, m. A beam's maximum where nothing was seen.
+        (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where nothing was seen, and
+        NaN where there is no reading.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
@@ -60,7 +62,7 @@ class RecordedLog:
     Raises
     ------
     ValueError
-        If a shape does not fit the others, or a number is not finite.
+        If a shape does not fit the others, or a number other than a range is not finite.
     """
 
     robot: RobotSpec
@@ -79,7 +81,9 @@ class RecordedLog:
         if (self.odometry is None) == (self.wheels is None):
             raise ValueError("needs either odometry or wheels")
         _check("time", self.time, (count,))
-        _check("ranges", self.ranges, (count, beams))
+        _check("ranges", self.ranges, (count, beams), finite=False)
+        readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
+        object.__setattr__(self, "ranges", readings.astype(np.float32))
         _check("has_scan", self.has_scan, (count,))
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
@@ -92,8 +96,6 @@ class RecordedLog:
             if np.any(jumps > LONGEST_JUMP):
                 row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
                 raise ValueError(f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}")
-        if np.any(self.ranges < 0.0):
-            raise ValueError(f"ranges is negative in row {_first_row(self.ranges < 0.0)}")
 
     def __len__(self) -> int:
         """Number of events."""
@@ -138,7 +140,8 @@ def read_npz(path: FilePath) -> RecordedLog:
     ------
     LogError
         If the file cannot be read, is cut short or is not such a zip file; if an array is missing or has a wrong shape,
-        or holds something other than finite numbers.
+        or holds something other than finite numbers. Ranges may be infinite, NaN or negative, as
+        `limslam_agent.readings` defines.
     """
     arrays = _load_arrays(path)
     try:
@@ -208,6 +211,20 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         raise _unreadable(path, error) from error
 
 
+def parse_range(field: bytes, what: str) -> float:
+    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines.
+
+    Raises
+    ------
+    ValueError
+        If the field is not a number. The message begins with ``what``.
+    """
+    try:
+        return float(field)
+    except ValueError:
+        raise ValueError(f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}") from None
+
+
 def parse_number(field: bytes, what: str) -> float:
     """A finite number from a field of a text.
 
@@ -216,13 +233,9 @@ def parse_number(field: bytes, what: str) -> float:
     ValueError
         If the field is not a finite number. The message begins with ``what``.
     """
-    text = field.decode("ascii", "replace")
-    try:
-        value = float(field)
-    except ValueError:
-        raise ValueError(f"{what} is not a number: {text[:40]!r}") from None
+    value = parse_range(field, what)
     if not math.isfinite(value):
-        raise ValueError(f"{what} is {text}, not a finite number")
+        raise ValueError(f"{what} is {field.decode('ascii', 'replace')[:40]}, not a finite number")
     return value
 
 
@@ -261,14 +274,14 @@ def _floats(name: str, arrays: dict[str, NDArray[Any]]) -> FloatArray:
     return arrays[name].astype(np.float64)
 
 
-def _check(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Refuse an array of another shape, and numbers that are not finite."""
+def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bool = True) -> None:
+    """Refuse an array of another shape, and numbers that are not finite where they must be."""
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, not {shape}")
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} does not hold numbers")
     bad = ~np.isfinite(array)
-    if bad.any():
+    if finite and bad.any():
         raise ValueError(f"{name} holds something that is not a finite number in row {_first_row(bad)}")
 
 
