@@ -9,6 +9,7 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.progress import Advance, progress_bar, unused
 from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
+from limslam_env.messages import printable
 
 if TYPE_CHECKING:
     from limslam_agent.runs.episode import Episode, RunConfig
@@ -60,8 +61,8 @@ def carry_out(given: Given, options: RunOptions) -> None:
     for line in run_summary(result["metrics"], result["cost"]):
         typer.echo(line)
     if options.video is not None:
-        typer.echo(f"video       {options.video}")
-    typer.echo(f"results     {target}")
+        typer.echo(printable(f"video       {options.video}"))
+    typer.echo(printable(f"results     {target}"))
 
 
 def _folder_name(config: "RunConfig") -> str:

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_env.messages import printable
+
 if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun
     from limslam_env.geometry import FloatArray
@@ -31,14 +33,14 @@ def show(
     metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
     lines = replay_summary(metrics) if run.is_replay else run_summary(metrics, cost)
     for line in (f"run         {run.title}", *lines):
-        typer.echo(line)
+        typer.echo(printable(line))
     edges = true_edges(run)
     if out is not None:
         write_picture(out, run, lines, edges)
-        typer.echo(f"picture     {out}")
+        typer.echo(printable(f"picture     {out}"))
     elif not open_window(run, lines, edges):
         if (folder / PICTURE).is_file():
-            typer.echo(f"picture     {folder / PICTURE}")
+            typer.echo(printable(f"picture     {folder / PICTURE}"))
         typer.echo("            there is no display: --out FILE.png draws the map and the errors over time")
 
 

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_env.messages import LONGEST_VALUE, one_line, printable
+
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
 
@@ -34,7 +36,7 @@ def list_worlds(
     if thumbnails is not None:
         for name, place in places.items():
             _write_thumbnail(thumbnails / f"{name}.png", place)
-        typer.echo(f"pictures    {thumbnails}")
+        typer.echo(printable(f"pictures    {thumbnails}"))
 
 
 @worlds.command()
@@ -51,7 +53,7 @@ def check(
     place.check(radius)
     width, height = place.size
     typer.echo(
-        f"{place.name}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
+        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
         f"{_count(len(place.obstacles), 'obstacle')}, {_count(len(place.doors), 'door')}, "
         f"{_count(len(place.starts), 'start')}, {reachable_area(place, radius):.1f} m^2 of floor within reach"
     )
@@ -73,7 +75,7 @@ def convert(
     if in_the_way and not force:
         raise ValueError(f"{in_the_way[0]}: already exists; --force replaces it")
     write_world(load_world(source), target)
-    typer.echo(f"world       {target}")
+    typer.echo(printable(f"world       {target}"))
 
 
 def reachable_area(world: "World", radius: float) -> float:

@@ -12,6 +12,7 @@ from os import fspath
 
 import numpy as np
 
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
 from limslam_agent.readings import as_readings
@@ -30,7 +31,9 @@ _ODOM_FIELDS = 10
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
-def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
+def read_carmen(
+    path: FilePath, beams_deg: Sequence[float], max_range: float, limits: Limits = DEFAULT_LIMITS
+) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
     Parameters
@@ -41,6 +44,8 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
         Beam angles, deg, 0 is ahead and left is positive.
     max_range
         Longest reading of the sparse robot, m; a longer one counts as "nothing seen".
+    limits
+        Largest log that is read.
 
     Returns
     -------
@@ -51,8 +56,8 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, has something other than a number where one is needed, has no
-        scan or no odometry, or has no beam within 1 degree of a given angle.
+        If the file is larger than the limits, cannot be read, is cut short, has something other than a number where one
+        is needed, has no scan or no odometry, or has no beam within 1 degree of a given angle.
     """
     try:
         check_max_range(max_range)
@@ -61,7 +66,7 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
     if not len(beams_deg):
         raise LogError(f"{fspath(path)}: at least one beam must be chosen")
     events = _Events(beams_deg)
-    for number, line in numbered_lines(path):
+    for number, line in numbered_lines(path, limits):
         cut = not line.endswith(b"\n")
         try:
             events.add(line.split(), cut=cut)

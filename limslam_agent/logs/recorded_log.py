@@ -2,7 +2,6 @@
 
 import gzip
 import math
-import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,9 +12,12 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.readings import as_readings
+from limslam_agent.safe_files import TooLargeError, load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import one_line
 
 FilePath: TypeAlias = str | PathLike[str]
 
@@ -32,7 +34,7 @@ class LogError(ValueError):
     """A file cannot be used. The message is one line, ``<file>: what and where``."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))
+        super().__init__(one_line(message))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +128,7 @@ class RecordedLog:
             yield observation
 
 
-def read_npz(path: FilePath) -> RecordedLog:
+def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
     """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
 
     Parameters
@@ -135,17 +137,21 @@ def read_npz(path: FilePath) -> RecordedLog:
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
         ``true_pose`` (n, 3) after each step, ``wall_seen`` (n, n_beams), ``start_pose`` (3,), and ``robot``, the text
         of :meth:`RobotSpec.to_json`. Pickled objects are refused.
+    limits
+        Largest log that is read.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short or is not such a zip file; if an array is missing or has a wrong shape,
-        or holds something other than finite numbers. Ranges may be infinite, NaN or negative, as
-        `limslam_agent.readings` defines.
+        If the file is larger than the limits or cannot be read, is cut short or is not such a zip file; if an array is
+        missing or has a wrong shape, or holds something other than finite numbers. Ranges may be infinite, NaN or
+        negative, as `limslam_agent.readings` defines.
     """
-    arrays = _load_arrays(path)
+    arrays = _load_arrays(path, limits)
     try:
+        limits.check_events(arrays["time"].size, "steps")
         robot = _robot_of(arrays["robot"])
+        limits.check_beams(len(robot.beams))
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
@@ -174,13 +180,13 @@ def first_bytes(path: FilePath, count: int) -> bytes:
         If the file cannot be read.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(Path(path)) as file:
             return file.read(count)
     except OSError as error:
         raise _unreadable(path, error) from error
 
 
-def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[tuple[int, bytes]]:
     """The lines of a text file one at a time. A gzip file is recognised by its first bytes.
 
     Yields
@@ -191,15 +197,19 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
+        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is larger than
+        the limits.
     """
-    number = 0
+    number = size = 0
     try:
-        with Path(path).open("rb") as raw:
-            packed = raw.peek(len(GZIP_MAGIC)).startswith(GZIP_MAGIC)
+        with open_regular(Path(path)) as raw:
+            packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
+            raw.seek(0)
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
-                number += 1
+                number, size = number + 1, size + len(line)
+                if number > limits.max_events or size > limits.max_bytes:
+                    _refuse_size(path, number, size, limits)
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
                 yield number, line
@@ -240,20 +250,28 @@ def parse_number(field: bytes, what: str) -> float:
 
 
 _ARRAYS = ("time", "ranges", "wheels", "action", "true_pose", "wall_seen", "robot", "start_pose")
-# Errors that numpy and zipfile raise on files that are cut short or have flipped bits.
-_DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
-def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
+def _refuse_size(path: FilePath, lines: int, size: int, limits: Limits) -> None:
+    try:
+        limits.check_events(lines, "lines")
+        limits.check_bytes(size)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+
+
+def _load_arrays(path: FilePath, limits: Limits) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise LogError(f"{fspath(path)}: is not an .npz file")
     try:
-        # The file is opened here because numpy leaves its own file open if the zip is damaged.
-        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            missing = [name for name in _ARRAYS if name not in file.files]
-            arrays = {name: file[name] for name in _ARRAYS if name not in missing}
-    except _DAMAGE as error:
-        raise LogError(f"{fspath(path)}: cut short or damaged: {error}") from error
+        arrays = load_arrays(Path(path), _ARRAYS, limits.max_bytes)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except TooLargeError as error:
+        raise LogError(f"{fspath(path)}: {error}: --max-size raises this limit") from error
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+    missing = [name for name in _ARRAYS if name not in arrays]
     if missing:
         raise LogError(f"{fspath(path)}: has no {' and no '.join(missing)}")
     return arrays
