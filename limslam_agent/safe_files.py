@@ -2,6 +2,7 @@
 
 import errno
 import stat
+import warnings
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
@@ -71,7 +72,9 @@ def load_arrays(
     """
     with open_regular(path) as raw:
         try:
-            return _arrays_in(raw, names, largest)
+            # A header that Python 2 wrote is read, but numpy warns about it.
+            with warnings.catch_warnings(action="ignore"):
+                return _arrays_in(raw, names, largest)
         # numpy, zipfile and zlib raise errors of very different types on damaged files.
         except Exception as error:
             if isinstance(error, TooLargeError):
