@@ -6,10 +6,10 @@ import warnings
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 MAX_TEXT_BYTES = 64_000_000
 """Most bytes of a text file that is read as a whole."""
@@ -58,7 +58,7 @@ def read_limited(path: Path, largest: int = MAX_TEXT_BYTES) -> bytes:
 
 def load_arrays(
     path: Path, names: Collection[str] | None = None, largest: int = MAX_ARRAY_BYTES
-) -> dict[str, NDArray[Any]]:
+) -> "dict[str, NDArray[Any]]":
     """The arrays of an ``.npz`` file by their names, of these names only, where they are given. Nothing is unpickled.
 
     Raises
@@ -82,7 +82,7 @@ def load_arrays(
             raise ValueError(f"cut short or damaged: {error}") from error
 
 
-def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: int) -> dict[str, NDArray[Any]]:
+def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: int) -> "dict[str, NDArray[Any]]":
     with zipfile.ZipFile(raw) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         wanted = {name: info for name, info in members.items() if names is None or name in names}
@@ -92,7 +92,10 @@ def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: int) -> d
         return {name: _array(archive, info) for name, info in wanted.items()}
 
 
-def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> "NDArray[Any]":
+    # Imported here so that the command line can check settings before it loads numpy.
+    import numpy as np
+
     with archive.open(info) as member:
         # The size that the array's own header promises is reserved at once, before any data are read.
         version = np.lib.format.read_magic(member)

@@ -14,7 +14,6 @@ from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.show import show
 from limslam_agent.cli.worlds import worlds
-from limslam_env.messages import one_line
 
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads of linear algebra. Each is read once, when numpy or scipy is loaded."""
@@ -96,6 +95,8 @@ def _use_one_thread() -> None:
 
 def _fail(message: str) -> None:
     if message:
+        from limslam_env.messages import one_line
+
         typer.echo("limslam: " + one_line(message), err=True)
     sys.exit(2)
 

@@ -9,7 +9,6 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.progress import progress_bar, unused
 from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, write_replay_settings
-from limslam_env.messages import printable
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -86,6 +85,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
     from limslam_agent.output.summary import replay_summary
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
+    from limslam_env.messages import printable
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")

@@ -9,7 +9,6 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.progress import Advance, progress_bar, unused
 from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
-from limslam_env.messages import printable
 
 if TYPE_CHECKING:
     from limslam_agent.runs.episode import Episode, RunConfig
@@ -50,6 +49,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_agent.output.export import new_folder
     from limslam_agent.output.summary import run_summary
     from limslam_agent.runs.results import write_episode
+    from limslam_env.messages import printable
 
     config = run_config(given, options)
     target = options.out or unused(Path("runs") / _folder_name(config))

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_env.messages import printable
-
 if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun
     from limslam_env.geometry import FloatArray
@@ -26,6 +24,7 @@ def show(
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.finished_run import PICTURE, read_run
     from limslam_agent.output.summary import replay_summary, run_summary
+    from limslam_env.messages import printable
 
     if out is not None:
         _check_target(out, force=force)

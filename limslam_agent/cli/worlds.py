@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_env.messages import LONGEST_VALUE, one_line, printable
-
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
 
@@ -28,6 +26,7 @@ def list_worlds(
         if thumbnails is not None:
             raise ValueError(f"--thumbnails goes with the list of worlds, not with {context.invoked_subcommand}")
         return
+    from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
     places = {name: load_world(name) for name in shipped_worlds()}
@@ -45,6 +44,7 @@ def check(
     radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
 ) -> None:
     """Check whether a robot can be used in a world, and show the reason if it cannot."""
+    from limslam_env.messages import LONGEST_VALUE, one_line
     from limslam_env.worlds.formats.loading import load_world
 
     if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
@@ -67,6 +67,7 @@ def convert(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a world in another format."""
+    from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.formats.writing import write_world
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from limslam_agent.safe_files import read_limited
-from limslam_env.messages import described, one_line
 
 T = TypeVar("T")
 Table = Mapping[str, Any]
@@ -21,6 +20,9 @@ class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
+        # The simulator's package loads numpy, which the options of the command line do without.
+        from limslam_env.messages import one_line
+
         super().__init__(one_line(message))
 
 
@@ -118,7 +120,7 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
     if get_origin(hint) is Literal:
         if value not in get_args(hint):
             raise SettingsError(
-                f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {described(value)}"
+                f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {_described(value)}"
             )
         return value
     return _converted_plain(hint, value, where)
@@ -128,9 +130,12 @@ def _converted_plain(hint: Any, value: Any, where: str) -> Any:
     if hint is Path:
         return Path(_converted_plain(str, value, where))
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise SettingsError(f"{where}: is too large for a number: {_described(value)}") from None
     if type(value) is not hint:
-        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {described(value)}")
+        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {_described(value)}")
     return value
 
 
@@ -146,7 +151,7 @@ def _converted_union(hint: Any, value: Any, where: str) -> Any:
 
 def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise SettingsError(f"{where}: must be a list, not {described(value)}")
+        raise SettingsError(f"{where}: must be a list, not {_described(value)}")
     kinds = get_args(hint)
     kinds = kinds[:1] * len(value) if kinds[1:] == (Ellipsis,) else kinds
     if len(kinds) != len(value):
@@ -155,6 +160,13 @@ def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
         _converted(kind, each, f"{where}[{number}]", None)
         for number, (kind, each) in enumerate(zip(kinds, value, strict=True))
     )
+
+
+def _described(value: Any) -> str:
+    """What a value looks like, for a message."""
+    from limslam_env.messages import described
+
+    return described(value)
 
 
 def _key(where: str, name: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from limslam_env.worlds.formats.pgm import MAX_PIXELS
 from limslam_env.worlds.formats.text_files import read_bytes
@@ -42,7 +42,7 @@ def read_png(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
     except Exception as error:
         if isinstance(error, WorldError):
             raise
-        reason = "it is no PNG file" if isinstance(error, Image.UnidentifiedImageError) else str(error)
+        reason = "it is no PNG file" if isinstance(error, UnidentifiedImageError) else str(error)
         raise WorldError(f"cannot be read: {reason}") from error
 
 
