@@ -20,7 +20,7 @@ class Belief:
     covariance
         Covariance of the estimated pose (3, 3).
     ranges
-        Latest range readings (n_beams,), m.
+        Latest range readings (n_beams,), m, as `limslam_agent.readings` defines them. NaN where there is no reading.
     segments
         Walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
     grid

@@ -30,7 +30,9 @@ class Observation(TypedDict):
 
     ``ranges`` (n_beams,) in metres, a beam's maximum where it sees nothing; ``wheels`` (2,),
     left and right wheel travel in metres since the last observation. Without ``ranges`` nothing was
-    measured. Recorded logs that hold poses instead of wheel travel give ``odometry`` (3,), the motion since the last
+    measured. An agent also takes what other sensors report: infinity and anything at or beyond the maximum mean that
+    nothing was seen, 0 up to the minimum means that something may be near, and NaN and negative numbers are skipped and
+    counted. Recorded logs that hold poses instead of wheel travel give ``odometry`` (3,), the motion since the last
     observation in the robot's frame at that time (m, m, rad), and leave ``wheels`` out.
     """
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 GEOMETRY, INTERFACE = "limslam_env.geometry", "limslam_env.interface"
-WHAT_AN_AGENT_MAY_KNOW = {GEOMETRY, INTERFACE}
+# The last one is about text only.
+WHAT_AN_AGENT_MAY_KNOW = {GEOMETRY, INTERFACE, "limslam_env.messages"}
 
 
 def env(*names: str) -> set[str]:
@@ -26,11 +27,12 @@ ENV = {
     "limslam_env.__main__": {"limslam_env"},
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
+    "limslam_env.messages": set(),
     "limslam_env.config": set(),
     "limslam_env.robots": {INTERFACE},
-    "limslam_env.worlds": {GEOMETRY},
+    "limslam_env.worlds": {GEOMETRY, *env("messages")},
     # A world may be named by the seed of a floor plan.
-    "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation")},
+    "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation", "messages")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
     "limslam_env.compilation": set(),
     "limslam_env.kernels": {GEOMETRY, *env("compilation")},
@@ -49,12 +51,15 @@ ENV = {
 }  # fmt: skip
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
-    "limslam_agent.config": WHAT_AN_AGENT_MAY_KNOW,
-    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
+    "limslam_agent.readings": {GEOMETRY},
+    "limslam_agent.safe_files": set(),
+    "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
+    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "readings")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
     "limslam_agent.slam.batch": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent", "grid"),
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *agent("config", "readings", "slam.core", "slam.consistent", "grid"),
     },
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
@@ -65,14 +70,16 @@ AGENT = {
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid")},
     "limslam_agent.mapper": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid")},
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
-    "limslam_agent.policies.learned": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies")},
+    "limslam_agent.policies.learned": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
+    },
     "limslam_agent.team": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "mapper", "policies"),
     },
     "limslam_agent.agent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "team")},
     "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "mapper", "slam.batch")},
-    "limslam_agent.logs": WHAT_AN_AGENT_MAY_KNOW,
-    "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid")},
+    "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
+    "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.graph", "grid", "logs", "mapper", "output"),
     },

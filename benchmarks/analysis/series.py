@@ -1,13 +1,12 @@
 """The course of a job, read back from its folder of results."""
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.suite.store import Row, series_path
+from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
@@ -73,12 +72,10 @@ def read_series(folder: Path, row: Row) -> Series | None:
         return None
     path = series_path(folder, row.series)
     try:
-        # numpy would leave a file open that turns out to be none of its own.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            arrays = {name: np.asarray(content[name], dtype=float) for name in content.files if name in _KNOWN}
+        arrays = {name: np.asarray(each, dtype=float) for name, each in load_arrays(path, _KNOWN).items()}
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(f"{path}: is damaged: {error}") from error
     if missing := [name for name in _NEEDED if name not in arrays]:
         raise ValueError(f"{path}: lacks {', '.join(missing)}")

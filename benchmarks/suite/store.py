@@ -19,8 +19,11 @@ from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
 from benchmarks.suite.provenance import version_changes
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.output.claims import clear_up, locked
+from limslam_agent.safe_files import read_limited
+from limslam_env.messages import one_line
 
 RESULTS, STAMP, LOCK, SERIES = "results.jsonl", "suite.json", ".lock", "series"
+MAX_RESULTS_BYTES = 256_000_000
 
 
 @dataclass(frozen=True)
@@ -252,7 +255,7 @@ def read_rows(path: Path) -> list[Row]:
     """
     path = path / RESULTS if path.is_dir() else path
     try:
-        content = path.read_bytes()
+        content = read_limited(path, MAX_RESULTS_BYTES)
     except OSError as error:
         raise ValueError(f"{path}: no results there: {error.strerror or error}") from error
     lines = content.split(b"\n")[:-1]
@@ -304,7 +307,7 @@ def _row(line: bytes, label: str) -> Row:
     try:
         table = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{label}: not JSON: {error}") from error
+        raise ValueError(one_line(f"{label}: not JSON: {error}")) from error
     if not isinstance(table, dict) or not table.keys() <= _FIELDS.keys():
         raise ValueError(f"{label}: not a row of results")
     if wrong := [name for name, value in table.items() if not _FIELDS[name](value)]:

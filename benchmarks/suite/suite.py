@@ -14,9 +14,12 @@ from typing import Any
 from benchmarks.suite.jobs import LOG, LOG_POLICY, RANDOM, Job, LogSource, digest
 from benchmarks.suite.train_config import TrainConfig, train_config
 from benchmarks.suite.work import check_log, contents, run_config
+from limslam_agent.safe_files import read_limited
+from limslam_env.messages import described, one_line
 
 FOLDER = Path(__file__).parent / "suites"
 NO_ABLATION = "none"
+MAX_SUITE_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def load_suite(source: str) -> Suite:
             f"no suite is called {source!r}; there are {', '.join(shipped_suites())}, or give a .toml file"
         )
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_limited(path, MAX_SUITE_BYTES).decode("utf-8").replace("\r\n", "\n")
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     return parse_suite(text, path.name if path.parent == FOLDER else str(path))
@@ -204,7 +207,7 @@ def _meant(key: str, value: Any) -> list[Any]:
     if key == "worlds" and (several := re.fullmatch(rf"{RANDOM}(\d{{1,6}})\.\.(\d{{1,6}})", value)):
         first, last = int(several[1]), int(several[2])
         if last < first:
-            raise ValueError(f"{value!r} names no floor plans: the last comes before the first")
+            raise ValueError(f"{described(value)} names no floor plans: the last comes before the first")
         return [f"{RANDOM}{seed}" for seed in range(first, last + 1)]
     return [value]
 
@@ -226,13 +229,13 @@ def _seeds(value: Any) -> list[int]:
 def _values(table: dict[str, Any], key: str, kind: _Kind) -> list[Any]:
     values = table[key]
     if not isinstance(values, list) or not values or not all(kind.is_one(value) for value in values):
-        raise ValueError(f"{key}: must be a list of {kind.name} with at least one in it, not {values!r}")
+        raise ValueError(f"{key}: must be a list of {kind.name} with at least one in it, not {described(values)}")
     return values
 
 
 def _one(table: dict[str, Any], key: str, kind: _Kind) -> Any:
     if not kind.is_one(table[key]):
-        raise ValueError(f"{key}: must be {kind.name.removesuffix('s')}, not {table[key]!r}")
+        raise ValueError(f"{key}: must be {kind.name.removesuffix('s')}, not {described(table[key])}")
     return table[key]
 
 
@@ -249,4 +252,4 @@ def _named(label: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{label}: {error}") from error
+        raise ValueError(one_line(f"{label}: {error}")) from error

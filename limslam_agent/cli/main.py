@@ -97,7 +97,9 @@ def _use_one_thread() -> None:
 
 def _fail(message: str) -> None:
     if message:
-        typer.echo("limslam: " + " ".join(message.split()), err=True)
+        from limslam_env.messages import one_line
+
+        typer.echo("limslam: " + one_line(message), err=True)
     sys.exit(2)
 
 

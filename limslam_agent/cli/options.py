@@ -79,6 +79,13 @@ MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.
 ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
 RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
 OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]
+MaxSize = Annotated[
+    float | None, _option(_LOG, "Largest log that is read, unpacked, MB.", f"{_REPLAY.max_size:g}", "--max-size")
+]
+MaxEvents = Annotated[
+    int | None, _option(_LOG, "Most lines, steps or messages that are read.", _REPLAY.max_events, "--max-events")
+]
+MaxBeams = Annotated[int | None, _option(_LOG, "Most beams of a scan.", _REPLAY.max_beams, "--max-beams")]
 AssumedNoise = Annotated[
     float | None, _option(_AGENT, "Assumed standard deviation of the ranges, m.", _REPLAY.noise, "--noise")
 ]

@@ -33,6 +33,9 @@ def replay(
     scan_topic: take.ScanTopic = None,
     range_topics: take.RangeTopics = None,
     odometry_topic: take.OdometryTopic = None,
+    max_size: take.MaxSize = None,
+    max_events: take.MaxEvents = None,
+    max_beams: take.MaxBeams = None,
     relations: take.RelationsFile = None,
     out: take.Out = None,
     force: take.Force = None,
@@ -82,6 +85,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
     from limslam_agent.output.summary import record_summary, replay_summary
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
+    from limslam_env.messages import printable
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
@@ -98,10 +102,11 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
     for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
-    typer.echo(f"results     {folder.target}")
+    typer.echo(printable(f"results     {folder.target}"))
 
 
 def _job(log: Path, options: ReplayOptions, agent: "AgentConfig") -> _Job:
+    from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
     from limslam_agent.replay.options import CalibrationRun, chosen_topics, numbers
@@ -109,12 +114,13 @@ def _job(log: Path, options: ReplayOptions, agent: "AgentConfig") -> _Job:
     calibration_run = CalibrationRun(options.calibrate, options.calibrate_until, options.calibrate_log)
     if options.calibrate and options.odometry_bias:
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
-    known = read_relations(options.relations) if options.relations else None
+    limits = Limits(round(1e6 * options.max_size), options.max_events, options.max_beams)
+    known = read_relations(options.relations, limits) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
 
     def opened(path: Path) -> "RecordedLog":
-        return read_log(path, angles, options.max_range, topics)
+        return read_log(path, angles, options.max_range, topics, limits)
 
     recorded = opened(log)
     if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):

@@ -50,6 +50,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, run_summary
     from limslam_agent.runs.results import write_episode
+    from limslam_env.messages import printable
 
     config = run_config(given, options)
     for warning in config.warnings:
@@ -66,8 +67,8 @@ def carry_out(given: Given, options: RunOptions) -> None:
     for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):
         typer.echo(line)
     if options.video is not None:
-        typer.echo(f"video       {options.video}")
-    typer.echo(f"results     {folder.target}")
+        typer.echo(printable(f"video       {options.video}"))
+    typer.echo(printable(f"results     {folder.target}"))
 
 
 def _folder_name(config: "RunConfig") -> str:

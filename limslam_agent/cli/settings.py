@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
+from limslam_agent.logs.limits import DEFAULT_LIMITS
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -63,6 +64,9 @@ class ReplayOptions(Bounded):
     scan_topic: str | None = None
     range_topics: str | None = None
     odometry_topic: str | None = None
+    max_size: Annotated[float, Bounds(1e-3, 1e6)] = DEFAULT_LIMITS.max_bytes / 1e6
+    max_events: Annotated[int, Bounds(1, 10**9)] = DEFAULT_LIMITS.max_events
+    max_beams: Annotated[int, Bounds(1, 10**6)] = DEFAULT_LIMITS.max_beams
     relations: Path | None = None
     out: Path | None = None
     force: bool = False

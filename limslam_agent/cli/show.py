@@ -24,6 +24,7 @@ def show(
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.finished_run import PICTURE, read_run
     from limslam_agent.output.summary import record_summary, replay_summary, run_summary
+    from limslam_env.messages import printable
 
     if out is not None:
         _check_target(out, force=force)
@@ -31,14 +32,14 @@ def show(
     metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
     lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
     for line in (f"run         {run.title}", *lines):
-        typer.echo(line)
+        typer.echo(printable(line))
     edges = true_edges(run)
     if out is not None:
         write_picture(out, run, lines, edges)
-        typer.echo(f"picture     {out}")
+        typer.echo(printable(f"picture     {out}"))
     elif not open_window(run, lines, edges):
         if (folder / PICTURE).is_file():
-            typer.echo(f"picture     {folder / PICTURE}")
+            typer.echo(printable(f"picture     {folder / PICTURE}"))
         typer.echo("            there is no display: --out FILE.png draws the map and the errors over time")
 
 

@@ -26,6 +26,7 @@ def list_worlds(
         if thumbnails is not None:
             raise ValueError(f"--thumbnails goes with the list of worlds, not with {context.invoked_subcommand}")
         return
+    from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
     places = {name: load_world(name) for name in shipped_worlds()}
@@ -34,7 +35,7 @@ def list_worlds(
     if thumbnails is not None:
         for name, place in places.items():
             _write_thumbnail(thumbnails / f"{name}.png", place)
-        typer.echo(f"pictures    {thumbnails}")
+        typer.echo(printable(f"pictures    {thumbnails}"))
 
 
 @worlds.command()
@@ -43,6 +44,7 @@ def check(
     radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
 ) -> None:
     """Check whether a robot can be used in a world, and show the reason if it cannot."""
+    from limslam_env.messages import LONGEST_VALUE, one_line
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.regions import start_region
 
@@ -53,7 +55,7 @@ def check(
     region = start_region(place, radius)
     width, height = place.size
     typer.echo(
-        f"{place.name}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
+        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
         f"{_count(len(place.obstacles), 'obstacle')}, {_count(len(place.doors), 'door')}, "
         f"{_count(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
@@ -69,6 +71,7 @@ def convert(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a world in another format."""
+    from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.formats.writing import write_world
 
@@ -77,7 +80,7 @@ def convert(
     if in_the_way and not force:
         raise ValueError(f"{in_the_way[0]}: already exists; --force replaces it")
     write_world(load_world(source), target)
-    typer.echo(f"world       {target}")
+    typer.echo(printable(f"world       {target}"))
 
 
 def _gym_ids() -> dict[str, str]:

@@ -10,6 +10,7 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_env.interface import NominalNoise
+from limslam_env.messages import described
 
 __all__ = [
     "ESTIMATORS",
@@ -104,7 +105,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
         If there is no such preset.
     """
     if name not in ESTIMATORS:
-        raise ValueError(f"no preset is called {name!r}; there are {', '.join(PRESETS)}")
+        raise ValueError(f"no preset is called {described(name)}; there are {', '.join(PRESETS)}")
     smoothing = GraphConfig() if name == "graph" else None
     return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise(), smoothing=smoothing)
 

@@ -6,6 +6,8 @@ from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from limslam_agent.safe_files import read_limited
+
 T = TypeVar("T")
 Table = Mapping[str, Any]
 
@@ -16,6 +18,12 @@ _PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
+
+    def __init__(self, message: str) -> None:
+        # The simulator's package loads numpy, which the options of the command line do without.
+        from limslam_env.messages import one_line
+
+        super().__init__(one_line(message))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -29,12 +37,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     import tomllib
 
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise SettingsError(f"{path}: is larger than {MAX_FILE_BYTES} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8").replace("\r\n", "\n"))
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
 
 
@@ -113,7 +119,9 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
         return _converted_list(hint, value, where)
     if get_origin(hint) is Literal:
         if value not in get_args(hint):
-            raise SettingsError(f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {value!r}")
+            raise SettingsError(
+                f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {_described(value)}"
+            )
         return value
     return _converted_plain(hint, value, where)
 
@@ -122,9 +130,12 @@ def _converted_plain(hint: Any, value: Any, where: str) -> Any:
     if hint is Path:
         return Path(_converted_plain(str, value, where))
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise SettingsError(f"{where}: is too large for a number: {_described(value)}") from None
     if type(value) is not hint:
-        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {value!r}")
+        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {_described(value)}")
     return value
 
 
@@ -140,7 +151,7 @@ def _converted_union(hint: Any, value: Any, where: str) -> Any:
 
 def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise SettingsError(f"{where}: must be a list, not {value!r}")
+        raise SettingsError(f"{where}: must be a list, not {_described(value)}")
     kinds = get_args(hint)
     kinds = kinds[:1] * len(value) if kinds[1:] == (Ellipsis,) else kinds
     if len(kinds) != len(value):
@@ -149,6 +160,13 @@ def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
         _converted(kind, each, f"{where}[{number}]", None)
         for number, (kind, each) in enumerate(zip(kinds, value, strict=True))
     )
+
+
+def _described(value: Any) -> str:
+    """What a value looks like, for a message."""
+    from limslam_env.messages import described
+
+    return described(value)
 
 
 def _key(where: str, name: str) -> str:

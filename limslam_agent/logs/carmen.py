@@ -12,8 +12,10 @@ from os import fspath
 
 import numpy as np
 
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
-from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
+from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
+from limslam_agent.readings import as_readings
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
 
@@ -29,7 +31,9 @@ _ODOM_FIELDS = 10
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
-def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
+def read_carmen(
+    path: FilePath, beams_deg: Sequence[float], max_range: float, limits: Limits = DEFAULT_LIMITS
+) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
     Parameters
@@ -40,6 +44,8 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
         Beam angles, deg, 0 is ahead and left is positive.
     max_range
         Longest reading of the sparse robot, m; a longer one counts as "nothing seen".
+    limits
+        Largest log that is read.
 
     Returns
     -------
@@ -50,8 +56,8 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, has something other than a finite number where one is needed, has no
-        scan or no odometry, or has no beam within 1 degree of a given angle.
+        If the file is larger than the limits, cannot be read, is cut short, has something other than a number where one
+        is needed, has no scan or no odometry, or has no beam within 1 degree of a given angle.
     """
     try:
         check_max_range(max_range)
@@ -60,7 +66,7 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
     if not len(beams_deg):
         raise LogError(f"{fspath(path)}: at least one beam must be chosen")
     events = _Events(beams_deg)
-    for number, line in numbered_lines(path):
+    for number, line in numbered_lines(path, limits):
         cut = not line.endswith(b"\n")
         try:
             events.add(line.split(), cut=cut)
@@ -119,9 +125,7 @@ class _Events:
         tail = fields[2 + count :]
         if len(tail) != _SCAN_TAIL:
             self._refuse_scan(fields, count)
-        values = [parse_number(fields[column], f"range {column - 1}") for column in self.columns]
-        if min(values) < 0.0:
-            raise ValueError(f"range {self.columns[values.index(min(values))] - 1} is negative: {min(values)}")
+        values = [parse_range(fields[column], f"range {column - 1}") for column in self.columns]
         laser = [parse_number(field, "the laser's pose") for field in tail[:3]]
         self._add_event(tail[3:6], tail[6], has_scan=True)
         self.ranges.extend(values)
@@ -185,15 +189,13 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
 
 
 def _as_readings(ranges: FloatArray, max_range: float) -> FloatArray:
-    """Ranges (k, n_beams), m. ``max_range`` for readings that mean "nothing seen", ``MIN_RANGE`` for unreliable
-    ones.
-    """
-    seen = np.where(ranges >= max_range, max_range, ranges)
+    """Ranges (k, n_beams), m, as `limslam_agent.readings` defines. The laser's code for "no return" is the maximum."""
+    seen, largest = ranges.copy(), float(ranges.max(where=np.isfinite(ranges), initial=0.0))
     for unit in _SICK_UNITS:
         lowest, highest = _SICK_TOP_COUNTS[0] * unit, _SICK_TOP_COUNTS[1] * unit
-        if lowest <= ranges.max() <= highest:
-            seen[ranges >= lowest] = max_range
-    return np.maximum(seen, MIN_RANGE)
+        if lowest <= largest <= highest:
+            seen[ranges >= lowest] = np.inf
+    return as_readings(seen, MIN_RANGE, max_range)
 
 
 def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:

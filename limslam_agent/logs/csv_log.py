@@ -6,9 +6,9 @@
     0.0,0.000,0.000,0.00,1.20,,1.19
     0.1,0.031,0.000,0.01,1.21,nan,1.18
 
-``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. An empty field,
-``nan`` and ``inf`` mean that a beam saw nothing. Columns may also be separated by semicolons or spaces. The header may
-be a comment with a remark in brackets.
+``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. An empty field
+and ``nan`` mean that there is no reading, and ``inf`` means that the beam saw nothing (`limslam_agent.readings`).
+Columns may also be separated by semicolons or spaces. The header may be a comment with a remark in brackets.
 """
 
 import math
@@ -20,16 +20,18 @@ from os import fspath
 import numpy as np
 
 from limslam_agent.logs.directions import direction_of
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, beam, check_max_range, choose_beams, pose_log
-from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number
+from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
+from limslam_env.interface import SensorSpec
 
 NO_SCAN = b"-"
 """Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
 
 _LEADING = ({"t", "time", "stamp"}, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
 _RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
-_NOTHING_SEEN = {b"", b"nan", b"inf", b"+inf"}
 _MOST_BEAMS = 4096
+_HEADER_WITHIN = 1000  # lines
 
 
 def is_csv(path: FilePath) -> bool:
@@ -40,14 +42,18 @@ def is_csv(path: FilePath) -> bool:
     LogError
         If the file cannot be read or is not a text file.
     """
-    for _, line in numbered_lines(path):
+    for number, line in numbered_lines(path):
+        if number > _HEADER_WITHIN:
+            break
         names = _names(line)[0]
         if names and not _is_remark(line, names):
             return _begins_well(names)
     return False
 
 
-def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
+def read_csv(
+    path: FilePath, beams_deg: Sequence[float] | None, max_range: float, limits: Limits = DEFAULT_LIMITS
+) -> RecordedLog:
     """Read a text file with the header ``t,x,y,theta,r_<deg>,...``, plain or gzip.
 
     Parameters
@@ -58,6 +64,8 @@ def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float
         Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
     max_range
         Longest reading that is used, m; a longer one counts as "nothing seen".
+    limits
+        Largest log that is read.
 
     Returns
     -------
@@ -67,19 +75,18 @@ def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, has another header, has a row whose columns do not match the header or
-        that holds something other than numbers, or has no row with ranges.
+        If the file is larger than the limits, cannot be read, is cut short, has another header, has a row whose columns
+        do not match the header or that holds something other than numbers, or has no row with ranges.
     """
-    rows = _Rows()
-    for number, line in numbered_lines(path):
+    rows = _Rows(beams_deg, max_range, limits)
+    for number, line in numbered_lines(path, limits):
         cut = not line.endswith(b"\n")
         try:
             rows.add(line)
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
     try:
-        check_max_range(max_range)
-        return rows.log(beams_deg, max_range)
+        return rows.log()
     except ValueError as error:
         raise LogError(f"{fspath(path)}: {error}") from error
 
@@ -87,7 +94,10 @@ def read_csv(path: FilePath, beams_deg: Sequence[float] | None, max_range: float
 class _Rows:
     """The header, and the numbers of the rows read so far, in packed arrays."""
 
-    def __init__(self) -> None:
+    def __init__(self, beams_deg: Sequence[float] | None, max_range: float, limits: Limits) -> None:
+        self.beams_deg, self.max_range, self.limits = beams_deg, max_range, limits
+        self.beams: list[SensorSpec] = []
+        self.columns: list[int] = []
         self.separator: bytes | None = None
         self.directions: list[float] = []
         self.moves = array("d")
@@ -98,9 +108,19 @@ class _Rows:
         """Process one line. The first line that is neither blank nor a remark is the header."""
         if not self.directions:
             names, self.separator = _names(line)
-            self.directions = [] if not names or _is_remark(line, names) else _directions(names)
+            if names and not _is_remark(line, names):
+                self._add_header(names)
         elif not line.startswith(b"#") and (text := line.strip()):
             self._add_row([field.strip() for field in text.split(self.separator)])
+
+    def _add_header(self, names: list[str]) -> None:
+        # Only the chosen columns are stored: a header may name thousands.
+        self.limits.check_beams(len(names) - len(_LEADING))
+        self.directions = _directions(names)
+        check_max_range(self.max_range)
+        beams = [beam(math.radians(degrees), self.max_range) for degrees in self.directions]
+        self.columns = choose_beams(beams, self.beams_deg)
+        self.beams = [beams[index] for index in self.columns]
 
     def _add_row(self, fields: list[bytes]) -> None:
         count = len(_LEADING) + len(self.directions)
@@ -111,23 +131,21 @@ class _Rows:
         move = [parse_number(field, name) for field, name in zip(fields, ("t", "x", "y", "theta"), strict=False)]
         if self.moves and move[0] < self.moves[-4] - LARGEST_STEP_BACK:
             raise ValueError(f"the time steps back by {self.moves[-4] - move[0]:.1f} s")
-        nothing = [math.nan] * len(self.directions)
-        self.ranges.extend(nothing if silent else map(_reading, readings))
+        values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
+        self.ranges.extend(values[column] for column in self.columns)
         self.moves.extend(move)
         self.has_scan.append(not silent)
 
-    def log(self, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
+    def log(self) -> RecordedLog:
         """The rows as a log."""
         if not self.directions:
             raise ValueError("is empty: it has no header t,x,y,theta,r_<deg>,...")
         if not any(self.has_scan):
             raise ValueError("has no row with ranges")
-        beams = [beam(math.radians(degrees), max_range) for degrees in self.directions]
-        chosen = choose_beams(beams, beams_deg)
         moves = np.array(self.moves).reshape(-1, len(_LEADING))
-        ranges = np.array(self.ranges).reshape(len(moves), -1)[:, chosen]
+        ranges = np.array(self.ranges).reshape(len(moves), -1)
         has_scan = np.frombuffer(self.has_scan, dtype=np.bool_)
-        return pose_log([beams[index] for index in chosen], moves[:, 0], moves[:, 1:], ranges, has_scan)
+        return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan)
 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
@@ -195,10 +213,5 @@ def _between(before: list[float], after: list[str]) -> list[float]:
 
 
 def _reading(field: bytes) -> float:
-    """A range, m. NaN where nothing was seen."""
-    if field.lower() in _NOTHING_SEEN:
-        return math.nan
-    value = parse_number(field, "a range")
-    if value < 0.0:
-        raise ValueError(f"a range is negative: {value}")
-    return value
+    """A range, m. NaN where the field is empty: there is no reading."""
+    return parse_range(field, "a range") if field else math.nan

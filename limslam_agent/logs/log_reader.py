@@ -6,6 +6,7 @@ from pathlib import PurePath
 
 from limslam_agent.logs.carmen import read_carmen
 from limslam_agent.logs.csv_log import is_csv, read_csv
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.pose_log import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import ZIP_MAGIC, FilePath, LogError, RecordedLog, first_bytes, read_npz
 from limslam_agent.logs.ros_bag import is_bag
@@ -20,6 +21,7 @@ def read_log(
     beams_deg: Sequence[float] | None = None,
     max_range: float | None = None,
     topics: Topics | None = None,
+    limits: Limits = DEFAULT_LIMITS,
 ) -> RecordedLog:
     """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a CARMEN log.
 
@@ -34,6 +36,8 @@ def read_log(
         Longest reading that is used, m. 3 m by default. The ranges of a ``log.npz`` are fixed.
     topics
         Topics of a bag, if they cannot be found by their types.
+    limits
+        Largest log that is read.
 
     Returns
     -------
@@ -43,18 +47,18 @@ def read_log(
     Raises
     ------
     LogError
-        If the file cannot be used, or a choice does not apply to its format.
+        If the file is larger than the limits or cannot be used, or a choice does not apply to its format.
     """
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
     if is_bag(path):
-        return read_ros(path, beams_deg, reach, topics)
+        return read_ros(path, beams_deg, reach, topics, limits)
     if topics:
         raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
     if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or PurePath(path).suffix == ".npz":
         if beams_deg is not None or max_range is not None:
             chosen = "beams" if beams_deg is not None else "largest range"
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
-        return read_npz(path)
+        return read_npz(path, limits)
     if fspath(path).endswith(_TEXT_ENDINGS) or is_csv(path):
-        return read_csv(path, beams_deg, reach)
-    return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)
+        return read_csv(path, beams_deg, reach, limits)
+    return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach, limits)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -97,8 +98,7 @@ def pose_log(
     odometry
         (n, 3), m, m, rad. Headings may include full turns.
     ranges
-        (n, n_beams), m. NaN and values above a beam's maximum mean "nothing seen". Values below the beam's minimum, and
-        the negative values of some drivers, mean "something may be near".
+        Whatever the sensors report (n, n_beams), m. `limslam_agent.readings` defines what it means.
     has_scan
         Whether ranges were measured (n,).
 
@@ -115,13 +115,13 @@ def pose_log(
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
         raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
-    largest, least = np.array([b.max_range for b in beams]), np.array([b.min_range for b in beams])
-    seen = np.where(np.isnan(ranges), largest, np.clip(ranges, least, largest))
-    seen[~has_scan] = largest
+    robot = RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=tuple(beams))
     return RecordedLog(
-        robot=RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=tuple(beams)),
+        robot=robot,
         time=time,
-        ranges=seen.astype(np.float32),
+        ranges=np.where(
+            has_scan[:, None], as_readings(ranges, robot.min_ranges, robot.max_ranges), robot.max_ranges
+        ).astype(np.float32),
         has_scan=has_scan,
         start_pose=np.zeros(3),
         odometry=np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2]))),

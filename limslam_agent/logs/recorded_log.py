@@ -2,7 +2,6 @@
 
 import gzip
 import math
-import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,8 +12,12 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.readings import as_readings
+from limslam_agent.safe_files import TooLargeError, load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import one_line
 
 FilePath: TypeAlias = str | PathLike[str]
 
@@ -31,7 +34,7 @@ class LogError(ValueError):
     """A file cannot be used. The message is one line, ``<file>: what and where``."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))
+        super().__init__(one_line(message))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,8 @@ class RecordedLog:
     time
         Times of the log (n,), s. They may step back a little.
     ranges
-        (n, n_beams) float32, m. A beam's maximum where nothing was seen.
+        (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where nothing was seen, and
+        NaN where there is no reading.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
@@ -60,7 +64,7 @@ class RecordedLog:
     Raises
     ------
     ValueError
-        If a shape does not fit the others, or a number is not finite.
+        If a shape does not fit the others, or a number other than a range is not finite.
     """
 
     robot: RobotSpec
@@ -79,7 +83,9 @@ class RecordedLog:
         if (self.odometry is None) == (self.wheels is None):
             raise ValueError("needs either odometry or wheels")
         _check("time", self.time, (count,))
-        _check("ranges", self.ranges, (count, beams))
+        _check("ranges", self.ranges, (count, beams), finite=False)
+        readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
+        object.__setattr__(self, "ranges", readings.astype(np.float32))
         _check("has_scan", self.has_scan, (count,))
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
@@ -92,8 +98,6 @@ class RecordedLog:
             if np.any(jumps > LONGEST_JUMP):
                 row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
                 raise ValueError(f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}")
-        if np.any(self.ranges < 0.0):
-            raise ValueError(f"ranges is negative in row {_first_row(self.ranges < 0.0)}")
 
     def __len__(self) -> int:
         """Number of events."""
@@ -124,7 +128,7 @@ class RecordedLog:
             yield observation
 
 
-def read_npz(path: FilePath) -> RecordedLog:
+def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
     """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
 
     Parameters
@@ -133,16 +137,21 @@ def read_npz(path: FilePath) -> RecordedLog:
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
         ``true_pose`` (n, 3) after each step, ``wall_seen`` (n, n_beams), ``start_pose`` (3,), and ``robot``, the text
         of :meth:`RobotSpec.to_json`. Pickled objects are refused.
+    limits
+        Largest log that is read.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short or is not such a zip file; if an array is missing or has a wrong shape,
-        or holds something other than finite numbers.
+        If the file is larger than the limits or cannot be read, is cut short or is not such a zip file; if an array is
+        missing or has a wrong shape, or holds something other than finite numbers. Ranges may be infinite, NaN or
+        negative, as `limslam_agent.readings` defines.
     """
-    arrays = _load_arrays(path)
+    arrays = _load_arrays(path, limits)
     try:
+        limits.check_events(arrays["time"].size, "steps")
         robot = _robot_of(arrays["robot"])
+        limits.check_beams(len(robot.beams))
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
@@ -171,13 +180,13 @@ def first_bytes(path: FilePath, count: int) -> bytes:
         If the file cannot be read.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(Path(path)) as file:
             return file.read(count)
     except OSError as error:
         raise _unreadable(path, error) from error
 
 
-def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[tuple[int, bytes]]:
     """The lines of a text file one at a time. A gzip file is recognised by its first bytes.
 
     Yields
@@ -188,15 +197,19 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
+        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is larger than
+        the limits.
     """
-    number = 0
+    number = size = 0
     try:
-        with Path(path).open("rb") as raw:
-            packed = raw.peek(len(GZIP_MAGIC)).startswith(GZIP_MAGIC)
+        with open_regular(Path(path)) as raw:
+            packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
+            raw.seek(0)
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
-                number += 1
+                number, size = number + 1, size + len(line)
+                if number > limits.max_events or size > limits.max_bytes:
+                    _refuse_size(path, number, size, limits)
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
                 yield number, line
@@ -208,6 +221,20 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         raise _unreadable(path, error) from error
 
 
+def parse_range(field: bytes, what: str) -> float:
+    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines.
+
+    Raises
+    ------
+    ValueError
+        If the field is not a number. The message begins with ``what``.
+    """
+    try:
+        return float(field)
+    except ValueError:
+        raise ValueError(f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}") from None
+
+
 def parse_number(field: bytes, what: str) -> float:
     """A finite number from a field of a text.
 
@@ -216,31 +243,35 @@ def parse_number(field: bytes, what: str) -> float:
     ValueError
         If the field is not a finite number. The message begins with ``what``.
     """
-    text = field.decode("ascii", "replace")
-    try:
-        value = float(field)
-    except ValueError:
-        raise ValueError(f"{what} is not a number: {text[:40]!r}") from None
+    value = parse_range(field, what)
     if not math.isfinite(value):
-        raise ValueError(f"{what} is {text}, not a finite number")
+        raise ValueError(f"{what} is {field.decode('ascii', 'replace')[:40]}, not a finite number")
     return value
 
 
 _ARRAYS = ("time", "ranges", "wheels", "action", "true_pose", "wall_seen", "robot", "start_pose")
-# Errors that numpy and zipfile raise on files that are cut short or have flipped bits.
-_DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
-def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
+def _refuse_size(path: FilePath, lines: int, size: int, limits: Limits) -> None:
+    try:
+        limits.check_events(lines, "lines")
+        limits.check_bytes(size)
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+
+
+def _load_arrays(path: FilePath, limits: Limits) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise LogError(f"{fspath(path)}: is not an .npz file")
     try:
-        # The file is opened here because numpy leaves its own file open if the zip is damaged.
-        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            missing = [name for name in _ARRAYS if name not in file.files]
-            arrays = {name: file[name] for name in _ARRAYS if name not in missing}
-    except _DAMAGE as error:
-        raise LogError(f"{fspath(path)}: cut short or damaged: {error}") from error
+        arrays = load_arrays(Path(path), _ARRAYS, limits.max_bytes)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except TooLargeError as error:
+        raise LogError(f"{fspath(path)}: {error}: --max-size raises this limit") from error
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
+    missing = [name for name in _ARRAYS if name not in arrays]
     if missing:
         raise LogError(f"{fspath(path)}: has no {' and no '.join(missing)}")
     return arrays
@@ -261,14 +292,14 @@ def _floats(name: str, arrays: dict[str, NDArray[Any]]) -> FloatArray:
     return arrays[name].astype(np.float64)
 
 
-def _check(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Refuse an array of another shape, and numbers that are not finite."""
+def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bool = True) -> None:
+    """Refuse an array of another shape, and numbers that are not finite where they must be."""
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, not {shape}")
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} does not hold numbers")
     bad = ~np.isfinite(array)
-    if bad.any():
+    if finite and bad.any():
         raise ValueError(f"{name} holds something that is not a finite number in row {_first_row(bad)}")
 
 

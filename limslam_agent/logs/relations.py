@@ -11,6 +11,7 @@ from os import fspath
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.recorded_log import FilePath, LogError, numbered_lines, parse_number
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
@@ -60,16 +61,17 @@ class RelationErrors:
     unmatched: int
 
 
-def read_relations(path: FilePath) -> Relations:
+def read_relations(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Relations:
     """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short, has a line with other fields, or has no relations.
+        If the file is larger than the limits, cannot be read, is cut short, has a line with other fields, or has no
+        relations.
     """
     rows: list[list[float]] = []
-    for number, line in numbered_lines(path):
+    for number, line in numbered_lines(path, limits):
         fields = line.partition(b"#")[0].split()
         if not fields:
             continue

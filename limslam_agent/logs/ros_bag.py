@@ -10,6 +10,7 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes
 
 if TYPE_CHECKING:
@@ -53,13 +54,17 @@ class Bag:
         Type of each topic in the notation of ROS 2: ``sensor_msgs/msg/LaserScan``.
     counts
         Number of messages of each topic.
+    limits
+        Largest number and size of the messages that are read.
     """
 
-    def __init__(self, path: FilePath, reader: "AnyReader") -> None:
-        self.path, self._reader = path, reader
+    def __init__(self, path: FilePath, reader: "AnyReader", limits: Limits = DEFAULT_LIMITS) -> None:
+        self.path, self._reader, self.limits = path, reader, limits
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for connection in reader.connections:
+            if not isinstance(connection.topic, str) or not isinstance(connection.msgcount, int):
+                raise LogError(f"{fspath(path)}: damaged: its list of topics is not one of names and counts")
             self.types[connection.topic] = connection.msgtype
             self.counts[connection.topic] = self.counts.get(connection.topic, 0) + connection.msgcount
 
@@ -69,20 +74,30 @@ class Bag:
         Raises
         ------
         LogError
-            If the bag is cut short or damaged.
+            If the bag is cut short or damaged, or its messages are larger than the limits.
         """
         connections = [each for each in self._reader.connections if each.topic in topics]
         if not connections:
             return
         stream = self._reader.messages(connections)
+        count = size = 0
         while True:
             with _one_line(self.path):
                 item = next(stream, None)
                 if item is None:
                     return
                 connection, nanoseconds, raw = item
+                count, size = count + 1, size + len(raw)
+                self._check_size(count, size)
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield Message(connection.topic, 1e-9 * nanoseconds, content)
+
+    def _check_size(self, count: int, size: int) -> None:
+        try:
+            self.limits.check_events(count, "messages")
+            self.limits.check_bytes(size)
+        except ValueError as error:
+            raise LogError(f"{fspath(self.path)}: {error}") from error
 
     def first(self, topic: str) -> Any:
         """First message of a topic. None if the topic has no messages."""
@@ -91,7 +106,7 @@ class Bag:
 
 
 @contextmanager
-def open_bag(path: FilePath) -> Iterator[Bag]:
+def open_bag(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
     """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file.
 
     Raises
@@ -111,7 +126,9 @@ def open_bag(path: FilePath) -> Iterator[Bag]:
         reader = AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     try:
-        yield Bag(path, reader)
+        with _one_line(path):
+            bag = Bag(path, reader, limits)
+        yield bag
     finally:
         with _one_line(path):
             reader.close()
@@ -122,6 +139,9 @@ def _check_ending(path: FilePath) -> None:
     if place.is_dir():
         if not (place / METADATA).is_file():
             raise LogError(f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}")
+        for file in place.iterdir():
+            if not file.is_dir():
+                first_bytes(file, 0)  # a pipe in the folder would never end
         return
     ending = _ending_by_content(path)
     if ending is None:
@@ -140,6 +160,8 @@ def _one_line(path: FilePath) -> Iterator[None]:
     """Turn any error of rosbags into a LogError. A damaged file can cause errors of any type."""
     try:
         yield
+    except LogError:
+        raise
     except OSError as error:
         raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # errors of rosbags, struct, sqlite or a compressor, and assertions

@@ -199,6 +199,7 @@ def _mounts(bag: Bag, odometry: str) -> Mounts:
 
 def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
     first = bag.first(topic)
+    bag.limits.check_beams(len(first.ranges))
     angles = scan_angles(first)
     mount = mounts.find(first.header.frame_id) or _AT_ORIGIN
     limits = sensor_limits(float(first.range_min), float(first.range_max), max_range)

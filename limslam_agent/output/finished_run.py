@@ -2,8 +2,6 @@
 
 import json
 import math
-import zipfile
-import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +10,19 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.claims import OutputError, hidden, repair
+from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
+from limslam_env.messages import one_line
 
 RESULT, MAP, LOG, PICTURE = "result.json", "map.json", "log.npz", "map.png"
 
 
 class FolderError(ValueError):
     """A folder is not a finished run, or a file in it cannot be read. The message says which and why."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +129,7 @@ def heading_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_limited(path))
     except (ValueError, RecursionError) as error:
         raise FolderError(f"{path}: is not JSON: {error}") from error
     except OSError as error:
@@ -145,7 +148,7 @@ def _segments(path: Path) -> FloatArray:
     listed = _read_json(path).get("segments")
     try:
         segments = np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         segments = None
     if segments is None or not np.isfinite(segments).all():
         raise FolderError(f"{path}: its segments are not rows of four numbers")
@@ -167,7 +170,7 @@ def _read_tum(path: Path) -> FloatArray:
     """Lines ``t x y z qx qy qz qw`` as a table (n, 4) of time, x, y and heading."""
     rows: list[list[float]] = []
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_limited(path).decode("utf-8").splitlines()
     except (OSError, ValueError) as error:
         raise FolderError(f"{path}: cannot be read: {error}") from error
     for number, line in enumerate(lines, start=1):
@@ -193,10 +196,9 @@ def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatA
     if not isinstance(axle, int | float) or not axle > 0.0:
         return []
     try:
-        # The file is opened here because numpy leaves a file open that it cannot read.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as log:
-            wheels = np.asarray(log["wheels"], dtype=float) if "wheels" in log else None
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        arrays = load_arrays(path, ("wheels",))
+        wheels = np.asarray(arrays["wheels"], dtype=float) if "wheels" in arrays else None
+    except (OSError, ValueError) as error:
         raise FolderError(f"{path}: is damaged: {error}") from error
     if wheels is None:
         return []

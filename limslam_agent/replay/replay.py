@@ -85,7 +85,7 @@ class Replay:
     landmarks, segments, grid
         The map.
     refused_readings
-        Number of readings that were not finite.
+        Number of readings that were skipped: no readings (NaN), and negative numbers.
     self_calibration
         Systematic odometry errors that the filter has estimated. None if this was not asked for.
     slam_ms, wall_clock

@@ -141,12 +141,12 @@ class LineSlam:
 
     @property
     def measured(self) -> BoolArray:
-        """Which of the first robot's readings (n_beams,) are new, finite, and from no other robot."""
+        """Which of the first robot's readings (n_beams,) are new, not NaN, and from no other robot."""
         return self.robots[0].measured
 
     @property
     def refused_readings(self) -> int:
-        """Number of readings since the start that were not finite."""
+        """Number of readings since the start that were skipped: no readings (NaN), and negative numbers."""
         return sum(front.refused_readings for front in self.robots)
 
     def _motion(self, number: int, observation: Observation) -> Motion:

@@ -1,7 +1,7 @@
 """What the adapters of single environments share: spaces, actions, info, resets with another world, and rendering."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import described, one_line
 from limslam_env.rendering.overlay import Overlay
 from limslam_env.rendering.painter import Painter
 from limslam_env.simulation.coverage import CoverageGrid
@@ -61,9 +62,9 @@ def wheel_speeds(action: Action) -> tuple[float, float]:
         left, right = (action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)).tolist()
         if math.isfinite(left) and math.isfinite(right):
             return left, right
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pass
-    raise ValueError(f"an action is two finite numbers, left and right wheel speed, not {action!r}")
+    raise ValueError(one_line(f"an action is two finite numbers, left and right wheel speed, not {described(action)}"))
 
 
 def observation_of(readings: Readings, robot: int) -> Observation:
@@ -151,7 +152,11 @@ class EpisodeSimulation:
             If the world or the start cannot be used.
         """
         options = options or {}
-        unknown = sorted(set(options) - RESET_OPTIONS)
+        if not isinstance(options, Mapping):
+            raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
+                f"reset options are a dictionary, not {described(options)}"
+            )
+        unknown = sorted(map(str, set(options) - RESET_OPTIONS))
         if unknown:
             raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'world'")
         entropy = int(generator.integers(2**63))
@@ -265,14 +270,30 @@ def is_random(source: object) -> TypeGuard[str]:
     return isinstance(source, str) and source == "random"
 
 
+def check_robots(num_robots: Any) -> None:
+    """Refuse a number of robots that is not a whole number from 1 to 8.
+
+    Raises
+    ------
+    ValueError
+        If it is something else.
+    """
+    if (
+        isinstance(num_robots, bool)
+        or not isinstance(num_robots, int | np.integer)
+        or not 1 <= num_robots <= MAX_ROBOTS
+    ):
+        raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
+
+
 def _starts(option: Any, num_robots: int) -> FloatArray | None:
     if option is None:
         return None
     try:
         starts = np.atleast_2d(np.asarray(option, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         starts = np.zeros((0, 0))
     if starts.ndim != 2 or starts.shape[1] != 3 or not 1 <= len(starts) <= num_robots:
         wanted = "(x, y, theta)" if num_robots == 1 else f"up to {num_robots} rows (x, y, theta)"
-        raise ValueError(f"the start is {wanted}, not {option!r}")
+        raise ValueError(f"the start is {wanted}, not {described(option)}")
     return starts

@@ -11,12 +11,12 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import (
-    MAX_ROBOTS,
     RESET_OPTIONS,
     Action,
     PlaceSource,
     SimulationEnv,
     action_space,
+    check_robots,
     info_of,
     observation_of,
     observation_space,
@@ -91,8 +91,7 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         max_cycles: int | None = 18_000,
         render_mode: str | None = None,
     ) -> None:
-        if not 1 <= num_robots <= MAX_ROBOTS:
-            raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {num_robots}")
+        check_robots(num_robots)
         if max_cycles is not None and max_cycles < 1:
             raise ValueError(f"max_cycles must be 1 or more, or None, not {max_cycles}")
         self._set_up(world, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)

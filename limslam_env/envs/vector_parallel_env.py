@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
 from limslam_env.config import RewardConfig
-from limslam_env.envs.adapter import MAX_ROBOTS, action_space, observation_space
+from limslam_env.envs.adapter import action_space, check_robots, observation_space
 from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
 from limslam_env.envs.batch_adapter import (
     Batched,
@@ -66,8 +66,7 @@ class LimSlamParallelVectorEnv(Batched):
         plans: Plans = None,
         num_threads: int | None = None,
     ) -> None:
-        if not 1 <= num_robots <= MAX_ROBOTS:
-            raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {num_robots}")
+        check_robots(num_robots)
         self._set_up(
             world, num_envs, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, max_cycles, plans,
             num_threads, autoreset_mode,

@@ -135,6 +135,8 @@ def _batches(edges: FloatArray, radius: float, cell: float) -> Iterator[FloatArr
 def _block_near(free: BoolArray, edges: FloatArray, origin: FloatArray, cell: float, radius: float) -> None:
     """Clear the cells whose centres lie less than ``radius`` (m) from any of the edges (k, 4)."""
     owner, rows, columns = _cells_near(edges, origin, cell, radius, free.shape)
+    still_free = free[rows, columns]
+    owner, rows, columns = owner[still_free], rows[still_free], columns[still_free]
     offset = _centres(origin, cell, columns, rows) - edges[owner, :2]
     span = (edges[:, 2:] - edges[:, :2])[owner]
     squared = np.maximum(np.einsum("nd,nd->n", span, span), 1e-300)

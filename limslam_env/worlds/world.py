@@ -12,15 +12,21 @@ import numpy as np
 
 from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
+from limslam_env.messages import one_line
 from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
 
 MAX_SIDE = 500.0
 MAX_EDGES = 100_000
 SHORTEST_EDGE = 1e-6
+MAX_LENGTH = 50_000.0
+"""Largest total length of walls and obstacle edges, m. The time of the checks grows with it."""
 
 
 class WorldError(ValueError):
-    """A world, or the file that describes one, that cannot be used. The message says where and why."""
+    """A world, or the file that describes one, that cannot be used. The message, of one line, says where and why."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +201,9 @@ def _check_edges(world: World) -> None:
         raise WorldError(f"{len(world.edges)} walls and obstacle edges; 1 to {MAX_EDGES} can be used")
     if np.abs(world.edges).max() > MAX_SIDE or np.ptp(world.edges.reshape(-1, 2), axis=0).max() > MAX_SIDE:
         raise WorldError(f"walls reach further than {MAX_SIDE:g} m")
+    total = float(lengths(world.edges).sum())
+    if total > MAX_LENGTH:
+        raise WorldError(f"walls and obstacle edges are {total / 1e3:.0f} km long; {MAX_LENGTH / 1e3:g} km can be used")
     short = np.nonzero(lengths(world.edges) < SHORTEST_EDGE)[0]
     if short.size:
         kind = f"walls[{short[0]}]" if short[0] < len(world.walls) else f"obstacle edge {short[0] - len(world.walls)}"

@@ -1,6 +1,5 @@
 """The network of the learned policy in numpy. It needs no deep-learning library and executes no code from files."""
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig
+from limslam_agent.safe_files import load_arrays
+from limslam_env.messages import LONGEST_VALUE, one_line
 
 Weights = NDArray[np.float32]
 
@@ -72,13 +73,12 @@ def load_network(path: Path) -> DirectionNetwork:
         If the file cannot be read, or holds another network.
     """
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            held = {name: arrays[name] for name in arrays.files}
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        held = load_arrays(path)
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path}: not the weights of a learned policy: {error}") from error
     wanted = {"view"} | {f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")}
     if set(held) != wanted:
-        names = ", ".join(sorted(held)) or "nothing"
+        names = one_line(", ".join(sorted(held)) or "nothing", LONGEST_VALUE)
         raise ValueError(f"{path}: not the weights of a learned policy: it holds {names}")
     if not all(values.dtype.kind == "f" and np.isfinite(values).all() for values in held.values()):
         raise ValueError(f"{path}: weights must be finite numbers")

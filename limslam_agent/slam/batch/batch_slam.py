@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
+from limslam_agent.readings import as_readings
 from limslam_agent.slam.batch.clone_ekf import predict
 from limslam_agent.slam.batch.compilation import algebra, entry
 from limslam_agent.slam.batch.consistent import measure, process
@@ -148,7 +149,7 @@ class BatchSlam:
         Parameters
         ----------
         ranges
-            Readings (n, n_beams), m. Readings that are not finite are not used.
+            Readings (n, n_beams), m. `limslam_agent.readings` defines what they mean.
         wheels
             Left and right wheel travel since the last step (n, 2), m.
         mask
@@ -168,7 +169,8 @@ class BatchSlam:
                 f"not {seen.shape} and {travel.shape}"
             )
         _refuse_if_not_finite(travel, chosen, "wheel travel")
-        seen, travel = np.ascontiguousarray(seen), np.ascontiguousarray(travel)
+        seen = np.ascontiguousarray(as_readings(seen, self.robot.min_ranges, self.robot.max_ranges))
+        travel = np.ascontiguousarray(travel)
         poses, covariances = np.zeros((self.num_envs, POSE)), np.zeros((self.num_envs, POSE, POSE))
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         self._share(
@@ -223,7 +225,7 @@ class BatchSlam:
 
     @property
     def refused_readings(self) -> IntArray:
-        """Number of readings of each robot that were not finite (n,)."""
+        """Number of readings of each robot that were skipped (n,): no readings (NaN), and negative numbers."""
         return self._states.filter.counts[:, REFUSED].copy()
 
     @property

@@ -135,7 +135,7 @@ class ConsistentEstimator(Estimator):
         beams = np.nonzero(front.measured & (front.ranges > self.robot.too_near))[0]
         pose = self._filter.poses[number]
         variance = np.diag(self._filter.joint_pose_covariance)[3 * number : 3 * number + 3]
-        ranges = np.minimum(front.ranges[beams], self.robot.max_ranges[beams])
+        ranges = front.ranges[beams]
         headings = pose[2] + self.robot.beam_angles[beams]
         self._map.clear_along_beams(
             transform_points(pose, self.robot.beam_origins[beams]),

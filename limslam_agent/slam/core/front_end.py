@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -19,11 +20,12 @@ class FrontEnd:
     step
         Number of the latest observation, from 0.
     ranges, measured
-        The latest readings (n_beams,), m, and which of them are new and finite.
+        The latest readings (n_beams,), m, as `limslam_agent.readings` defines them, and which of them are new and not
+        NaN.
     dropped
         Readings (n_beams,) that may have hit another robot. They are not ``measured``.
     refused_readings
-        Number of readings since the start that were not finite.
+        Number of readings since the start that were skipped: no readings (NaN), and negative numbers.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
@@ -53,10 +55,10 @@ class FrontEnd:
         if "ranges" not in observation:
             self.measured = np.zeros(len(self._robot.beams), dtype=bool)
             return
-        ranges = np.asarray(observation["ranges"], dtype=float)
-        finite = np.isfinite(ranges)
-        self.refused_readings += int(np.count_nonzero(~finite))
-        self.ranges, self.measured = ranges, finite & self._robot.measures(self.step)
+        ranges = as_readings(observation["ranges"], self._robot.min_ranges, self._robot.max_ranges)
+        is_reading = ~np.isnan(ranges)
+        self.refused_readings += int(np.count_nonzero(~is_reading))
+        self.ranges, self.measured = ranges, is_reading & self._robot.measures(self.step)
 
     def drop(self, beams: BoolArray) -> None:
         """Drop those of the given beams (n_beams,) that hit something: they may have hit another robot."""

@@ -37,6 +37,8 @@ def load_world(source: WorldSource) -> World:
     if isinstance(source, str) and source in shipped_worlds():
         text = resources.files("limslam_env.worlds").joinpath(f"{source}.toml").read_text(encoding="utf-8")
         return parse_world(text, source)
+    if not isinstance(source, str | os.PathLike):
+        raise WorldError(f"a world is a name, the path of a file, or a World, not {source!r}")
     if isinstance(source, str) and source.startswith(RANDOM):
         return _random_world(source)
     path = Path(source)

@@ -1,4 +1,4 @@
-"""Worlds from maps of ROS's map_server: a picture of cells (PGM) and a description of it (YAML)."""
+"""Worlds from maps of ROS's map_server: a picture of cells (PGM or PNG) and a description of it (YAML)."""
 
 import math
 import os
@@ -13,12 +13,14 @@ import yaml
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.worlds.formats.outlines import outlines_of
 from limslam_env.worlds.formats.pgm import read_pgm
+from limslam_env.worlds.formats.png import read_png
 from limslam_env.worlds.formats.text_files import read_text
 from limslam_env.worlds.world import World, WorldError, named
 
 FINEST, COARSEST = 0.001, 10.0
 """Smallest and largest side of a cell, m."""
 
+_PICTURES = {".pgm": read_pgm, ".png": read_png}
 _YAML_BYTES = 100_000  # a map's YAML has six lines, and PyYAML takes its time
 _YAML_DEPTH = 2  # a table, and the origin's three numbers in it
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
@@ -52,7 +54,7 @@ class MapInfo:
 
 
 def read_map_server(path: str | os.PathLike[str]) -> World:
-    """The world in a map of map_server: a ``.yaml`` file and the ``.pgm`` picture that it names.
+    """The world in a map of map_server: a ``.yaml`` file and the ``.pgm`` or ``.png`` picture that it names.
 
     Walls run along the outlines of the occupied cells, a quarter of a cell within them, and are straightened by up to
     one cell. A solid patch is an obstacle. Cells that are unknown are not walls.
@@ -66,9 +68,10 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
     with named(path):
         info = _info(read_text(path, _YAML_BYTES))
         with named(f"image {info.image!r}"):
-            if not info.image.lower().endswith(".pgm"):
-                raise WorldError("not a .pgm file")
-            samples, largest = read_pgm(path.parent / info.image)
+            read = _PICTURES.get(Path(info.image).suffix.lower())
+            if read is None:
+                raise WorldError("not a .pgm or .png file")
+            samples, largest = read(path.parent / info.image)
         # The shade of each level: 0 for white, which is free, and 1 for black.
         shade = np.arange(largest + 1) / largest if info.negate else np.arange(largest, -1, -1) / largest
         # A file's name may hold bytes that are no text.

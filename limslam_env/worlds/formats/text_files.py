@@ -19,7 +19,7 @@ def read_bytes(path: Path, count: int) -> bytes:
             with path.open("rb") as file:
                 return file.read(count)
     except (OSError, ValueError) as error:
-        raise WorldError(f"cannot be read: {error}") from error
+        raise WorldError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     raise WorldError("no such file")
 
 

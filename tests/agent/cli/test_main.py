@@ -214,12 +214,12 @@ def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_l
     ("damage", "words"),
     [
         (lambda text: text[:-400], "line 80"),
-        (lambda text: text.replace("2.00", "nan", 5), "line 1"),
+        (lambda text: text.replace("2.00", "wall", 5), "line 1"),
         (lambda text: text.replace("FLASER", "RAWLASER"), "FLASER"),
         (lambda _: "", "corridor.log"),
         (lambda text: "\n".join(line.rsplit(" ", 9)[0] for line in text.splitlines()), "odometry"),
     ],
-    ids=["truncated", "nan", "no scans", "empty", "no odometry"],
+    ids=["truncated", "no number", "no scans", "empty", "no odometry"],
 )
 def test_bad_logs_get_one_line_and_leave_nothing(damage, words, carmen_log, tmp_path):
     carmen_log.write_text(damage(carmen_log.read_text()))

@@ -75,8 +75,8 @@ def test_the_one_file_inside_a_ros_2_bag_reads_like_the_bag(tmp_path, kind):
 def test_readings_that_say_nothing(tmp_path):
     readings = [math.nan, math.inf, -math.inf, 0.0, 7.9]
     log = read_log(write_bag(tmp_path, [*drive(range_max=8.0), scan(10.9, readings)]), None, 9.0)
-    # Not a number, too far: nothing seen. Too near: something may be there, at the sensor's shortest range.
-    np.testing.assert_allclose(log.ranges[-2], np.float32([8.0, 8.0, 0.05, 0.05, 7.9]))
+    # Too far: nothing seen. Too near: something may be there, at the sensor's shortest range.
+    np.testing.assert_allclose(log.ranges[-2], np.float32([math.nan, 8.0, math.nan, 0.05, 7.9]))
     capped = read_log(write_bag(tmp_path, drive(), name="capped"), None, 1.2)
     np.testing.assert_allclose(capped.ranges[0], np.float32([1.0, 1.2, 1.2, 1.2, 0.5]))
 

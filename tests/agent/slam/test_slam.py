@@ -183,7 +183,7 @@ def test_readings_that_are_not_numbers_are_counted_and_the_step_goes_on() -> Non
     for number, each in enumerate(observations):
         ranges, none = each["ranges"].copy(), each["ranges"].copy()
         if number % 5 == 0:
-            ranges[0], ranges[4] = math.nan, math.inf
+            ranges[0], ranges[4] = math.nan, -math.inf
             none[0] = none[4] = 1.5
         broken.append({"ranges": ranges, "wheels": each["wheels"]})
         missing.append({"ranges": none, "wheels": each["wheels"]})

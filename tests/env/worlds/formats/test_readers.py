@@ -268,7 +268,7 @@ class TestMapsRefused:
         ("text", "reason"),
         [
             (yaml_with("image: 3"), "image must be a file's name"),
-            (yaml_with("image: map.png"), r"image 'map\.png': not a \.pgm file"),
+            (yaml_with("image: map.bmp"), r"image 'map\.bmp': not a \.pgm or \.png file"),
             (yaml_with("image: other.pgm"), r"image 'other\.pgm': no such file"),
             (yaml_with("image: folder.pgm"), r"image 'folder\.pgm': no such file"),
             (yaml_with('image: "nul\\0.pgm"'), r"image 'nul\\x00\.pgm': no such file"),

@@ -1,0 +1,59 @@
+"""Pictures in the PNG format, which many maps of map_server are made of."""
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from limslam_env.worlds.formats.pgm import MAX_PIXELS
+from limslam_env.worlds.formats.text_files import read_bytes
+from limslam_env.worlds.world import WorldError
+
+_MAX_FILE_BYTES = 256_000_000
+_GREY_16_BIT = ("I;16", "I;16B", "I")
+
+
+def read_png(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
+    """Read a PNG file. The level of a coloured pixel is the sum of its three colours; transparency is not used.
+
+    Returns
+    -------
+    samples
+        (rows, columns), the uppermost row first.
+    largest
+        The level that stands for white.
+
+    Raises
+    ------
+    WorldError
+        If it is no PNG file, is damaged, or has too many pixels.
+    """
+    content = read_bytes(path, _MAX_FILE_BYTES)
+    try:
+        # Pillow warns about very large pictures, which are refused here.
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(content), formats=["PNG"]) as image:
+            _check_size(*image.size)
+            return _levels(image)
+    # Damaged pictures raise errors of many types: SyntaxError, struct.error, zlib.error and others.
+    except Exception as error:
+        if isinstance(error, WorldError):
+            raise
+        reason = "it is no PNG file" if isinstance(error, UnidentifiedImageError) else str(error)
+        raise WorldError(f"cannot be read: {reason}") from error
+
+
+def _check_size(columns: int, rows: int) -> None:
+    if rows * columns > MAX_PIXELS:
+        raise WorldError(f"{columns} x {rows} pixels; 1 to {MAX_PIXELS} can be read")
+
+
+def _levels(image: Image.Image) -> tuple[NDArray[np.integer[Any]], int]:
+    if image.mode in _GREY_16_BIT:
+        return np.asarray(image).astype(np.uint16), 65_535
+    if image.mode in {"1", "L", "LA"}:
+        return np.asarray(image.convert("L")), 255
+    return np.asarray(image.convert("RGB")).sum(axis=2, dtype=np.uint16), 3 * 255

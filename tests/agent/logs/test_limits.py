@@ -1,0 +1,187 @@
+"""Bounds of the readers: bytes, events and beams, regular files only, and messages of one short line."""
+
+import gzip
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.bags import odometry, scan, write_bag
+from support.command_line import call
+from support.data import refusal
+
+from limslam_agent.cli.main import main
+from limslam_agent.logs.limits import Limits
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.recorded_log import LogError, read_npz
+from limslam_agent.logs.relations import read_relations
+from limslam_agent.policies.learned.network import load_network
+from limslam_agent.replay.replay import replay_log
+from limslam_env.interface import RobotSpec
+from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable
+
+HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
+ROW = "0,0,0,0,1,1,1\n"
+SMALL = Limits(max_bytes=10_000, max_events=100, max_beams=8)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(content, name="some.csv"):
+        path = tmp_path / name
+        path.write_bytes(content)
+        return path
+
+    return _write
+
+
+def too_large(path, limits=SMALL):
+    with pytest.raises(LogError) as caught:
+        read_log(path, limits=limits)
+    return str(caught.value)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_at_the_limit(write):
+    packed = gzip.compress(HEAD.encode() + b"# " + b"a" * 100_000 + b"\n" + ROW.encode())
+    assert "larger than 0.01 MB: --max-size raises" in too_large(write(packed))
+    assert len(read_log(write(packed))) == 1
+
+
+@pytest.mark.parametrize("line", [ROW, "\n", "# remark\n"])
+def test_too_many_lines_are_refused_at_the_limit(write, line):
+    text = (HEAD + line * 100).encode()
+    assert "more than 100 lines: --max-events raises" in too_large(write(text))
+    assert "more than 100 lines" in too_large(write(b"\n" * 101, "some.clf"))
+
+
+def test_relations_are_bounded_too(write):
+    path = write(b"1 2 0 0 0 0 0 0\n" * 101)
+    with pytest.raises(LogError, match="more than 100 lines"):
+        read_relations(path, SMALL)
+
+
+def test_too_many_columns_are_refused_and_only_chosen_columns_are_stored(write):
+    names = ",".join(f"r_{degrees}" for degrees in range(9))
+    path = write(f"t,x,y,theta,{names}\n0,0,0,0{',1' * 9}\n".encode())
+    assert "more than 8 beams: --max-beams raises" in too_large(path)
+    assert read_log(path, (3.0, 5.0)).ranges.shape == (1, 2)
+
+
+def test_a_bag_is_bounded_by_its_messages(tmp_path):
+    messages = [each for step in range(101) for each in (odometry(step, 0.0), scan(step, [1.0, 2.0, 1.0]))]
+    path = write_bag(tmp_path, messages)
+    assert "more than 100 messages: --max-events raises" in too_large(path, Limits(max_events=100))
+    assert "larger than 0.01 MB" in too_large(path, Limits(max_bytes=10_000))
+    assert "more than 2 beams" in too_large(path, Limits(max_beams=2))
+
+
+def npz_with(path, **changes):
+    arrays = {
+        "time": np.arange(5.0), "ranges": np.ones((5, 6)), "wheels": np.zeros((5, 2)), "action": np.zeros((5, 2)),
+        "true_pose": np.zeros((5, 3)), "wall_seen": np.zeros((5, 6)), "robot": np.array(RobotSpec().to_json()),
+        "start_pose": np.zeros(3),
+    } | changes  # fmt: skip
+    np.savez_compressed(path, **arrays)
+    return path
+
+
+def test_an_npz_is_bounded_by_the_bytes_of_its_arrays(tmp_path):
+    path = npz_with(tmp_path / "log.npz", wall_seen=np.zeros(10_000_000))
+    assert path.stat().st_size < 200_000
+    with pytest.raises(LogError, match=r"80 MB.*1 MB are read: --max-size raises"):
+        read_npz(path, Limits(max_bytes=1_000_000))
+    with pytest.raises(LogError, match="more than 4 steps"):
+        read_npz(npz_with(tmp_path / "log.npz"), Limits(max_events=4))
+
+
+def test_a_header_that_promises_more_than_the_file_holds_is_refused_before_memory_is_reserved(tmp_path):
+    path = npz_with(tmp_path / "log.npz")
+    with zipfile.ZipFile(path) as archive:
+        held = {info.filename: archive.read(info) for info in archive.infolist()}
+    held["time.npy"] = held["time.npy"].replace(b"(5,), }", b"(5000000000,), }"[:16])
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in held.items():
+            archive.writestr(name, content)
+    assert "damaged" in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["some.csv", "some.clf", "log.npz", "some.bag", "some.mcap"])
+def test_a_pipe_is_refused_without_being_opened(tmp_path, name):
+    path = tmp_path / name
+    os.mkfifo(path)
+    assert "not a regular file" in refusal(path)
+    for arguments in (("replay", path), ("run", "--config", path), ("replay", "--config", path)):
+        finished = call(main, *arguments, cwd=tmp_path)
+        assert finished.returncode == 2
+        assert "not a regular file" in finished.stderr
+    with pytest.raises(ValueError, match="not a regular file"):
+        load_network(path)
+
+
+def test_the_command_raises_the_limits(write, tmp_path):
+    path = write((HEAD + ROW * 30).encode())
+    finished = call(main, "replay", path, "--max-events", 30, cwd=tmp_path)
+    assert (finished.returncode, "has more than 30 lines: --max-events" in finished.stderr) == (2, True)
+    assert call(main, "replay", path, "--max-events", 31, cwd=tmp_path).returncode == 0
+    assert "--max-size" in call(main, "replay", path, "--max-size", 0.001 / 3, cwd=tmp_path).stderr
+
+
+@pytest.mark.parametrize("values", [{"max_bytes": 0}, {"max_events": 1.5}, {"max_beams": True}])
+def test_impossible_limits_are_refused(values):
+    with pytest.raises(ValueError, match="positive whole number"):
+        Limits(**values)
+
+
+@pytest.mark.parametrize("count", [[], "many", None, {}, 1.5])
+def test_a_bag_whose_list_of_topics_is_damaged_is_refused_in_one_line(tmp_path, count):
+    bag = write_bag(tmp_path, [odometry(1, 0.0), scan(1, [1.0, 2.0])], "sqlite")
+    about = yaml.safe_load((bag / "metadata.yaml").read_text())
+    about["rosbag2_bagfile_information"]["topics_with_message_count"][0]["message_count"] = count
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(about))
+    assert "damaged" in refusal(bag)
+
+
+def test_messages_are_short_printable_and_on_one_line(tmp_path):
+    name = "\x1b[31mred\x07" + "x" * 200 + ".csv"
+    finished = call(main, "replay", tmp_path / name, "--scan-topic", "y" * 20_000, cwd=tmp_path)
+    assert finished.returncode == 2
+    assert "\\x1b[31mred\\x07" in finished.stderr
+    assert finished.stderr.strip().isprintable()
+    long = call(main, "replay", tmp_path / "no.csv", "--beams", ",".join(["1"] * 9000 + ["b"]), cwd=tmp_path).stderr
+    assert len(long) < LONGEST_MESSAGE + 20
+    assert long.startswith("limslam: --beams")
+    assert long.rstrip().endswith("is not a list of numbers like 1,2.5")
+
+
+def test_the_name_of_a_world_cannot_control_the_terminal(tmp_path):
+    path = tmp_path / "some.toml"
+    walls = "[[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]]"
+    path.write_text(f'name = "\\u001b[2Jgone"\nsize = [4, 4]\nwalls = {walls}\n')
+    finished = call(main, "worlds", "check", path)
+    assert finished.stdout.startswith("\\x1b[2Jgone: ")
+
+
+def test_text_for_messages():
+    assert printable("a\x1b\x9b\udc80é") == "a\\x1b\\x9b\\udc80é"
+    assert one_line("a\n\tb  c") == "a b c"
+    assert len(one_line("x" * 10**6)) == LONGEST_MESSAGE
+    assert one_line("head " + "x" * 10**6 + " tail").startswith("head x")
+    assert one_line("head " + "x" * 10**6 + " tail").endswith("x tail")
+    assert described(10**6000) == "a very large int"
+    assert len(described(["x"] * 1000)) == 200
+
+
+def test_limits_do_not_change_what_is_read(write):
+    path = write((HEAD + ROW * 20).encode())
+    bounded, free = read_log(path, limits=SMALL), read_log(path)
+    np.testing.assert_array_equal(bounded.ranges, free.ranges)
+    assert isinstance(path, Path)
+    assert len(replay_log(bounded, _config()).estimated) == 20
+
+
+def _config():
+    from limslam_agent.config.presets import preset
+
+    return preset("paper")
