@@ -46,7 +46,7 @@ class VideoWriter:
     Parameters
     ----------
     path
-        The file, ``.mp4`` or ``.gif``. Missing folders are made at the end.
+        The file, ``.mp4`` or ``.gif``. Missing folders are made.
     fps
         Frames per second. A GIF leaves out frames that would make it too large.
     force
