@@ -68,10 +68,11 @@ class SegmentationConfig(Bounded):
     gap_ahead
         Largest hole between the points of the beams ahead that still belong to one wall, m. It replaces the
         ``max_gap`` of the Hough transform for these beams, which meet a wall at places far apart.
-    max_hole
-        A segment with a wider hole between neighbouring points, m, creates no landmark, and it updates a landmark only
-        if most of its points lie inside the landmark's known ends. The points on either side of such a hole may lie on
-        two different walls.
+    max_hole_share
+        A segment with a wider hole between neighbouring points, as a share of the longest range that its robot can
+        measure, creates no landmark, and it updates a landmark only if most of its points lie inside the landmark's
+        known ends. The points on either side of such a hole may lie on two different walls. Holes between beams grow
+        with the distance of the wall, and beams that reach farther meet farther walls.
     """
 
     kink_gate: NonNegative = 12.0
@@ -80,7 +81,7 @@ class SegmentationConfig(Bounded):
     end_zone: NonNegative = 0.10
     end_gate: NonNegative = 6.0
     gap_ahead: NonNegative = 0.9
-    max_hole: NonNegative = 0.3
+    max_hole_share: NonNegative = 0.2
 
 
 @dataclass(frozen=True)

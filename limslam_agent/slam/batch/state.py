@@ -215,6 +215,7 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
         "axle": robot.axle,
         "radius": robot.radius,
         "passed": estimator.pending.complete_after,
+        "max_hole": estimator.segmentation.max_hole_share * robot.reach,
         "left_sigmas": update.residual_sigmas,
         "new_length": creation.min_length,
         "new_length_complete": creation.min_length_complete,

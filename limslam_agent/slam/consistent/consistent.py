@@ -271,7 +271,7 @@ class ConsistentEstimator(Estimator):
 
     def _is_whole(self, segment: WallSegment) -> bool:
         """Whether no hole in a segment is so wide that its points may lie on two walls."""
-        return segment.hole <= self._settings.segmentation.max_hole
+        return segment.hole <= self._settings.segmentation.max_hole_share * self.robot.reach
 
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
         self._filter.add_line(segment.theta, segment.middle)

@@ -123,7 +123,7 @@ def test_loops_are_closed_alike() -> None:
 def test_walls_with_a_hole_between_them_create_no_landmark_alike() -> None:
     config = config_of(0.0)
     assert isinstance(config.estimator, ConsistentConfig)
-    segmentation = replace(config.estimator.segmentation, max_hole=9.0)
+    segmentation = replace(config.estimator.segmentation, max_hole_share=9.0)
     bridging = replace(config, estimator=replace(config.estimator, segmentation=segmentation))
     walls = np.array([[2.0, -2.0, 2.0, -0.2], [2.0, 0.2, 2.0, 2.0]])
     observations, _ = drive(walls, START, straight(1.0))

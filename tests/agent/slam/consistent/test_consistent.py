@@ -64,11 +64,13 @@ def with_creation(**changes: float) -> AgentConfig:
     return replace(CONFIG, estimator=replace(SETTINGS, creation=replace(SETTINGS.creation, **changes)))
 
 
-def with_max_hole(config: AgentConfig, hole: float) -> AgentConfig:
+def with_max_hole(config: AgentConfig, share: float) -> AgentConfig:
     """Settings with another widest hole of a segment, m."""
     estimator = config.estimator
     assert isinstance(estimator, ConsistentConfig)
-    return replace(config, estimator=replace(estimator, segmentation=replace(estimator.segmentation, max_hole=hole)))
+    return replace(
+        config, estimator=replace(estimator, segmentation=replace(estimator.segmentation, max_hole_share=share))
+    )
 
 
 def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
@@ -155,7 +157,7 @@ def test_a_segment_with_a_hole_updates_a_landmark_inside_its_known_ends() -> Non
     for record in ahead:
         left, right = (record.readings[record.readings[:, 1] == beam] for beam in (2, 3))
         hits = [hits_of(poses, observations, each)[:, 0] for each in (left, right)]
-        assert hits[1].min() - hits[0].max() > SETTINGS.segmentation.max_hole
+        assert hits[1].min() - hits[0].max() > SETTINGS.segmentation.max_hole_share * ROBOT.reach
         assert not record.is_new
     assert len(slam.all_landmarks) == 1
 
