@@ -79,7 +79,9 @@ def load_arrays(
         except Exception as error:
             if isinstance(error, TooLargeError):
                 raise
-            raise ValueError(f"cut short or damaged: {error}") from error
+            from limslam_env.messages import LONGEST_VALUE, one_line
+
+            raise ValueError(f"cut short or damaged: {one_line(str(error), LONGEST_VALUE)}") from error
 
 
 def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: int) -> "dict[str, NDArray[Any]]":

@@ -52,7 +52,7 @@ ENV = {
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
     "limslam_agent.readings": {GEOMETRY},
-    "limslam_agent.safe_files": set(),
+    "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "readings")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},

@@ -20,6 +20,7 @@ from limslam_env.messages import described, one_line
 FOLDER = Path(__file__).parent / "suites"
 NO_ABLATION = "none"
 MAX_SUITE_BYTES = 1_000_000
+MAX_SEEDS = 100_000
 
 
 @dataclass(frozen=True)
@@ -219,6 +220,8 @@ def _seeds(value: Any) -> list[int]:
             first, count = (_one(value, key, _WHOLE) for key in ("first", "count"))
             if first < 0 or count < 1:
                 raise ValueError("first must be 0 or more, and count 1 or more")
+            if count > MAX_SEEDS:
+                raise ValueError(f"count is {described(count)}; a grid has up to {MAX_SEEDS} seeds")
             return list(range(first, first + count))
     seeds = _values({"seeds": value}, "seeds", _WHOLE)
     if min(seeds) < 0:

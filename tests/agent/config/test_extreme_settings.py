@@ -18,3 +18,12 @@ def test_a_very_long_name_of_a_preset_is_cut():
     with pytest.raises(ValueError, match="no preset is called 'xxx") as caught:
         preset("x" * 10_000)
     assert len(str(caught.value)) < 400
+
+
+def test_a_suite_with_very_many_seeds_is_refused_before_they_are_listed(tmp_path):
+    suite = pytest.importorskip("benchmarks.suite.suite")
+    path = tmp_path / "some.toml"
+    seeds = "seeds = { first = 0, count = 9000000000000 }"
+    path.write_text(f'name = "some"\ndescription = "x"\n[[grid]]\nworlds = ["square"]\nnoises = [0.0]\n{seeds}\n')
+    with pytest.raises(ValueError, match="a grid has up to 100000 seeds"):
+        suite.load_suite(str(path))
