@@ -109,7 +109,7 @@ def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
 def test_every_summary_says_how_and_how_long_and_where_the_odometry_of_a_log_ended(short_run, tmp_path):
     said = limslam("run", "--noise", "0.02", "--max-time", "12", "--seed", "300", "--out", tmp_path / "run").stdout
     again = limslam("replay", short_run / "log.npz", "--out", tmp_path / "again").stdout
-    method = "method      consistent, 6 beams, range noise of 2 cm assumed"
+    method = f"method      {DEFAULT_PRESET}, 6 beams, range noise of 2 cm assumed"
     driven = json.loads((short_run / "result.json").read_text())["metrics"]["path_m"]
     record = f"record      121 steps, 12.0 s, {driven:.1f} m driven"
     x, y, heading = np.loadtxt(tmp_path / "again" / "trajectory_odometry.tum")[-1][[1, 2, 6]]
@@ -150,7 +150,7 @@ def test_without_a_folder_runs_get_names_of_their_own(tmp_path):
     for _ in range(2):
         assert limslam("run", "--max-time", "1", cwd=tmp_path).returncode == 0
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == [
-        "env1-2cm-consistent-seed0", "env1-2cm-consistent-seed0-2",
+        f"env1-2cm-{DEFAULT_PRESET}-seed0", f"env1-2cm-{DEFAULT_PRESET}-seed0-2",
     ]  # fmt: skip
 
 
@@ -339,7 +339,7 @@ def test_importing_the_command_line_is_light():
 def test_who_drove_is_written_down_and_in_the_name_of_the_folder(tmp_path, policy):
     result = limslam("run", "--world", "square", "--max-time", "3", "--policy", policy, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    folder = tmp_path / "runs" / f"square-2cm-consistent-seed0-{policy}"
+    folder = tmp_path / "runs" / f"square-2cm-{DEFAULT_PRESET}-seed0-{policy}"
     assert json.loads((folder / "result.json").read_text())["config"]["policy"] == policy
 
 

@@ -12,6 +12,7 @@ from PIL import Image as Pictures
 from typer.testing import CliRunner
 
 from limslam_agent.cli.show import show, true_edges
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.output.export import write_json, write_tum
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
 from limslam_agent.output.summary import replay_summary, run_summary
@@ -88,7 +89,7 @@ def test_a_run_is_read_as_it_was_written(real_run):
     np.testing.assert_allclose(run.true[0], true, atol=2e-6)
     assert run.segments.shape[1] == 4
     assert not run.is_replay
-    assert run.title == "env1, range noise 2 cm, consistent, seed 300"
+    assert run.title == f"env1, range noise 2 cm, {DEFAULT_PRESET}, seed 300"
     # Odometry comes from the wheels: it begins where the robot does, and goes as far as they say.
     np.testing.assert_allclose(run.odometry[0][0], true[0], atol=2e-6)
     travelled = np.hypot(*np.diff(run.odometry[0][:, :2], axis=0).T).sum()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.belief import Belief
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.runs.episode import RunConfig, run_episode
@@ -88,7 +89,7 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
 
 def test_titles_name_the_policy():
     assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith(
-        "room, range noise 0 cm, consistent, wall follower"
+        f"room, range noise 0 cm, {DEFAULT_PRESET}, wall follower"
     )
     assert "frontier" not in title_of(RunConfig(ROOM))
     assert "tour, 3 laps" in title_of(RunConfig(ROOM, policy="tour", laps=3))

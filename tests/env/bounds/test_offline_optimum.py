@@ -428,7 +428,7 @@ def test_of_two_robots_the_limit_is_the_mean():
     both = [ate(optimum.poses[:, robot], episode.true[:, robot]) for robot in range(2)]
     assert metrics["limit_ate_m"] == pytest.approx(np.mean(both))
     without = score(replace(episode, config=replace(episode.config, limit=False)))
-    assert set(metrics) - set(without) == {"limit_ate_m", "ate_over_limit"}
+    assert set(metrics) - set(without) == {"limit_ate_m", "ate_over_limit", "smoothed_over_limit"}
 
 
 def normalised_error(log, noise):

@@ -18,8 +18,9 @@ from gymnasium.utils.env_checker import check_env
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
+from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.envs.env import LimSlamEnv
-from limslam_env.envs.parallel_env import MAX_ROBOTS, LimSlamParallelEnv
+from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.rendering.overlay import Overlay
 from limslam_env.worlds.formats.loading import load_world

@@ -383,7 +383,7 @@ def test_options_that_are_no_dictionary_are_refused() -> None:
 def test_what_cannot_be_wrapped_is_refused() -> None:
     with pytest.raises(ValueError, match="a grid needs at least one cell, not 0"):
         SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), size=0)
-    with pytest.raises(ValueError, match="does not tell what its robot is"):
+    with pytest.raises(ValueError, match="has no LimSLAM robot"):
         SlamVectorObservation(SyncVectorEnv([lambda: gym.make("CartPole-v1")]))
     with pytest.raises(ValueError, match="ranges must be those of the robot"):
         SlamVectorObservation(SyncVectorEnv([lambda: NormalizedObservation(LimSlamEnv("env1"))]))
