@@ -387,5 +387,5 @@ def test_what_cannot_be_wrapped_is_refused() -> None:
         SlamVectorObservation(SyncVectorEnv([lambda: gym.make("CartPole-v1")]))
     with pytest.raises(ValueError, match="ranges must be those of the robot"):
         SlamVectorObservation(SyncVectorEnv([lambda: NormalizedObservation(LimSlamEnv("env1"))]))
-    with pytest.raises(ValueError, match="consistent estimator"):
+    with pytest.raises(ValueError, match="preset consistent"):
         SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), preset("paper"))
