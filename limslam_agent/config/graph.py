@@ -396,8 +396,12 @@ class RoundConfig(Bounded):
         Of the bundle, in each round.
     wide_search
         In how many rounds places are searched widely. A place may become findable only when others have been found.
+    orientations
+        First headings of the log in the frames in which the search is tried, rad. Which bins of the Hough transforms
+        walls fall into depends on it.
     trial, hopeless
-        After so many rounds of both starts, the start whose score is worse by this is given up.
+        After so many rounds of both starts in all frames, searches whose score is worse than the best by this are
+        given up.
     tie
         Scores this near to the best are as good; the last such round is taken.
     settled
@@ -407,6 +411,7 @@ class RoundConfig(Bounded):
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
     wide_search: Count = 4
+    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE)
     trial: Count = 2
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003

@@ -58,6 +58,27 @@ def test_the_same_log_gives_the_same_poses(two_laps):
     assert np.array_equal(smooth_log(log, truth[0], TWO_ROUNDS).poses, result.poses)
 
 
+def test_the_start_pose_only_moves_the_result(two_laps):
+    log, truth, result = two_laps
+    start = np.array([3.7, -12.2, 2.5])
+    moved = smooth_log(log, start, TWO_ROUNDS)
+    motion = se2.compose(start, se2.inverse(truth[0]))
+    rotation = np.eye(3)
+    rotation[:2, :2] = [[np.cos(motion[2]), -np.sin(motion[2])], [np.sin(motion[2]), np.cos(motion[2])]]
+    assert np.allclose(moved.poses[0], start, atol=1e-6)
+    for found, before in ((moved.poses, result.poses), (moved.chunk_poses, result.chunk_poses)):
+        assert np.abs(se2.between(se2.compose(motion, before), found)).max() < 1e-6
+    assert np.allclose(moved.chunk_covariances, rotation @ result.chunk_covariances @ rotation.T, atol=1e-9)
+    assert np.allclose(moved.trajectory.poses[moved.keys.event_key[moved.chunk_events]], moved.chunk_poses)
+    assert (moved.start, moved.scores) == (result.start, result.scores)
+
+
+def test_every_orientation_has_its_scores(two_laps):
+    _, _, result = two_laps
+    assert set(result.scores) == {"guard", "all", "guard, turned by 20 deg", "all, turned by 20 deg"}
+    assert result.score > max(map(max, result.scores.values())) - TWO_ROUNDS.rounds.tie - 1e-12
+
+
 def test_a_slip_of_the_wheels_is_survived():
     log, truth = corridor_log(slip=np.radians(25.0), seed=1)
     assert loop_errors(smooth_log(log, truth[0], TWO_ROUNDS).poses, truth, LAP).mean() < 0.1
