@@ -1,5 +1,7 @@
 """Whole logs: laps of a simulated corridor with wrong odometry come out right, and so do the recorded ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.corridors import FOUR_BEAMS, TURN_PER_METRE, corridor_log, loop_errors
@@ -71,6 +73,12 @@ def test_the_start_pose_only_moves_the_result(two_laps):
     assert np.allclose(moved.chunk_covariances, rotation @ result.chunk_covariances @ rotation.T, atol=1e-9)
     assert np.allclose(moved.trajectory.poses[moved.keys.event_key[moved.chunk_events]], moved.chunk_poses)
     assert (moved.start, moved.scores) == (result.start, result.scores)
+
+
+def test_the_frame_of_odometry_does_not_matter(two_laps):
+    log, truth, result = two_laps
+    odometry = se2.compose(np.array([576.5, 0.1, -2.25]), log.odometry)
+    assert np.array_equal(smooth_log(replace(log, odometry=odometry), truth[0], TWO_ROUNDS).poses, result.poses)
 
 
 def test_every_orientation_has_its_scores(two_laps):
