@@ -399,6 +399,8 @@ class RoundConfig(Bounded):
     orientations
         First headings of the log in the frames in which the search is tried, rad. Which bins of the Hough transforms
         walls fall into depends on it.
+    first_hopeless
+        After the first round, searches whose score is worse than the best by this are given up.
     trial, hopeless
         After so many rounds of both starts in all frames, searches whose score is worse than the best by this are
         given up.
@@ -411,7 +413,8 @@ class RoundConfig(Bounded):
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
     wide_search: Count = 4
-    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE)
+    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE)
+    first_hopeless: NonNegative = 0.1
     trial: Count = 2
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003

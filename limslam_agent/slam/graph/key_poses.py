@@ -15,7 +15,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
-_DECIMALS = 9  # of a motion, m and rad
+_DECIMALS = 7  # of a motion, m and rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
 
 
 def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Motions (n, 3) between poses of odometry, rounded to nanometres and nanoradians.
+    """Motions (n, 3) between poses of odometry, rounded to 1e-7 m and rad.
 
     Rounding errors depend on the frame that odometry is given in, and the thresholds of the search enlarge them:
     without this, errors of 1e-14 m decided whether a loop was found.

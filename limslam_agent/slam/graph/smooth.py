@@ -146,7 +146,7 @@ def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = No
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
         return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
-    searches = _searched([each for turn in config.rounds.orientations for each in _trials(keys, data, config, turn)])
+    searches = _searched([each for turn in config.rounds.orientations for each in _begun(keys, data, config, turn)])
     best = max(searches, key=lambda search: search.score)
     found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
@@ -265,18 +265,20 @@ class _Search:
         return replace(self, rounds=_rounds(self.log, self.rounds, self.found, self.start, end))
 
 
-def _trials(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> list[_Search]:
-    """The first rounds of both starts in the frame in which the first heading is ``turn`` (rad)."""
+def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> list[_Search]:
+    """The first round of both starts in the frame in which the first heading is ``turn`` (rad)."""
     log = _Log(keys, _local(keys, data, config, turn), data, config)
     found = loops_along_the_way(log.chunks(log.local, 0))
-    return [_Search(log, start, turn, found).advanced(config.rounds.trial) for start in _STARTS]
+    return [_Search(log, start, turn, found).advanced(1) for start in _STARTS]
 
 
-def _searched(trials: list[_Search]) -> list[_Search]:
-    """All searches after all rounds; those that are far behind after their trial are given up."""
-    config = trials[0].log.config.rounds
-    least = max(each.score for each in trials) - config.hopeless
-    return [each.advanced(len(config.hops)) if each.score > least else each for each in trials]
+def _searched(searches: list[_Search]) -> list[_Search]:
+    """All searches after all rounds; those far behind after their first round or their trial are given up."""
+    config = searches[0].log.config.rounds
+    for end, margin in ((config.trial, config.first_hopeless), (len(config.hops), config.hopeless)):
+        least = max(each.score for each in searches) - margin
+        searches = [each.advanced(end) if each.score >= least else each for each in searches]
+    return searches
 
 
 def _best(rounds: list[Round], tie: float) -> Round:

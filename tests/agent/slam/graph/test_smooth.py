@@ -83,7 +83,8 @@ def test_the_frame_of_odometry_does_not_matter(two_laps):
 
 def test_every_orientation_has_its_scores(two_laps):
     _, _, result = two_laps
-    assert set(result.scores) == {"guard", "all", "guard, turned by 20 deg", "all, turned by 20 deg"}
+    turned = {f"{start}, turned by {turn} deg" for start in ("guard", "all") for turn in (20, 45)}
+    assert set(result.scores) == {"guard", "all"} | turned
     assert result.score > max(map(max, result.scores.values())) - TWO_ROUNDS.rounds.tie - 1e-12
 
 
@@ -112,7 +113,7 @@ def test_a_log_without_readings_is_its_odometry():
     blind = LogData(log.time, log.odometry, log.ranges, np.zeros_like(log.hit), log.origins, log.angles, 5.0)
     result = smooth_log(blind, truth[0])
     assert result.start == "odometry"
-    assert np.allclose(result.poses[:, :2], se2.compose(truth[0], log.odometry)[:, :2])
+    assert np.allclose(result.poses[:, :2], se2.compose(truth[0], log.odometry)[:, :2], atol=1e-4)
 
 
 @pytest.mark.parametrize("count", [1, 2, 30])
