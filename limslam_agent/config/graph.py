@@ -399,11 +399,10 @@ class RoundConfig(Bounded):
     orientations
         First headings of the log in the frames in which the search is tried, rad. Which bins of the Hough transforms
         walls fall into depends on it.
-    first_hopeless
-        After the first round, searches whose score is worse than the best by this are given up.
-    trial, hopeless
-        After so many rounds of both starts in all frames, searches whose score is worse than the best by this are
-        given up.
+    tried, trial
+        So many searches, those with the highest scores after their first round, are tried for so many rounds.
+    finished, hopeless
+        So many of them, those with the highest scores and none worse than the best by ``hopeless``, do all rounds.
     tie
         Scores this near to the best are as good; the last such round is taken.
     settled
@@ -413,8 +412,9 @@ class RoundConfig(Bounded):
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
     wide_search: Count = 4
-    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE)
-    first_hopeless: NonNegative = 0.1
+    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
+    tried: Count = 3
+    finished: Count = 2
     trial: Count = 2
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003

@@ -273,12 +273,17 @@ def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> l
 
 
 def _searched(searches: list[_Search]) -> list[_Search]:
-    """All searches after all rounds; those far behind after their first round or their trial are given up."""
+    """All searches, of which only the best go on to the trial, and only the best of these to all rounds."""
     config = searches[0].log.config.rounds
-    for end, margin in ((config.trial, config.first_hopeless), (len(config.hops), config.hopeless)):
-        least = max(each.score for each in searches) - margin
-        searches = [each.advanced(end) if each.score >= least else each for each in searches]
-    return searches
+    tried = _continued(searches, config.trial, config.tried, math.inf)
+    return _continued(tried, len(config.hops), config.finished, config.hopeless)
+
+
+def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
+    """The searches after at most ``most`` of them, none worse than the best by ``hopeless``, have gone on."""
+    best = sorted(searches, key=lambda search: search.score, reverse=True)[:most]
+    least = best[0].score - hopeless
+    return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
 
 
 def _best(rounds: list[Round], tie: float) -> Round:

@@ -83,8 +83,9 @@ def test_the_frame_of_odometry_does_not_matter(two_laps):
 
 def test_every_orientation_has_its_scores(two_laps):
     _, _, result = two_laps
-    turned = {f"{start}, turned by {turn} deg" for start in ("guard", "all") for turn in (20, 45)}
+    turned = {f"{start}, turned by {turn} deg" for start in ("guard", "all") for turn in (20, 45, 70)}
     assert set(result.scores) == {"guard", "all"} | turned
+    assert sum(len(scores) == 2 for scores in result.scores.values()) == TWO_ROUNDS.rounds.tried
     assert result.score > max(map(max, result.scores.values())) - TWO_ROUNDS.rounds.tie - 1e-12
 
 
