@@ -396,8 +396,13 @@ class RoundConfig(Bounded):
         Of the bundle, in each round.
     wide_search
         In how many rounds places are searched widely. A place may become findable only when others have been found.
-    trial, hopeless
-        After so many rounds of both starts, the start whose score is worse by this is given up.
+    orientations
+        First headings of the log in the frames in which the search is tried, rad. Which bins of the Hough transforms
+        walls fall into depends on it.
+    tried, trial
+        So many searches, those with the highest scores after their first round, are tried for so many rounds.
+    finished, hopeless
+        So many of them, those with the highest scores and none worse than the best by ``hopeless``, do all rounds.
     tie
         Scores this near to the best are as good; the last such round is taken.
     settled
@@ -407,6 +412,9 @@ class RoundConfig(Bounded):
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
     iterations: tuple[int, ...] = (6, 6, 6, 8)
     wide_search: Count = 4
+    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
+    tried: Count = 3
+    finished: Count = 2
     trial: Count = 2
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003

@@ -15,6 +15,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
+_DECIMALS = 7  # of a motion, m and rad
+
 
 @dataclass(frozen=True, eq=False)
 class LogData:
@@ -125,7 +127,7 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
     """Divide a log into key poses, and collect the points of its scans."""
     count = len(data.time)
     moves = np.zeros((count, 3))
-    moves[1:] = se2.between(data.odometry[:-1], data.odometry[1:])
+    moves[1:] = _motions(data.odometry[:-1], data.odometry[1:])
     length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
     key = _count_ups(length, turn, config.distance, config.turn)
     first = np.searchsorted(key, np.arange(key[-1] + 1))
@@ -136,9 +138,9 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
     return KeyPoses(
         event_key=key,
         first_event=first,
-        offset=se2.between(data.odometry[first[key]], data.odometry),
+        offset=_motions(data.odometry[first[key]], data.odometry),
         offset_forward=forward - forward[first[key]],
-        step=se2.between(data.odometry[first[:-1]], data.odometry[first[1:]]),
+        step=_motions(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
         step_variances=_step_variances(data, first, length, turn, motion),
         travel=travel,
@@ -148,6 +150,16 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
         in_robot=data.origins[beam] + data.ranges[event, beam][:, None] * direction[beam],
         origin_in_robot=data.origins[beam],
     )
+
+
+def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Motions (n, 3) between poses of odometry, rounded to 1e-7 m and rad.
+
+    Rounding errors depend on the frame that odometry is given in, and the thresholds of the search enlarge them:
+    without this, errors of 1e-14 m decided whether a loop was found.
+    """
+    # Adding zero makes a negative zero a positive one.
+    return np.asarray(np.round(se2.between(first, second), _DECIMALS) + 0.0)
 
 
 def _step_variances(

@@ -2,10 +2,15 @@
 
 Nothing in here knows the truth. Where there is a choice, the score G of :class:`MapScore` makes it: the share of points
 that other visits of a place confirm, minus the share that they contradict.
+
+The log is solved in frames of its own, in which it begins at the origin, and the result is moved to the start pose at
+the end. The result therefore does not depend on the start pose. Which loops are found can depend on the heading of the
+frame, since it decides where the bins of the Hough transforms lie. The search is therefore tried with several headings.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,7 +40,7 @@ from limslam_agent.slam.graph.loop_search import Chunks, loops_along_the_way
 from limslam_agent.slam.graph.point_links import point_cloud
 from limslam_agent.slam.graph.union_matching import match_unions
 from limslam_agent.slam.graph.wide_search import search_widely
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray, se2
 
 NO_SUPPORT = "no other loop nearby agrees"
 REMOVED = "the map agrees better with itself without it"
@@ -95,9 +100,9 @@ class GraphResult:
     score
         G of the map; the higher, the better the visits of places agree. It compares maps of one log only.
     start
-        Which of the two starts it came from.
+        Which search it came from: the start, and the turn of the frame.
     scores
-        G after each round of each start.
+        G after each round of each search.
     verdicts
         On all loops that were found in the round that the result is from.
     chunk_events, chunk_poses, chunk_covariances
@@ -137,16 +142,21 @@ def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = No
     """
     config = config or GraphConfig()
     keys = choose_keys(data, config.keys, config.motion)
-    odometry = odometry_trajectory(keys, start)
     if len(keys) < 2 or not len(keys.point_key):
-        return _result(keys, "odometry", {"odometry": [_unlooped(odometry)]})
-    local = smooth_locally(keys, odometry, config, data.range_std)
-    log = _Log(keys, local, data, config)
-    if len(log.middles(0)) < 2:
-        return _result(keys, "local", {"local": [_unlooped(local)]})
-    rounds = _both_starts(log)
-    best = max(rounds, key=lambda name: max(each.score for each in rounds[name]))
-    return _result(keys, best, rounds, config.rounds.tie)
+        return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
+    if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
+        return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
+    searches = _searched([each for turn in config.rounds.orientations for each in _begun(keys, data, config, turn)])
+    best = max(searches, key=lambda search: search.score)
+    found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
+    scores = {search.name: [each.score for each in search.rounds] for search in searches}
+    return _result(keys, best.name, found, scores)
+
+
+def _local(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> Trajectory:
+    """The trajectory after the local smoothing, in the frame in which the first heading is ``turn`` (rad)."""
+    odometry = odometry_trajectory(keys, np.array([0.0, 0.0, turn]))
+    return smooth_locally(keys, odometry, config, data.range_std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,16 +228,62 @@ class _Placed:
         return _Placed(decision.loops, decision.solution, dropped, self.recognised + gained)
 
 
-def _both_starts(log: _Log) -> dict[str, list[Round]]:
-    """The rounds of both starts; one that is far behind after its trial is given up."""
-    config = log.config.rounds
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The rounds of one start in one frame.
+
+    Attributes
+    ----------
+    log
+        In this frame.
+    start, turn
+        The start, and the first heading in this frame, rad.
+    found
+        Loops along the way by the local trajectory, for the first round.
+    rounds
+        Those that are done.
+    """
+
+    log: _Log
+    start: str
+    turn: float
+    found: list[Loop]
+    rounds: list[Round] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """For the reader of a result."""
+        return f"{self.start}, turned by {math.degrees(self.turn):.3g} deg" if self.turn else self.start
+
+    @property
+    def score(self) -> float:
+        """The highest score of its rounds."""
+        return max(each.score for each in self.rounds)
+
+    def advanced(self, end: int) -> "_Search":
+        """The search after so many rounds."""
+        return replace(self, rounds=_rounds(self.log, self.rounds, self.found, self.start, end))
+
+
+def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> list[_Search]:
+    """The first round of both starts in the frame in which the first heading is ``turn`` (rad)."""
+    log = _Log(keys, _local(keys, data, config, turn), data, config)
     found = loops_along_the_way(log.chunks(log.local, 0))
-    rounds = {name: _rounds(log, [], found, name, config.trial) for name in _STARTS}
-    best = max(each.score for several in rounds.values() for each in several)
-    for name, done in rounds.items():
-        if max(each.score for each in done) > best - config.hopeless:
-            rounds[name] = _rounds(log, done, found, name, len(config.hops))
-    return rounds
+    return [_Search(log, start, turn, found).advanced(1) for start in _STARTS]
+
+
+def _searched(searches: list[_Search]) -> list[_Search]:
+    """All searches, of which only the best go on to the trial, and only the best of these to all rounds."""
+    config = searches[0].log.config.rounds
+    tried = _continued(searches, config.trial, config.tried, math.inf)
+    return _continued(tried, len(config.hops), config.finished, config.hopeless)
+
+
+def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
+    """The searches after at most ``most`` of them, none worse than the best by ``hopeless``, have gone on."""
+    best = sorted(searches, key=lambda search: search.score, reverse=True)[:most]
+    least = best[0].score - hopeless
+    return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
 
 
 def _best(rounds: list[Round], tie: float) -> Round:
@@ -336,19 +392,33 @@ def _covariances(chunks: Chunks, placed: _Placed) -> FloatArray:
     return np.asarray(joint.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)])
 
 
-def _unlooped(trajectory: Trajectory) -> Round:
-    """A log that is too short for chunks."""
-    return Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)), 0)
+def _moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:
+    """The trajectory after a motion (3,) of its frame."""
+    return Trajectory(se2.compose(motion, trajectory.poses), trajectory.bias)
 
 
-def _result(keys: KeyPoses, start: str, rounds: dict[str, list[Round]], tie: float = 0.0) -> GraphResult:
-    best = _best(rounds[start], tie)
+def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
+    """The round in the frame of the result, from the frame in which the log begins at (0, 0, ``turn``)."""
+    motion = se2.compose(np.asarray(start, dtype=float), np.array([0.0, 0.0, -turn]))
+    cos, sin = math.cos(motion[2]), math.sin(motion[2])
+    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    covariances = rotation @ found.chunk_covariances @ rotation.T
+    return replace(found, trajectory=_moved(found.trajectory, motion), chunk_covariances=covariances)
+
+
+def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
+    """The result of a log that is too short for chunks."""
+    found = Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)), 0)
+    return _result(keys, name, found, {name: [0.0]})
+
+
+def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float]]) -> GraphResult:
     turn_bias, scale, turn_gain = (float(value) for value in best.trajectory.bias)
     return GraphResult(
         poses=event_poses(keys, best.trajectory),
         score=best.score,
-        start=start,
-        scores={name: [each.score for each in several] for name, several in rounds.items()},
+        start=name,
+        scores=scores,
         verdicts=best.verdicts,
         chunk_events=keys.first_event[best.middles],
         chunk_poses=best.trajectory.poses[best.middles],
