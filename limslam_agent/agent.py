@@ -19,7 +19,7 @@ class LimSlamAgent:
     robot
         Body and beams.
     config
-        Settings of every stage. The preset ``consistent`` by default.
+        Settings of every stage. The preset ``graph`` by default.
     policy
         Chooses the actions. By default the agent explores the nearest frontier. A policy that is given serves for one
         run.

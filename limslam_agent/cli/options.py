@@ -107,7 +107,7 @@ SelfCalibrate = Annotated[
     bool | None,
     _option(
         _ODOMETRY,
-        "Let the filter estimate the constant errors of the odometry (preset consistent only).",
+        "Let the filter estimate the constant errors of the odometry (presets graph and consistent).",
         None,
         "--self-calibrate/--no-self-calibrate",
     ),

@@ -51,9 +51,31 @@ def _batch_slam() -> None:
     slam.close()
 
 
+def _smoothers() -> None:
+    """Smooth a lap with the line smoother, and the same lap as a log of poses with the graph of local maps."""
+    import numpy as np
+
+    from limslam_agent.config.presets import preset
+    from limslam_agent.logs.recorded_log import RecordedLog
+    from limslam_agent.replay.replay import replay_log
+    from limslam_agent.runs.episode import RunConfig, run_episode
+
+    lap = run_episode(RunConfig("square", 0.02, laps=1))
+    log = RecordedLog(
+        robot=lap.config.robot,
+        time=lap.time,
+        ranges=lap.ranges[:, 0].astype(np.float32),
+        has_scan=np.ones(len(lap.time), dtype=np.bool_),
+        start_pose=lap.odometry[0, 0],
+        odometry=lap.odometry[:, 0],
+    )
+    replay_log(log, preset("graph"))
+
+
 STEPS: dict[str, tuple[int, Callable[[], None]]] = {
     "simulator": (15, _single),
     "batch": (30, _batch),
     "BatchSlam": (90, _batch_slam),
+    "smoothers": (90, _smoothers),
 }
 """What is compiled, by names: about how long that takes, s, and a function that uses it."""

@@ -103,9 +103,9 @@ def _landmark(places: FloatArray, range_std: float, number: int) -> Landmark:
 def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
     """The occupancy grid of a log's readings from poses (n, 3)."""
     log, grid = replay.log, OccupancyGrid(replay.config.grid)
-    usable = np.ones(len(log.robot.beams), dtype=np.bool_)
     for row in np.nonzero(log.has_scan)[0]:
-        grid.update(poses[row], log.robot, log.ranges[row].astype(np.float64), usable)
+        ranges = log.ranges[row].astype(np.float64)
+        grid.update(poses[row], log.robot, ranges, np.isfinite(ranges))
     return grid.view
 
 
