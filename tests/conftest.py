@@ -20,15 +20,18 @@ NOT_QUICK = [
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as ``quick`` what is not listed as taking long, and put the files that take longest first.
+    """Mark as ``quick`` the first case of each test that is not listed as taking long; put the longest files first.
 
     Workers get whole files in this order, so that no worker begins a long file while the others have nothing left.
     """
     order = {name: number for number, name in reversed([*enumerate(NOT_QUICK)])}
+    seen = set()
     for item in items:
         file, test = _names(item)
-        if file not in order and test not in order and item.get_closest_marker("slow") is None:
+        is_listed = file in order or test in order or item.get_closest_marker("slow") is not None
+        if not is_listed and test not in seen:
             item.add_marker(pytest.mark.quick)
+        seen.add(test)
     files = {name.partition("::")[0]: number for name, number in reversed(order.items())}
     items.sort(key=lambda item: files.get(_names(item)[0], len(NOT_QUICK)))
 

@@ -80,12 +80,12 @@ def test_warming_up_says_what_it_does_and_ends_each_line(limslam, monkeypatch):
     monkeypatch.setenv("LIMSLAM_QUIET", "")
     code, out, error = limslam("warmup")
     assert (code, error) == (0, "")
-    assert done == ["simulator", "batch", "BatchSlam"]
+    assert done == ["simulator", "batch", "BatchSlam", "smoothers"]
     assert [line.split()[0] for line in out.splitlines()] == done
     assert all("up to about" in line and "done after" in line for line in out.splitlines())
 
 
-@pytest.mark.parametrize("name", ["simulator", "batch", "BatchSlam"])
+@pytest.mark.parametrize("name", ["simulator", "batch", "BatchSlam", "smoothers"])
 def test_each_step_of_the_warm_up_runs(name):
     warmup_module.STEPS[name][1]()
 
