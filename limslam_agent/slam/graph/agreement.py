@@ -107,8 +107,10 @@ class MapScore:
         )
 
     def verdicts(self, poses: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Confirmed points (p,), where more other visits have seen a wall than free space; and contradicted points
-        (p,)."""
+        """Masks (p,) of the confirmed and of the contradicted points.
+
+        At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
+        """
         far = np.array([self.config.min_travel, self.config.max_distance])
         hits, frees = _votes(
             self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far

@@ -126,8 +126,7 @@ def information_matrix(poses: FloatArray, hops: Hops, loops: Sequence[Loop], wei
 
 
 def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses: FloatArray) -> Trajectory:
-    """Move all key poses with the chunks. Between two chunks, the corrections are interpolated by the distance
-    driven."""
+    """Move all key poses with the chunks; between chunks, interpolate the corrections by the distance driven."""
     old, travel = trajectory.poses, keys.key_travel
     numbers = np.arange(len(keys))
     before = np.clip(np.searchsorted(middles, numbers, side="right") - 1, 0, len(middles) - 1)

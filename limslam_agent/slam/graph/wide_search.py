@@ -29,8 +29,7 @@ def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
 
 
 def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) -> list[list[Loop]]:
-    """Groups of loops for chunks that are not near any loop of ``loops``, from the graph's solution with these
-    loops."""
+    """Groups of loops for chunks that are not near any loop of ``loops``, from the solution with these loops."""
     config, poses = chunks.config.wide, solution.poses
     known = recognised(loops, len(chunks), config.recognised)
     if known.all():
@@ -56,8 +55,7 @@ def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) ->
 
 
 def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int, steps: tuple[int, int]) -> IntArray:
-    """Unrecognised chunks that may show the same place as ``first``. Each pair of unrecognised chunks is counted
-    once."""
+    """Unrecognised chunks that may show the place of ``first``; pairs of unrecognised chunks are counted once."""
     config = chunks.config.wide
     near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= config.max_distance
     apart = np.abs(chunks.travel - chunks.travel[first]) >= config.min_travel

@@ -95,8 +95,7 @@ def _arc_over_chord_derivative(half: float) -> float:
 
 @compiled
 def expected_reading(pose: FloatArray, beam: FloatArray, line: FloatArray, anchor: FloatArray, row: FloatArray) -> None:
-    """The expected range of a beam (x, y, angle) on the body. The layout of ``row`` (7,) is given by :data:`RANGE`
-    etc."""
+    """The expected range of a beam (x, y, angle) on the body; :data:`RANGE` etc. give the layout of ``row`` (7,)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     arm_x, arm_y = cos * beam[0] - sin * beam[1], sin * beam[0] + cos * beam[1]
     ux, uy = math.cos(pose[2] + beam[2]), math.sin(pose[2] + beam[2])

@@ -91,8 +91,7 @@ def score(problem: Problem, found: Association, config: ScoreConfig) -> Score:
 
 
 def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
-    """The residual (k,) of each look to the wall that its beam should meet, in standard deviations, and that line
-    (k,)."""
+    """The residual (k,) of each look to its expected wall, in standard deviations, and the line (k,)."""
     looks, state, counted = problem.looks, found.state, tally(problem, found)
     misfits, best = np.empty(len(looks)), np.empty(len(looks), dtype=np.int64)
     biases = state.calibration[looks.places // problem.steps, 3]

@@ -95,8 +95,10 @@ def through_share(looks: list[Looks], driven: FloatArray, window: float = WINDOW
 def _first_walls(
     robot: RobotSpec, pose: FloatArray, beams: IntArray, segments: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The distance (k,) along each beam to the first wall that it crosses inside the wall's ends, m, or infinity; and
-    the cosine."""
+    """For each beam (k,), the distance to the first wall that it crosses inside the wall's ends, m, and the cosine.
+
+    The distance is infinite if there is no such wall.
+    """
     origins = transform_points(pose, robot.beam_origins[beams])
     headings = pose[2] + robot.beam_angles[beams]
     towards = np.column_stack((np.cos(headings), np.sin(headings)))
