@@ -1,5 +1,4 @@
-"""Settings of the graph of local maps: one frozen dataclass for each stage. The same settings serve all logs; m and
-rad."""
+"""Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all logs; m and rad."""
 
 import math
 from dataclasses import dataclass, field

@@ -121,8 +121,9 @@ class MendingConfig(Bounded):
     reborn_readings
         Least number of readings of a new line.
     doubled_sigmas, doubled_offset, doubled_angle
-        Two lines that share a stretch of wall are merged if they are closer than this number of standard deviations of
-        a range, or closer than this offset, m, and this angle, rad.
+        Two lines that share a stretch of wall are merged if their distance and their angle are small. The limit of the
+        distance is this number of standard deviations of a range, or this offset, m, if that is larger. The limit of
+        the angle is in rad.
     contradicted, unsure_heading
         Correction is tried if beams contradict more than this share of all looks, or if the filter's heading had this
         standard deviation, rad, at any step.
@@ -164,8 +165,8 @@ class SmootherConfig(Bounded):
         Largest hole without looks inside a drawn wall segment, m, and largest number of passing beams for each beam
         that hit.
     shown_readings, shown_length, shown_sigmas
-        A line is drawn if it was read this often, in segments of at least this length, m, and at least this number of
-        standard deviations of a range.
+        A line is drawn if it has at least this number of readings. A segment of it is drawn if it is at least this
+        long, m, and at least this number of standard deviations of a range.
     """
 
     reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)

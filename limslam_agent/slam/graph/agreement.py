@@ -21,7 +21,7 @@ kernel = entry_of(__name__)
 
 
 def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Differences between each loop (row) and its prediction by each other loop (column).
+    """Errors with which each loop (row) predicts each other loop (column).
 
     Returns distances (k, k), m, and angles (k, k), rad.
 

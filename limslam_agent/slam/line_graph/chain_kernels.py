@@ -353,8 +353,7 @@ def pose_marginals(
     with_shared: FloatArray,
     covariances: FloatArray,
 ) -> None:
-    """Fill in the covariances (t, 3, 3) of all poses of a chain. The covariance of the last pose is given in its last
-    row.
+    """Fill in the covariances (t, 3, 3) of all poses of a chain; that of the last pose is given.
 
     An eliminated pose is L^-T (z - W y - G^T x). Here y are the shared variables, x is the next pose, and z has unit
     covariance and is independent of both.

@@ -32,7 +32,7 @@ _CHOOSING = 2  # iterations after which the set of grazing readings is fixed
 
 
 class DegenerateError(ValueError):
-    """The equations of a step have no solution: the lines and readings do not determine the poses."""
+    """The equations of a step cannot be solved: the lines and readings do not determine the poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +281,7 @@ def solve(
     Raises
     ------
     DegenerateError
-        If the equations have no solution.
+        If the equations cannot be solved.
     """
     weights = np.zeros(len(labels))
     for iteration in range(iterations):
