@@ -152,8 +152,9 @@ def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Ite
 
     Raises
     ------
-    If another process writes to the folder, or the folder contains other files, or results of another suite, version or
-    commit.
+    ValueError
+        If another process writes to the folder, or the folder contains other files, or results of another suite,
+        version or commit.
     """
     _check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -60,8 +60,9 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
 
     Parameters
     ----------
-    Environments that end an episode and begin the next episode in the same step, with the default kind of robot:
-    observations with ``ranges`` (n, n_beams) and ``wheels`` (n, 2), info with ``pose`` (n, 3).
+    env
+        Environments that end an episode and begin the next episode in the same step, with the default kind of robot:
+        observations with ``ranges`` (n, n_beams) and ``wheels`` (n, 2), info with ``pose`` (n, 3).
     config
         Settings of observation and motion.
 

@@ -95,8 +95,8 @@ class GraphResult:
 
     Attributes
     ----------
-    Poses (n, 3) of all events.
-        (n, 3) of all events.
+    poses
+        Poses (n, 3) of all events.
     score
         G of the map; a higher score means better agreement of the visits. It compares maps of the same log only.
     start
