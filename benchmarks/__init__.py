@@ -1,1 +1,1 @@
-"""Measurements: run from a checkout as ``python -m benchmarks.NAME``; not installed."""
+"""Benchmarks, run from a checkout as ``python -m benchmarks.NAME``; they are not installed."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from benchmarks.suite.engines import Engine
 
 STOPPED = 130
-"""Exit code after Ctrl-C, which typer answers with the same."""
+"""Exit code after Ctrl-C, which is also the exit code of typer."""
 
 app = typer.Typer(
     add_completion=False,
@@ -29,7 +29,7 @@ Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has m
 
 
 class EngineName(StrEnum):
-    """Who does the jobs."""
+    """The engines that can run jobs."""
 
     PROCESS = "process"
     RAY = "ray"
@@ -109,7 +109,7 @@ def table(
     from limslam_agent.output.atomic_write import atomic_write
 
     rows = read_jobs(folders)
-    # The course of runs is looked up where they lie; of several folders there is no such place.
+    # The series of runs are read from the folder of the results. With several folders there is no single folder.
     is_one = len({folder.resolve() for folder in folders}) == 1
     text = tabulate(rows, latex=latex, folder=folders[0] if is_one else None)
     if out is None:

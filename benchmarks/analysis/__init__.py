@@ -1,1 +1,1 @@
-"""Statistics, tables, figures and the report of a suite's results."""
+"""Statistics, tables, figures and the report of the results of a suite."""

@@ -1,4 +1,4 @@
-"""How claims are checked: functions that look into the results of the published method and say what they found."""
+"""Checks of claims: functions that compute an outcome from the results of the published method."""
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -20,36 +20,36 @@ from limslam_env.metrics.metrics import doors_open
 
 CONFIRMED, PARTLY, REFUTED = "confirmed", "partly", "not confirmed"
 UNDECIDED = "undecided"
-"""The interval holds both answers: more runs would tell."""
+"""The interval contains both answers, and more runs are needed to decide."""
 
 UNTRIED = "not tried in these rows"
 FAIR_F1 = 0.9
-"""Aligned F1 from which on a map is called fairly correct."""
+"""Least aligned F1 at which a map is called fairly correct."""
 
 HALF = 0.6
-"""Share of the time of one robot up to which it counts as halved."""
+"""Largest ratio to the time of one robot at which the time counts as halved."""
 
 NARROW_GAP = 0.02
-"""Missing part of the walls from which on parts are called missing."""
+"""Least missing share of the walls at which parts are called missing."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found: one of the outcomes, and the numbers behind it."""
+    """The result of a check: one of the outcomes, and the numbers that support it."""
 
     outcome: str
     evidence: str
 
 
 class Results:
-    """The rows of the published method, and where their series are.
+    """The rows of the published method, and the folder of their series.
 
     Parameters
     ----------
     rows
-        Of one folder of results.
+        Rows of one folder of results.
     folder
-        That folder; None if there is none.
+        The folder of results; None if there is none.
     """
 
     def __init__(self, rows: Sequence[Row], folder: Path | None) -> None:
@@ -57,7 +57,7 @@ class Results:
         self._rows = [row for row in rows if row.preset == PUBLISHED]
 
     def explored(self, world: str | None = None, noise: float | None = None, robots: int | None = None) -> list[Row]:
-        """Runs of the whole method that explored by frontiers, failed ones too; None stands for any."""
+        """Runs of the whole method with frontier exploration, including failed runs. None matches any value."""
         return [
             row
             for row in self._rows
@@ -68,17 +68,17 @@ class Results:
         ]  # fmt: skip
 
     def ablated(self, ablation: str) -> list[Row]:
-        """Runs without one part of the method, of any kind."""
+        """Runs without one part of the method, of any policy."""
         return [row for row in self._rows if row.ablation == ablation]
 
     @property
     def whole(self) -> list[Row]:
-        """Runs of the whole method, of any kind."""
+        """Runs of the whole method, of any policy."""
         return [row for row in self._rows if row.ablation is None]
 
     @cached_property
     def lap_errors(self) -> dict[float, list[tuple[FloatArray, FloatArray]]]:
-        """By noise, errors (laps, 3) in each lap of each run: by odometry alone, and with the filter."""
+        """By noise, the errors (laps, 3) in each lap of each run: by odometry alone, and with the filter."""
         found: dict[float, list[tuple[FloatArray, FloatArray]]] = {}
         for row in self._rows:
             if self.folder is None or row.policy != LAPS_POLICY or row.laps < 2 or row.ablation is not None:
@@ -92,11 +92,11 @@ class Results:
 
 Check: TypeAlias = Callable[[Results], Finding]
 Measured: TypeAlias = tuple[str, str]
-"""An outcome, and its evidence, at one noise."""
+"""An outcome and its evidence at one noise."""
 
 
 def clean_map(world: str) -> Check:
-    """Without noise: F1 high, spurious walls none, some wall missing."""
+    """Without noise: F1 is high, there are no spurious walls, and some wall is missing."""
 
     def check(results: Results) -> Finding:
         rows = results.explored(world, 0.0, 1)
@@ -116,12 +116,12 @@ def clean_map(world: str) -> Check:
 
 
 def obstacles_grow(world: str) -> Check:
-    """Spurious walls with noise against none, by seed."""
+    """Spurious walls with noise minus spurious walls without noise, paired by seed."""
     return by_noise(world, "spurious_walls", falls=False)
 
 
 def by_noise(world: str, name: str, *, falls: bool) -> Check:
-    """A metric of one robot at each noise minus the same without noise, by seed; the highest noise decides."""
+    """A metric of one robot at each noise minus the metric without noise, paired by seed. The highest noise decides."""
 
     def check(results: Results) -> Finding:
         rows = results.explored(world, robots=1)
@@ -142,17 +142,17 @@ def by_noise(world: str, name: str, *, falls: bool) -> Check:
 
 
 def door_open(world: str, noise: float, robots: int) -> Check:
-    """Most runs keep the narrowest door open."""
+    """Most runs keep the narrowest door open in the map."""
     return _door(world, noise, robots, is_open=True)
 
 
 def door_lost(world: str, noise: float, robots: int) -> Check:
-    """Most runs close the narrowest door."""
+    """Most runs close the narrowest door in the map."""
     return _door(world, noise, robots, is_open=False)
 
 
 def two_robots(name: str, words: str, *, world: str | None = None, only_noisy: bool = False) -> Check:
-    """A metric of two robots minus that of one, by world, noise and seed."""
+    """A metric of two robots minus the metric of one robot, paired by world, noise and seed."""
 
     def check(results: Results) -> Finding:
         rows = [row for row in results.explored(world) if row.noise > 0.0 or not only_noisy]
@@ -169,7 +169,7 @@ def two_robots(name: str, words: str, *, world: str | None = None, only_noisy: b
 
 
 def time_is_halved(results: Results) -> Finding:
-    """Exploration time of two robots over that of one."""
+    """Ratio of the exploration time of two robots to the exploration time of one robot."""
     rows, value = results.explored(), metric("exploration_time_s")
     one, two = (_by_job((row for row in rows if row.robots == number), value) for number in (1, 2))
     found = compare(one, two)
@@ -186,7 +186,7 @@ def time_is_halved(results: Results) -> Finding:
 
 
 def filter_improves_the_pose(results: Results) -> Finding:
-    """Error of the estimate over that of odometry on the same run."""
+    """Ratio of the error of the estimate to the error of odometry in the same run."""
     rows, value = results.whole, ratio("ate_m", "odometry_ate_m")
     found = _median(rows, value)
     if found is None or found.high is None or found.low is None or found.count < ENOUGH:
@@ -198,7 +198,7 @@ def filter_improves_the_pose(results: Results) -> Finding:
 
 
 def worse_without(ablation: str, part: str) -> Check:
-    """Aligned F1 and error without a part of the method against those with it, by job."""
+    """Aligned F1 and error without a part of the method, compared with the whole method, paired by job."""
 
     def check(results: Results) -> Finding:
         rows = results.ablated(ablation)
@@ -234,7 +234,7 @@ def _door(world: str, noise: float, robots: int, *, is_open: bool) -> Check:
 
 
 def _narrowest_open(folder: Path | None, row: Row) -> bool | None:
-    """Whether a run's map leaves the narrowest door open; without its series, whether all are."""
+    """Whether a run's map leaves the narrowest door open. Without its series, whether all doors are open."""
     series = None if folder is None else read_series(folder, row)
     if series is None or series.doors is None or not len(series.doors):
         state = metric("doors_open")(row)
@@ -244,7 +244,7 @@ def _narrowest_open(folder: Path | None, row: Row) -> bool | None:
 
 
 def sign(estimate: Estimate, *, falls: bool = False) -> str:
-    """An outcome: confirmed where the whole interval lies above 0 (or below, if the claim is that it falls)."""
+    """Outcome of an interval: confirmed if the whole interval is above 0 (or below 0, if the claim is a decrease)."""
     if estimate.low is None or estimate.high is None or estimate.count < ENOUGH:
         return UNTRIED
     low, high = (-estimate.high, -estimate.low) if falls else (estimate.low, estimate.high)
@@ -281,12 +281,12 @@ def _words(estimate: Estimate, decimals: int = 2) -> str:
 
 
 def signed(estimate: Estimate, decimals: int = 2) -> str:
-    """A difference in words, with its sign and its number of values."""
+    """A difference as text, with its sign and its number of values."""
     return f"{'+' if estimate.value > 0.0 else ''}{_words(estimate, decimals)}"
 
 
 def _untried(rows: Sequence[Row]) -> Finding:
-    """Too little to say anything."""
+    """The finding for too few results."""
     return Finding(UNTRIED, f"{ENOUGH} runs or pairs are needed{_failed(rows)}" if rows else "no such runs")
 
 

@@ -1,7 +1,7 @@
-"""The paper's claims, and what the results say to each.
+"""The claims of the paper, and their verdicts from the results.
 
-A claim is words, the place where the paper makes it, and a function that looks for it in the rows of the published
-method. What a claim needs to count as confirmed is ours, since the paper gives no numbers; it stands in the evidence.
+A claim consists of its words, its place in the paper, and a function that checks it in the rows of the published
+method. The paper gives no numerical criteria. The criteria are choices of this project, and are stated in the evidence.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,11 +21,11 @@ class Claim:
     Attributes
     ----------
     words
-        What is claimed.
+        The text of the claim.
     source
-        Where in the paper.
+        The place of the claim in the paper.
     check
-        What the results say to it.
+        The function that computes the finding from the results.
     """
 
     words: str
@@ -35,17 +35,17 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of a claim.
+    """The verdict on a claim.
 
     Attributes
     ----------
     claim, source
-        Its words, and where in the paper.
+        The text of the claim, and its place in the paper.
     outcome
-        ``confirmed``, ``partly``, ``not confirmed``, ``undecided`` (the interval holds both answers: more runs would
-        tell) or ``not tried in these rows``.
+        ``confirmed``, ``partly``, ``not confirmed``, ``undecided`` (the interval contains both answers, and more runs
+        are needed) or ``not tried in these rows``.
     evidence
-        By how much: medians with 95 % intervals, numbers of runs, and what was asked for.
+        The supporting numbers: medians with 95 % intervals, numbers of runs, and the criterion.
     """
 
     claim: str
@@ -60,9 +60,9 @@ def claims(rows: Sequence[Row], folder: Path | None = None) -> list[Verdict]:
     Parameters
     ----------
     rows
-        Of one folder of results.
+        Rows of one folder of results.
     folder
-        Where they come from. Claims about the course of a run need its series, and are not tried without.
+        Folder of the rows. Claims about the course of a run need its series, and are not tried without a folder.
     """
     results = Results(rows, folder)
     found = ((claim, claim.check(results)) for claim in CLAIMS)
@@ -116,4 +116,4 @@ CLAIMS = (
         checks.worse_without("no-end-gate", "the check"),
     ),
 )  # fmt: skip
-"""In the paper's order."""
+"""All claims, in the order of the paper."""

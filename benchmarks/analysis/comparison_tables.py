@@ -1,4 +1,4 @@
-"""Tables of settings against each other, paired by world, noise and seed."""
+"""Tables that compare settings, paired by world, noise and seed."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -13,23 +13,23 @@ _READING = (
     "which a run failed; unpaired: runs without a partner. A number in brackets behind a value: so many pairs have one."
 )
 _MOST = 60
-"""Rows; of more, only those of all worlds and noises together are shown."""
+"""Largest number of rows. A longer table shows only the rows over all worlds and noises."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """What is compared.
+    """A measure for comparing runs.
 
     Attributes
     ----------
     heading
-        Of its column.
+        Heading of its column.
     value
-        Of a run.
+        Function that gives the measure of a run.
     kind
-        Whether the second is divided by the first, or the first taken off it.
+        Whether the table shows the ratio second / first or the difference second - first.
     decimals
-        Digits after the point.
+        Number of decimal places.
     """
 
     heading: str
@@ -40,7 +40,7 @@ class Measure:
 
 @dataclass(frozen=True)
 class _Line:
-    """One row of a table: groups whose runs are paired, put together if there are several."""
+    """One row of a table: pairs of groups whose runs are compared, pooled if there are several pairs."""
 
     words: tuple[str, ...]
     pairs: tuple[tuple[Group, Group], ...]
@@ -58,7 +58,7 @@ _TIME = Measure("time, \N{MULTIPLICATION SIGN}", metric("exploration_time_s"), "
 
 
 def ablation_sheet(parts: Sequence[Group]) -> Sheet | None:
-    """Every other method against the published one; None if there is no other."""
+    """Every other method compared with the published method; None if there is no other method."""
 
     def published(setting: Setting) -> Setting | None:
         return None if setting.is_published else replace(setting, preset=PUBLISHED, ablation=None)
@@ -68,7 +68,7 @@ def ablation_sheet(parts: Sequence[Group]) -> Sheet | None:
 
 
 def team_sheet(parts: Sequence[Group]) -> Sheet | None:
-    """Several robots against one; None if there were never several."""
+    """Several robots compared with one robot; None if there are no runs with several robots."""
 
     def alone(setting: Setting) -> Setting | None:
         return replace(setting, robots=1) if setting.robots > 1 else None
@@ -78,7 +78,7 @@ def team_sheet(parts: Sequence[Group]) -> Sheet | None:
 
 
 def limit_sheet(parts: Sequence[Group]) -> Sheet | None:
-    """Policies against the one that knows the map; None if that was not run."""
+    """Policies compared with the oracle policy, which knows the map; None if the oracle was not run."""
 
     def oracle(setting: Setting) -> Setting | None:
         return None if setting.policy == ORACLE else replace(setting, policy=ORACLE)
@@ -116,7 +116,7 @@ def _sheet(
 
 
 def _lines(matched: Sequence[tuple[Group, Group]]) -> list[_Line]:
-    """A row for each two groups, and one for each method over all worlds and noises."""
+    """A row for each pair of groups, and a row for each method over all worlds and noises."""
     together: dict[tuple[str, int, str], list[tuple[Group, Group]]] = {}
     for first, second in matched:
         setting = second.setting
@@ -146,7 +146,7 @@ def _paired(line: _Line, measure: Measure) -> Pairs:
 
 
 def _cells(found: Sequence[Comparison], line: _Line, measures: Sequence[Measure]) -> tuple[str, ...]:
-    """Counts of pairs of runs, then the measures."""
+    """The counts of paired runs, followed by the measures."""
     ended = _paired(line, Measure("", lambda row: None if row.error else 0.0))
     pairs = len(ended.first)
     return (

@@ -45,7 +45,7 @@ _MOMENTS = 300
 
 
 def error_drawings(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]:
-    """Errors over laps, without and with the filter, a sheet for each setting."""
+    """Errors over laps, without and with the filter; one sheet for each setting."""
     for part in parts:
         if part.setting.policy == LAPS_POLICY:
             found = [(row, series) for row in part.rows if (series := read_series(folder, row)) is not None]
@@ -111,7 +111,7 @@ def _draw_errors(axes: Sequence[Sequence[Axes]], series: Series, *, is_shown: bo
 
 
 def _ends(found: Sequence[tuple[Row, Series]]) -> str:
-    """How far off the runs end, in words."""
+    """The errors at the end of the runs, as text."""
     without, with_it = (
         float(np.median([np.linalg.norm(series.errors(poses)[-1, 0, :2]) for series, poses in pairs]))
         for pairs in ([(each, each.odometry) for _, each in found], [(each, each.estimated) for _, each in found])
@@ -120,7 +120,7 @@ def _ends(found: Sequence[tuple[Row, Series]]) -> str:
 
 
 def sweep_drawings(parts: Sequence[Group]) -> Iterator[Drawing]:
-    """Scores over noise, a sheet for each method and number of robots that was run at two noises or more."""
+    """Scores over noise, with one sheet for each method and number of robots that was run at two or more noises."""
     explored = [part for part in parts if part.setting.policy == FRONTIER and part.setting.ablation is None]
     for robots, method in dict.fromkeys((part.setting.robots, part.setting.method) for part in explored):
         of_kind = [part for part in explored if (part.setting.robots, part.setting.method) == (robots, method)]
@@ -175,7 +175,10 @@ def _draw_sweep(axes: Axes, runs: Sequence[Group], value: Value, number: int) ->
 
 
 def coverage_drawings(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]:
-    """Coverage over time, worlds down and noise across, one line for each policy, method and number of robots."""
+    """Coverage over time: one row for each world, one column for each noise, one line for each group.
+
+    A group is a policy, a method and a number of robots.
+    """
     explored = [part for part in parts if is_exploration(part.setting) and part.setting.ablation is None]
     worlds = list(dict.fromkeys(part.setting.world for part in explored))
     names = list(dict.fromkeys(_who(part.setting, explored) for part in explored))
@@ -215,7 +218,10 @@ def _coverage(
 
 
 def _draw_coverage(axes: Axes, part: Group, folder: Path, number: int) -> float | None:
-    """Draw a line with its band; when it reaches 90 %, 0 if never, None if there is nothing to draw."""
+    """Draw a line with its band, and return the time of 90 % coverage.
+
+    The time is 0 if 90 % is never reached, and None if there is nothing to draw.
+    """
     courses = [
         (series.time, series.coverage)
         for row in part.rows
@@ -225,7 +231,7 @@ def _draw_coverage(axes: Axes, part: Group, folder: Path, number: int) -> float 
         return None
     end = max(float(time[-1]) for time, _ in courses)
     grid = np.linspace(0.0, end, _MOMENTS)
-    # A run that is over keeps what it has covered.
+    # A run that has ended keeps its last coverage.
     table = np.array([np.interp(grid, time, coverage) for time, coverage in courses])
     low, middle, high = np.quantile(table, (0.25, 0.5, 0.75), axis=0)
     style = {**_line(number), "marker": ""}
@@ -250,7 +256,7 @@ def _finish_coverage(axes: Sequence[Sequence[Axes]], worlds: Sequence[str], nois
 
 
 def _who(setting: Setting, among: Sequence[Group]) -> str:
-    """What tells a line from the others."""
+    """The facts that distinguish a line from the other lines."""
     parts = [setting.policy]
     if len({part.setting.method for part in among}) > 1:
         parts.append(setting.method)
@@ -260,7 +266,10 @@ def _who(setting: Setting, among: Sequence[Group]) -> str:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour, marker and dashes: three ways to tell lines apart, so that print and any eye has one."""
+    """Colour, marker and dashes of a line. Each of the three alone distinguishes the lines.
+
+    Lines can therefore be distinguished in print without colours, and by colour-blind readers.
+    """
     return {
         "color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 4.5,
         "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.5,

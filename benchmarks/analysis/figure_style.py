@@ -1,6 +1,6 @@
-"""What all figures share: colours that colour-blind people tell apart, axes, legends, and how a figure is saved.
+"""The common style of all figures: colours for colour-blind readers, axes, legends, and the saving of figures.
 
-Figures are made without pyplot, so that nothing global is changed and nothing has to be closed.
+Figures are made without pyplot. No global state is changed, and no figure has to be closed.
 """
 
 import textwrap
@@ -17,13 +17,13 @@ from matplotlib.lines import Line2D
 
 from benchmarks.analysis.groups import PUBLISHED
 
-# Okabe & Ito, Color Universal Design, 2008, without their yellow, which is lost on white; darkest first.
+# Okabe & Ito, Color Universal Design, 2008, without yellow, which is hard to see on white; darkest colour first.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 TRUTH, WALLS, FAINT, INK = "0.76", "#A3201A", "0.62", "0.15"
 BAND = 0.16
-"""Opacity of bands."""
+"""Opacity of the bands."""
 
 MOST_LINES = len(COLOURS)
 _DPI = 160
@@ -33,16 +33,16 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A figure and its words.
+    """A figure and its description.
 
     Attributes
     ----------
     name
-        Of its file, without the ending.
+        Name of the file, without the extension.
     title
-        What it shows, in a line.
+        One line that says what the figure shows.
     alt
-        What is to be seen in it, for those who do not see it.
+        Alternative text that describes the figure for readers who cannot see it.
     figure
         The figure.
     """
@@ -54,19 +54,19 @@ class Drawing:
 
 
 def sheet_of(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of so many axes in a grid; ``size`` is that of each, inches."""
+    """A figure with a grid of axes; ``size`` is the size of each of the axes, inches."""
     figure = Figure(figsize=(columns * size[0], rows * size[1] + 0.5), layout="constrained", facecolor="white")
     axes = figure.subplots(rows, columns, squeeze=False)
     return figure, [list(line) for line in axes]
 
 
-_NARROWEST, _AROUND = 5.0, 1.0  # inches: least width of a sheet, and the height of title and legend
-_ENTRY, _LETTERS = 1.75, 11.0  # inches of an entry of a legend, and letters of a title on an inch
+_NARROWEST, _AROUND = 5.0, 1.0  # inches: least width of a sheet, and height of title and legend
+_ENTRY, _LETTERS = 1.75, 11.0  # width of a legend entry, inches, and number of title letters per inch
 
 
 def uneven_sheet(heights: Sequence[float], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
-    """As :func:`sheet_of`, each row of a height of its own, inches."""
-    # A title and a legend need space that one narrow column has not.
+    """Like :func:`sheet_of`, but with a separate height for each row, inches."""
+    # A title and a legend need more width than one narrow column has.
     size = (max(columns * width, _NARROWEST), sum(heights) + 0.25 * len(heights) + _AROUND)
     figure = Figure(figsize=size, layout="constrained", facecolor="white")
     axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=list(heights))
@@ -74,7 +74,7 @@ def uneven_sheet(heights: Sequence[float], columns: int, width: float) -> tuple[
 
 
 def plain_axes(axes: Axes) -> None:
-    """A quiet grid, and no frame where it says nothing."""
+    """Draw a light grid, and hide the parts of the frame that carry no information."""
     axes.grid(color="0.9", linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -83,7 +83,7 @@ def plain_axes(axes: Axes) -> None:
 
 
 def legend_below(figure: Figure, handles: Sequence[Line2D], columns: int = 5) -> None:
-    """What is what, under the figure."""
+    """Draw a legend below the figure."""
     fitting = max(int(figure.get_figwidth() / _ENTRY), 1)
     figure.legend(
         handles=list(handles), loc="outside lower center", ncols=max(1, min(columns, len(handles), fitting)),
@@ -92,30 +92,30 @@ def legend_below(figure: Figure, handles: Sequence[Line2D], columns: int = 5) ->
 
 
 def headline(figure: Figure, title: str) -> None:
-    """A title over the figure; never read as mathematics."""
+    """Draw a title above the figure. The text is never interpreted as mathematics."""
     lines = textwrap.wrap(title, max(int(figure.get_figwidth() * _LETTERS), 20), break_long_words=False)
     figure.suptitle("\n".join(lines), fontsize=11, parse_math=False)
 
 
 def chosen(values: Sequence[_Value], most: int) -> list[_Value]:
-    """All values, or as many as fit, evenly from the first to the last."""
+    """All values, or at most ``most`` values, spaced evenly from the first value to the last."""
     if len(values) <= most:
         return list(values)
     return [values[round(float(place))] for place in np.linspace(0, len(values) - 1, most)]
 
 
 def file_word(name: str) -> str:
-    """A name as part of a file's name."""
+    """A name, converted to a part of a file name."""
     return "-".join(filter(None, "".join(letter if letter.isalnum() else " " for letter in name).split()))
 
 
 def method_suffix(method: str) -> str:
-    """What a method adds to a file's name: nothing, if it is the published one."""
+    """The part of a file name for a method: empty for the published method."""
     return "" if method == PUBLISHED else f"_{file_word(method)}"
 
 
 def save(drawing: Drawing, path: Path) -> None:
-    """Write a figure as PNG or SVG, as the ending of the path says. The same figure gives the same file."""
+    """Write a figure as PNG or SVG, depending on the extension. The same figure always gives the same file."""
     if path.suffix == ".png":
         with path.open("wb") as file:
             write_png(drawing, file)

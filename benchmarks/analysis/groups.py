@@ -1,4 +1,4 @@
-"""Rows of results in groups of one setting: what was asked for is one group, the seeds are its runs."""
+"""Groups of result rows: the rows of one setting form a group, and each seed is one run of the group."""
 
 import math
 import re
@@ -13,23 +13,23 @@ from benchmarks.suite.store import Row
 from limslam_env.geometry import FloatArray
 
 PUBLISHED = "paper"
-"""The preset that is the published method."""
+"""The preset of the published method."""
 
 FRONTIER, TOUR, ORACLE = "frontier", "tour", "oracle"
-"""Policies that tables ask for by name, besides those that :mod:`benchmarks.suite.jobs` names."""
+"""Policies that the tables refer to by name, in addition to the policies named in :mod:`benchmarks.suite.jobs`."""
 
 Value: TypeAlias = Callable[[Row], float | None]
-"""What a column shows of a row; None where it has none."""
+"""The value of a row in a column; None if the row has no value."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What the runs of a group have in common.
+    """The setting that the runs of a group have in common.
 
     Attributes
     ----------
     world
-        Its name; all random floor plans are one world, ``random plans``.
+        Name of the world; all random floor plans form one world, ``random plans``.
     noise, robots, preset, policy, ablation, laps
         As in a job.
     """
@@ -44,17 +44,17 @@ class Setting:
 
     @property
     def method(self) -> str:
-        """The estimator in words."""
+        """The estimator as text."""
         return self.preset if self.ablation is None else f"{self.preset}, {self.ablation}"
 
     @property
     def is_published(self) -> bool:
-        """Whether nothing was changed in the published method."""
+        """Whether the setting is the unchanged published method."""
         return self.preset == PUBLISHED and self.ablation is None
 
     @property
     def order(self) -> tuple[object, ...]:
-        """Tables are sorted by this: worlds first, the published method before others."""
+        """Key for sorting tables: worlds first, the published method before other methods."""
         name = tuple((not part.isdigit(), int(part) if part.isdigit() else part) for part in _parts(self.world))
         method = (not self.is_published, self.preset != PUBLISHED, self.preset, self.ablation or "")
         return (self.world.startswith("random"), name, self.laps, self.robots, self.policy, method, self.noise)
@@ -67,9 +67,9 @@ class Group:
     Attributes
     ----------
     setting
-        What they have in common.
+        The setting that the runs have in common.
     rows
-        All of them, failed ones too.
+        All rows, including failed runs.
     """
 
     setting: Setting
@@ -77,21 +77,21 @@ class Group:
 
     @property
     def failed(self) -> int:
-        """How many failed."""
+        """Number of failed runs."""
         return sum(row.error is not None for row in self.rows)
 
     def values(self, of: Value) -> FloatArray:
-        """What the runs have of a value, (k,); runs without it are left out, and the caller says how many."""
+        """The values (k,) of the runs. Runs without a value are left out, and the caller reports their number."""
         found = (of(row) for row in self.rows)
         return np.array([value for value in found if value is not None], dtype=float)
 
     def by_job(self, of: Value) -> dict[Hashable, float | None]:
-        """The value of each run by world, noise and seed, for comparisons in pairs; None where it has none."""
+        """The value of each run by world, noise and seed, for paired comparisons; None for a run without a value."""
         return {(row.world, row.noise, row.laps, row.seed): of(row) for row in self.rows}
 
 
 def metric(name: str) -> Value:
-    """A metric by its name in ``docs/metrics.md``."""
+    """The metric with this name in ``docs/metrics.md``."""
 
     def value(row: Row) -> float | None:
         found = row.metrics.get(name)
@@ -103,7 +103,7 @@ def metric(name: str) -> Value:
 
 
 def cost(name: str) -> Value:
-    """What a run cost, by its name in ``docs/metrics.md``."""
+    """The cost of a run with this name in ``docs/metrics.md``."""
 
     def value(row: Row) -> float | None:
         found = row.cost.get(name)
@@ -113,7 +113,7 @@ def cost(name: str) -> Value:
 
 
 def ratio(above: str, below: str) -> Value:
-    """One metric over another of the same run; None where one is missing or the lower one is 0."""
+    """Ratio of two metrics of the same run; None if a metric is missing or the denominator is 0."""
     upper, lower = metric(above), metric(below)
 
     def value(row: Row) -> float | None:
@@ -130,7 +130,7 @@ def setting_of(row: Row) -> Setting:
 
 
 def groups(rows: Iterable[Row]) -> list[Group]:
-    """Rows by setting, in the order of tables."""
+    """Group rows by setting, in the order of tables."""
     found: dict[Setting, list[Row]] = {}
     for row in rows:
         found.setdefault(setting_of(row), []).append(row)
@@ -138,7 +138,7 @@ def groups(rows: Iterable[Row]) -> list[Group]:
 
 
 def merged(parts: Iterable[Group], key: Callable[[Setting], Setting]) -> list[Group]:
-    """Groups put together where ``key`` makes their settings alike, in order of appearance."""
+    """Merge groups whose settings have the same ``key``, in order of appearance."""
     found: dict[Setting, list[Row]] = {}
     for part in parts:
         found.setdefault(key(part.setting), []).extend(part.rows)
@@ -146,22 +146,22 @@ def merged(parts: Iterable[Group], key: Callable[[Setting], Setting]) -> list[Gr
 
 
 def centimetres(noise: float) -> str:
-    """A noise in words."""
+    """A noise in centimetres, as text."""
     return f"{100.0 * noise:g} cm"
 
 
 def is_exploration(setting: Setting) -> bool:
-    """Whether robots explored, by whatever policy."""
+    """Whether robots explored, with any policy."""
     return setting.policy not in {LAPS_POLICY, TOUR, LOG_POLICY}
 
 
 def is_drive(setting: Setting) -> bool:
-    """Whether a known path was driven, so that there was nothing to explore."""
+    """Whether robots drove a known path, without exploration."""
     return setting.policy in {LAPS_POLICY, TOUR}
 
 
 def is_log(setting: Setting) -> bool:
-    """Whether it was a recorded log."""
+    """Whether the setting is a recorded log."""
     return setting.policy == LOG_POLICY
 
 

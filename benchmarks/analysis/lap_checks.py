@@ -1,4 +1,4 @@
-"""How claims about the course of laps are checked."""
+"""Checks of claims about the course of laps."""
 
 import math
 from collections.abc import Callable
@@ -52,7 +52,7 @@ def error_is_stable(component: int) -> Check:
 
 
 def gain_grows(results: Results) -> Finding:
-    """Odometry's error in position minus the filter's, in the last lap against the first."""
+    """Odometry's position error minus the filter's position error: the last lap compared with the first lap."""
 
     def at(runs: list[Run]) -> Measured:
         gains = [np.hypot(*odometry[:, :2].T) - np.hypot(*filtered[:, :2].T) for odometry, filtered in runs]
@@ -63,7 +63,7 @@ def gain_grows(results: Results) -> Finding:
 
 
 def _over_noises(results: Results, at: Callable[[list[Run]], Measured], words: str) -> Finding:
-    """One check at each noise of the laps: confirmed if it is at all of them, partly if at some."""
+    """Combine one check at each noise of the laps: confirmed if confirmed at all noises, partly if at some."""
     found = {noise: (len(runs), *at(runs)) for noise, runs in results.lap_errors.items()}
     tried = {noise: each for noise, each in found.items() if each[1] != UNTRIED}
     if not tried:
@@ -75,7 +75,7 @@ def _over_noises(results: Results, at: Callable[[list[Run]], Measured], words: s
 
 
 def _less(runs: list[Run], component: int) -> Estimate:
-    """How much less an error grows with the filter than without, run by run."""
+    """Difference between the error growth without the filter and with the filter, run by run."""
     growth = [filtered[-1] - filtered[0] - (odometry[-1] - odometry[0]) for odometry, filtered in runs]
     found = median([float(each[component]) for each in growth])
     assert found is not None  # noqa: S101 - the caller has runs

@@ -1,4 +1,4 @@
-"""Maps beside the truth, as the paper's Figs 7 to 12 show them: worlds down, noise across."""
+"""Maps beside the true walls, like Figs 7 to 12 of the paper: one row for each world, one column for each noise."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ _ROBOTS = (COLOURS[0], COLOURS[5], COLOURS[2], COLOURS[3], COLOURS[4], COLOURS[6
 
 @dataclass(frozen=True, eq=False)
 class _Cell:
-    """A map and what is written over it."""
+    """A map and its caption."""
 
     title: str
     row: Row
@@ -58,7 +58,10 @@ def map_drawings(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]:
 
 
 def median_run(rows: Sequence[Row]) -> tuple[Row, int] | None:
-    """The run with the median F1 (the lower one of two) among those with a series, and of how many it is."""
+    """The run with the median F1 among the runs with a series, and the number of these runs.
+
+    Of two middle runs, the run with the lower F1 is taken.
+    """
     ranked = _ranked(rows)
     return (ranked[(len(ranked) - 1) // 2], len(ranked)) if ranked else None
 
@@ -69,7 +72,7 @@ def _ranked(rows: Sequence[Row]) -> list[Row]:
 
 
 def _grid(parts: Sequence[Group], robots: int, method: str, folder: Path) -> Iterator[Drawing]:
-    """Sheets of three worlds by three noises at most."""
+    """Sheets of at most three worlds by three noises."""
     worlds = list(dict.fromkeys(part.setting.world for part in parts))
     all_noises = sorted({part.setting.noise for part in parts})
     noises = chosen(all_noises, _ACROSS)
@@ -95,7 +98,7 @@ def _median_cell(part: Group | None) -> _Cell | None:
 
 
 def _by_rank(part: Group, folder: Path) -> Iterator[Drawing]:
-    """Random plans from the worst map to the best."""
+    """Random plans in the order from the worst map to the best map."""
     ranked = _ranked(part.rows)
     places = chosen(range(len(ranked)), _ACROSS * _DOWN)
     cells = [
@@ -144,7 +147,7 @@ def _sheet(name: str, title: str, lines: Sequence[Sequence[_Cell | None]], folde
 
 
 def _box(shown: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
-    """Corners (2,) of what holds all that is drawn in one line of maps, so that they share a scale, m."""
+    """Corners (2,) of a common bounding box for one row of maps, so that the maps have the same scale; m."""
     points = [np.zeros((0, 2))]
     for series in shown:
         points += [series.segments.reshape(-1, 2), series.estimated[..., :2].reshape(-1, 2)]
@@ -153,7 +156,7 @@ def _box(shown: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
     together = np.vstack(points)
     low, high = (together.min(axis=0), together.max(axis=0)) if len(together) else (np.zeros(2), np.ones(2))
     margin = 0.02 * float((high - low).max()) + 0.05
-    # The scale has a strip of its own below.
+    # The scale bar has a separate strip below the map.
     return low - np.array([margin, 3.0 * margin]), high + margin
 
 
@@ -177,7 +180,7 @@ def _paint(axes: Axes, series: Series, box: tuple[FloatArray, FloatArray]) -> No
 
 
 def _paths(series: Series) -> Iterator[tuple[FloatArray, str, float]]:
-    """Of each robot the true path, or where it is not known odometry's, and the believed one."""
+    """For each robot, the true path (or the odometry path if the truth is unknown) and the estimated path."""
     other = series.odometry if series.true is None else series.true
     for number in range(series.estimated.shape[1]):
         yield other[:, number], FAINT if series.true is None else INK, 0.5

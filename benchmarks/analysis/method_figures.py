@@ -1,4 +1,4 @@
-"""Other methods against the published one: what leaving a part out costs."""
+"""Figures that compare other methods with the published method, such as methods without one part."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import replace
@@ -28,7 +28,10 @@ _PANELS: tuple[tuple[str, str, bool], ...] = (
 
 
 def method_drawings(parts: Sequence[Group]) -> Iterator[Drawing]:
-    """One sheet of all methods, paired with the published one by world, noise and seed; none if there is no other."""
+    """One sheet of all methods, paired with the published method by world, noise and seed.
+
+    There is no sheet if there are no other methods.
+    """
     known = {part.setting: part for part in parts}
     matched = [
         (known[base], part)

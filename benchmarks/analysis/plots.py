@@ -1,4 +1,4 @@
-"""The paper's figures again, and what else the rows of a folder can show."""
+"""All figures of a folder of results: the figures of the paper, and additional figures."""
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -13,7 +13,7 @@ from benchmarks.suite.store import Row, read_jobs
 
 
 def drawings(rows: Sequence[Row], folder: Path) -> Iterator[Drawing]:
-    """All figures that rows and their series give, one at a time.
+    """All figures of the given rows and their series, one at a time.
 
     Raises
     ------
@@ -38,16 +38,16 @@ def plot(folder: Path, out: Path, *, svg: bool = False) -> list[Path]:
     Parameters
     ----------
     folder
-        Of results.
+        Folder for the figures; created if it does not exist.
     out
-        Folder for the figures; made if it is not there.
+        Write SVG files in addition to the PNG files.
     svg
         Write SVG files beside the PNG files.
 
     Returns
     -------
     list of Path
-        What was written; empty if the rows have nothing to draw, because all of them failed.
+        Paths of the written files; empty if there is nothing to draw because all runs failed.
 
     Raises
     ------

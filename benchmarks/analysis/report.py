@@ -1,4 +1,4 @@
-"""All of a folder's results on one page that stands alone: no network, no other file, no font from elsewhere."""
+"""A report of all results of a folder as one self-contained page: no network access, other files or external fonts."""
 
 import base64
 import io
@@ -21,7 +21,7 @@ from benchmarks.suite.store import Row, read_jobs
 from limslam_agent.output.atomic_write import atomic_write
 
 _COLOURS = 96
-_PIXELS = 96  # of an inch of a figure on the page
+_PIXELS = 96  # pixels per inch of a figure on the page
 _KINDS = {
     "confirmed": ("confirmed", "\N{CHECK MARK}"),
     "partly": ("partly", "\N{ALMOST EQUAL TO}"),
@@ -38,12 +38,12 @@ def report(folder: Path, out: Path) -> Path:
     folder
         Of results.
     out
-        The file, or a folder that gets a ``report.html``.
+        The file, or a folder in which ``report.html`` is written.
 
     Returns
     -------
     Path
-        The file.
+        The written file.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def _page(rows: Sequence[Row], folder: Path) -> str:
 
 
 def _suite(folder: Path) -> dict[str, Any]:
-    """What ``suite.json`` says; empty if it is not there."""
+    """The content of ``suite.json``; empty if the file does not exist."""
     try:
         content = json.loads((folder / "suite.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -150,7 +150,7 @@ def _claims(verdicts: Sequence[Verdict]) -> str:
 
 
 def _untried(claims: Sequence[str]) -> str:
-    """The claims that these rows say nothing to, folded away."""
+    """The claims that these rows do not test, in a collapsed section."""
     if not claims:
         return ""
     items = "".join(f"<li>{escape(claim)}</li>" for claim in claims)
@@ -171,7 +171,7 @@ def _claim(verdict: Verdict) -> str:
 def _figure(drawing: Drawing) -> str:
     source = base64.b64encode(_small_png(drawing)).decode("ascii")
     title = escape(drawing.title)
-    # No wider than it was drawn: a narrow sheet must not be blown up.
+    # The figure is shown at most at its original width, so that a narrow sheet is not enlarged.
     width = round(drawing.figure.get_figwidth() * _PIXELS)
     return (
         f'<figure><div class="picture" role="region" tabindex="0" aria-label="{title}">'
@@ -182,7 +182,7 @@ def _figure(drawing: Drawing) -> str:
 
 
 def _small_png(drawing: Drawing) -> bytes:
-    """A figure as PNG with a palette: a third of the size, and nobody sees it."""
+    """A figure as PNG with a palette, a third of the size without a visible difference."""
     full, small = io.BytesIO(), io.BytesIO()
     write_png(drawing, full)
     with Image.open(full) as picture:

@@ -1,4 +1,4 @@
-"""The course of a job, read back from its folder of results."""
+"""The series of a job, read from its folder of results."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,20 +17,20 @@ _WIDTHS = {"estimated": 3, "odometry": 3, "true": 3, "sigma": 3, "segments": 4, 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """What plots need of a job. Poses are m and rad, in the world frame.
+    """The arrays of a job for plots. Poses are in the world frame, m and rad.
 
     Attributes
     ----------
     time
-        (k,), s.
+        Times (k,), s.
     estimated, odometry
-        Poses (k, n, 3) of n robots: the belief, and odometry alone.
+        Poses (k, n, 3) of n robots: the estimate, and odometry alone.
     segments
-        Walls of the map (m, 4), m.
+        Wall segments (m, 4) of the map, m.
     true, sigma
-        (k, n, 3): the truth, and standard deviations of the belief; None for a log.
+        True poses and standard deviations of the estimate (k, n, 3); None for a log.
     coverage
-        (k,), 0 to 1; None for a log.
+        Coverage (k,), 0 to 1; None for a log.
     edges, doors
         True walls (w, 4) and doors (d, 4), m; None for a log.
     """
@@ -61,7 +61,7 @@ class Series:
 
 
 def read_series(folder: Path, row: Row) -> Series | None:
-    """The series of a row; None if it has none.
+    """The series of a row; None if the row has no series.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def read_series(folder: Path, row: Row) -> Series | None:
 def lap_errors(series: Series, poses: FloatArray, laps: int) -> FloatArray:
     """Root mean squares (laps, 3) of the errors of poses (k, n, 3) in x, y and heading, in each lap, m and rad.
 
-    A lap is an equal part of the path that was truly driven.
+    A lap is an equal part of the true path.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def lap_errors(series: Series, poses: FloatArray, laps: int) -> FloatArray:
 
 
 def distance(series: Series) -> FloatArray:
-    """The distance (k,) that the first robot had truly driven, m.
+    """Distance (k,) driven by the first robot on its true path, m.
 
     Raises
     ------

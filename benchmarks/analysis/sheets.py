@@ -1,4 +1,4 @@
-"""Tables as data, and as Markdown, LaTeX and HTML."""
+"""Tables as data, and their output as Markdown, LaTeX and HTML."""
 
 import html
 import re
@@ -10,7 +10,7 @@ from benchmarks.analysis.groups import Group, Value
 from benchmarks.analysis.statistics import Estimate, medians
 
 MISSING = "\N{EN DASH}"
-"""What stands where there is no number; never 0."""
+"""The text of a cell without a number; such a cell never shows 0."""
 
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -28,15 +28,15 @@ class Sheet:
     Attributes
     ----------
     title, note
-        Above it, and below: what it shows and how to read it.
+        The text above and below the table: its content, and how to read it.
     header
         Names of the columns.
     rows
-        Cells, as many in each row as there are columns.
+        Cells; each row has as many cells as there are columns.
     words
-        How many columns, from the left, hold words; the others hold numbers.
+        Number of columns, from the left, that contain words; the other columns contain numbers.
     marked
-        Rows that are set off from the others, such as sums.
+        Rows that are highlighted, such as sums.
 
     Raises
     ------
@@ -56,7 +56,7 @@ class Sheet:
             raise ValueError(f"{self.title}: each row needs {len(self.header)} cells")
 
     def without_empty(self) -> "Sheet":
-        """The same without columns of numbers that hold none."""
+        """The table without number columns that contain no number."""
         kept = [
             number
             for number in range(len(self.header))
@@ -75,11 +75,11 @@ class Column:
     Attributes
     ----------
     heading
-        Its name, with the unit.
+        Name of the column, with the unit.
     value
-        What it shows of a run.
+        Function that gives the value of a run.
     decimals
-        Digits after the point.
+        Number of decimal places.
     """
 
     heading: str
@@ -91,9 +91,9 @@ Style = Literal["markdown", "latex", "html"]
 
 
 def written(estimate: Estimate | None, decimals: int, runs: int | None = None) -> str:
-    """An estimate as a cell.
+    """The text of an estimate in a cell.
 
-    The interval is left out where it has no width, and the number of values is added where it is not ``runs``.
+    The interval is left out if its width is zero. The number of values is added if it differs from ``runs``.
     """
     if estimate is None:
         return MISSING
@@ -105,12 +105,12 @@ def written(estimate: Estimate | None, decimals: int, runs: int | None = None) -
 
 
 def counted(group: Group) -> str:
-    """Runs of a group that ended well, and in brackets those that failed."""
+    """Number of successful runs of a group, followed by the number of failed runs in brackets."""
     return f"{len(group.rows) - group.failed} ({group.failed})" if group.failed else str(len(group.rows))
 
 
 def median_cells(parts: Sequence[Group], columns: Sequence[Column]) -> list[tuple[str, ...]]:
-    """The medians of groups, a row of cells each."""
+    """The medians of groups, one row of cells for each group."""
     found = iter(medians([part.values(column.value) for part in parts for column in columns]))
     return [
         tuple(written(next(found), column.decimals, len(part.rows) - part.failed) for column in columns)
@@ -119,12 +119,12 @@ def median_cells(parts: Sequence[Group], columns: Sequence[Column]) -> list[tupl
 
 
 def render(sheet: Sheet, style: Style) -> str:
-    """A table in a language."""
+    """The text of a table in a markup language."""
     return {"markdown": _markdown, "latex": _latex, "html": _html}[style](sheet)
 
 
 def escaped(text: str, style: Style) -> str:
-    """Text with what would be understood as commands disarmed; line breaks become spaces."""
+    """Text with escaped markup commands; line breaks become spaces."""
     text = " ".join(text.split())
     if style == "latex":
         return "".join(_LATEX.get(letter, letter) for letter in text)
@@ -163,10 +163,10 @@ def _latex(sheet: Sheet) -> str:
     body = [_latex_row(row, marked=number in sheet.marked) for number, row in enumerate(sheet.rows)]
     caption = rf"\caption{{{escaped(f'{sheet.title}. {sheet.note}', 'latex')}}}"
     if long or len(sheet.rows) > _LONG:
-        # A float cannot be longer than a page.
+        # A LaTeX float cannot be longer than a page.
         begin = [rf"\begin{{longtable}}{{{align}}}", caption + r"\\", r"\toprule", head, r"\midrule", r"\endhead"]
         return "\n".join([r"{\small", *begin, *body, r"\bottomrule", r"\end{longtable}", "}"])
-    # Too wide a table is made smaller; none is made larger.
+    # A table that is too wide is scaled down; no table is enlarged.
     fitted = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{"
     begin = [r"\begin{table}", r"\centering", caption, rf"{fitted}\begin{{tabular}}{{{align}}}"]
     return "\n".join([*begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}}", r"\end{table}"])
@@ -204,7 +204,7 @@ def _html_cells(sheet: Sheet, row: Sequence[str]) -> str:
 
 
 def _quieter(cell: str) -> str:
-    """Intervals in smaller type: the eye looks for the medians."""
+    """Set intervals in smaller type, because the medians are more important."""
     return re.sub(r"(?<=\d) (\[[^\]]*\])", r' <span class="interval">\1</span>', cell)
 
 

@@ -1,10 +1,10 @@
-"""Medians and interquartile means with bootstrap intervals, shares, and settings compared in pairs.
+"""Medians and interquartile means with bootstrap intervals, shares, and paired comparisons of settings.
 
 Intervals are percentile bootstrap intervals (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13),
-not BCa. BCa takes its acceleration from the jackknife; the jackknife of a median takes two or three values only and is
-known to be inconsistent (chapter 11), and on values that are mostly alike, such as doors open, BCa is 0 / 0. Percentile
-intervals of a median lie between measured values, whatever their scale. All resampling is seeded: the same results
-give the same tables.
+not BCa. BCa computes its acceleration with the jackknife. The jackknife of a median takes only two or three values and
+is known to be inconsistent (chapter 11). If most values are equal, such as the number of open doors, BCa gives 0 / 0.
+Percentile intervals of a median lie between measured values, whatever their scale. All resampling is seeded: the same
+results give the same tables.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -18,17 +18,18 @@ from scipy import stats
 from limslam_env.geometry import FloatArray, IntArray
 
 LEVEL = 0.95
-"""Of confidence."""
+"""Confidence level of all intervals."""
 
 LEAST = 3
-"""Values from which on an interval is given."""
+"""Least number of values for an interval."""
 
 ENOUGH = 6
-"""Values from which on an interval of a median can hold what it says: the range of n values holds the true median with
-probability 1 - 2 ** (1 - n), which is 75 % of three and 97 % of six, and no percentile interval is wider."""
+"""Least number of values for which an interval of a median can reach its confidence level. The range of n values
+contains the true median with probability 1 - 2 ** (1 - n), which is 75 % for three values and 97 % for six. No
+percentile interval is wider."""
 
 RESAMPLES = 2000
-# Large samples have intervals that are narrow and need fewer resamples.
+# Large samples have narrow intervals and need fewer resamples.
 _DRAWS, _FEWEST = 4_000_000, 400
 _BLOCK = 1000
 
@@ -42,11 +43,11 @@ class Estimate:
     Attributes
     ----------
     value
-        Of all of them.
+        The statistic of all runs.
     low, high
-        Its 95 % interval; None where there are fewer than three.
+        The 95 % interval; None for fewer than three values.
     count
-        How many values it was made from.
+        Number of values.
     """
 
     value: float
@@ -62,11 +63,11 @@ class Pairs:
     Attributes
     ----------
     first, second
-        Values (n,) of the jobs that have one under both.
+        Values (n,) of the jobs that have a value under both settings.
     left_out
-        Jobs under both settings that failed, or have no value, under one of them.
+        Number of jobs under both settings that failed, or have no value, under one of the settings.
     unpaired
-        Jobs that were done under one setting only.
+        Number of jobs that exist under one setting only.
     """
 
     first: FloatArray
@@ -76,26 +77,26 @@ class Pairs:
 
     @property
     def differences(self) -> FloatArray:
-        """Second minus first, (n,)."""
+        """Differences (n,), second minus first."""
         return np.asarray(self.second - self.first)
 
     @property
     def ratios(self) -> FloatArray:
-        """Second over first (k,), of the pairs whose first value is not 0."""
+        """Ratios (k,), second over first, of the pairs whose first value is not 0."""
         usable = self.first != 0.0
         return np.asarray(self.second[usable] / self.first[usable])
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A second setting against a first one, pair by pair.
+    """A comparison of a second setting with a first setting, in pairs of runs.
 
     Attributes
     ----------
     difference, ratio
-        Medians of second minus first and of second over first; None where no pair has one.
+        Medians of second minus first and of second over first; None if no pair has a value.
     pairs, left_out, unpaired
-        How many pairs there are, and what is missing (see :class:`Pairs`).
+        Number of pairs, and numbers of jobs that are not compared (see :class:`Pairs`).
     """
 
     difference: Estimate | None
@@ -111,7 +112,7 @@ def median(values: ArrayLike) -> Estimate | None:
 
 
 def medians(samples: Sequence[FloatArray]) -> list[Estimate | None]:
-    """As :func:`median`, of many samples at once: those of one size share their resamples."""
+    """Like :func:`median`, for many samples at once. Samples of the same size share their resamples."""
     return _estimates(samples, _middle)
 
 
@@ -121,17 +122,17 @@ def interquartile_mean(values: ArrayLike) -> Estimate | None:
 
 
 def interquartile_means(samples: Sequence[FloatArray]) -> list[Estimate | None]:
-    """As :func:`interquartile_mean`, of many samples at once."""
+    """Like :func:`interquartile_mean`, for many samples at once."""
     return _estimates(samples, _inner_half)
 
 
 def share(hits: int, count: int) -> Estimate | None:
-    """A share with its exact interval (Clopper & Pearson 1934); None if there was nothing to count.
+    """A share with its exact interval (Clopper & Pearson 1934); None if the count is 0.
 
     Raises
     ------
     ValueError
-        If there are more hits than there could be, or fewer than none.
+        If the number of hits is negative or exceeds the count.
     """
     if not 0 <= hits <= count:
         raise ValueError(f"{hits} of {count} is no share")
@@ -142,12 +143,12 @@ def share(hits: int, count: int) -> Estimate | None:
 
 
 def paired(first: Mapping[_Key, float | None], second: Mapping[_Key, float | None]) -> Pairs:
-    """The jobs that two settings have in common.
+    """Pair the jobs that two settings have in common.
 
     Parameters
     ----------
     first, second
-        The value of each job, by what makes it comparable: world, noise, seed. None where it failed or has none.
+        The value of each job, with world, noise and seed as key; None if the job failed or has no value.
     """
     common = [key for key in first if key in second]
     both = [(a, b) for a, b in ((first[key], second[key]) for key in common) if a is not None and b is not None]
@@ -172,18 +173,18 @@ def comparisons(pairs: Sequence[Pairs]) -> list[Comparison]:
 
 
 def _middle(count: int) -> slice:
-    """Order statistics whose mean is the median."""
+    """The order statistics whose mean is the median."""
     return slice((count - 1) // 2, count // 2 + 1)
 
 
 def _inner_half(count: int) -> slice:
-    """Order statistics whose mean is the interquartile mean, as scipy.stats.trim_mean cuts them."""
+    """The order statistics whose mean is the interquartile mean, with the same cut as scipy.stats.trim_mean."""
     cut = int(0.25 * count)
     return slice(cut, count - cut)
 
 
 def _estimates(samples: Sequence[FloatArray], kept: Callable[[int], slice]) -> list[Estimate | None]:
-    """Means of the order statistics that ``kept`` names for a size, with their intervals."""
+    """Means of the order statistics that ``kept`` selects for a sample size, with their intervals."""
     of_size: dict[int, list[int]] = {}
     for number, sample in enumerate(samples):
         of_size.setdefault(len(sample), []).append(number)
@@ -199,12 +200,12 @@ def _estimates(samples: Sequence[FloatArray], kept: Callable[[int], slice]) -> l
 
 
 def _intervals(table: FloatArray, kept: slice) -> list[tuple[float | None, float | None]]:
-    """Intervals of means of order statistics, of sorted samples (m, n)."""
+    """Intervals of means of order statistics, for sorted samples (m, n)."""
     size = table.shape[1]
     if size < LEAST:
         return [(None, None)] * len(table)
 
-    # Resampling the ranks instead of the values lets one set of resamples, sorted once, serve all samples of a size.
+    # The ranks are resampled instead of the values. One sorted set of resamples then serves all samples of a size.
     def statistic(ranks: IntArray, axis: int = -1) -> FloatArray:
         ordered = np.sort(ranks, axis=axis)[..., kept]
         total = np.zeros((len(table), *ordered.shape[:-1]))

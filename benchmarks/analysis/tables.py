@@ -1,7 +1,7 @@
-"""What came of a suite, as tables: ``table`` writes them, ``sheets`` gives them as data to the report.
+"""The results of a suite as tables: ``table`` gives text, and ``sheets`` gives data for the report.
 
-No table knows the name of a world: groups are made of whatever worlds, noises, robots, presets, policies and ablations
-the rows hold, and a table without a group is left out.
+No table depends on the name of a world. Groups are formed from the worlds, noises, robots, presets, policies and
+ablations in the rows, and a table without a group is left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -96,16 +96,16 @@ _WORST = 5
 
 
 def table(rows: Sequence[Row], *, latex: bool = False, folder: Path | None = None) -> str:
-    """All tables that the rows give, as Markdown or LaTeX (packages booktabs, graphicx, longtable).
+    """All tables of the given rows, as Markdown or LaTeX (packages booktabs, graphicx, longtable).
 
     Parameters
     ----------
     rows
-        Of one folder of results.
+        Rows of one folder of results.
     latex
-        LaTeX instead of Markdown.
+        Write LaTeX instead of Markdown.
     folder
-        Where they come from. Some claims are about the course of a run, which is in the folder's series.
+        Folder of the rows. Some claims are about the course of a run, which is stored in the series of the folder.
 
     Raises
     ------
@@ -117,14 +117,14 @@ def table(rows: Sequence[Row], *, latex: bool = False, folder: Path | None = Non
 
 
 def sheets(rows: Sequence[Row], folder: Path | None = None) -> list[Sheet]:
-    """All tables that the rows give; parameters and errors as for :func:`table`."""
+    """All tables of the given rows; parameters and errors as for :func:`table`."""
     found = number_sheets(rows)
     failures = failure_sheet(rows)
     return [*found, *([] if failures is None else [failures]), claim_sheet(claims(rows, folder))]
 
 
 def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
-    """The tables of numbers, without failures and claims.
+    """The tables of numbers, without the tables of failures and claims.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
 
 
 def failure_sheet(rows: Sequence[Row]) -> Sheet | None:
-    """Each failed run with its reason; None if none failed."""
+    """All failed runs with the reasons; None if no run failed."""
     failed = [
         (row.world, centimetres(row.noise), str(row.robots), _method(row), row.policy, str(row.seed), row.error)
         for row in rows
@@ -166,7 +166,7 @@ def failure_sheet(rows: Sequence[Row]) -> Sheet | None:
 
 
 def cost_sheet(rows: Sequence[Row]) -> Sheet | None:
-    """What runs cost by number of robots and method; None if no row says."""
+    """The cost of runs by number of robots and method; None if no row has a cost."""
     parts = merged(groups(rows), lambda each: replace(each, world="all", noise=0.0, policy="", laps=0))
     cells = median_cells(parts, _COSTS)
     named = zip(parts, cells, strict=True)
@@ -178,7 +178,7 @@ def cost_sheet(rows: Sequence[Row]) -> Sheet | None:
 
 
 def claim_sheet(verdicts: Sequence[Verdict]) -> Sheet:
-    """The paper's claims, and what the rows say to them."""
+    """The claims of the paper with their verdicts."""
     rows = tuple((each.claim, each.source, each.outcome, each.evidence) for each in verdicts)
     note = (
         "Judged on the rows of the published method. Intervals are 95 %; undecided: the interval holds both answers, "
@@ -203,13 +203,13 @@ _ALWAYS = {"world", "noise", "robots"}
 
 
 def _described(parts: Sequence[Group], leave_out: frozenset[str] = frozenset()) -> dict[str, list[str]]:
-    """What tells groups apart: a column of words for each fact that they do not all share."""
+    """The facts that distinguish groups: a column of words for each fact that differs between the groups."""
     columns = {name: [fact(part.setting) for part in parts] for name, fact in _FACTS.items() if name not in leave_out}
     return {name: cells for name, cells in columns.items() if name in _ALWAYS or len(set(cells)) > 1}
 
 
 def _scores(title: str, parts: Sequence[Group], columns: Sequence[Column]) -> Sheet | None:
-    """A row a group; None without groups."""
+    """A table with one row for each group; None without groups."""
     if not parts:
         return None
     facts = _described(parts)
@@ -223,7 +223,7 @@ def _scores(title: str, parts: Sequence[Group], columns: Sequence[Column]) -> Sh
 
 
 def _policies(explored: Sequence[Group]) -> Sheet | None:
-    """How fast different policies see a world; None if there is but one."""
+    """How fast different policies explore a world; None if there is only one policy."""
     policies = {part.setting.policy for part in explored}
     if len(policies) < 2:
         return None
@@ -237,7 +237,7 @@ def _place(setting: Setting) -> tuple[str, float, int]:
 
 
 def _overall(own: Sequence[Group]) -> Sheet | None:
-    """Each method over all worlds and noises; None where that is one of each."""
+    """Each method over all worlds and noises; None if there is only one world and one noise."""
     pooled = merged(own, lambda each: Setting("all", 0.0, each.robots, each.preset, each.policy, each.ablation, 0))
     if len(pooled) == len(own):
         return None
@@ -260,7 +260,7 @@ def _overall(own: Sequence[Group]) -> Sheet | None:
 
 
 def _worst(rows: Sequence[Row]) -> Sheet | None:
-    """The random plans whose maps are worst; None if there are none."""
+    """The random plans with the worst maps; None if there are no random plans."""
     value = metric("wall_f1_aligned")
     found = sorted((score, number) for number, row in enumerate(rows) if (score := value(row)) is not None)
     if not found:

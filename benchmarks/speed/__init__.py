@@ -1,1 +1,1 @@
-"""Speed of the environment, the filter and the batches, beside others in the same run."""
+"""Speed of the environment, the filter and the batches, compared with other software in the same run."""

@@ -18,7 +18,7 @@ from limslam_env.geometry.line import to_frame, to_frame_jacobians
 from limslam_env.geometry.se2 import compose, compose_jacobians
 
 BARS_MS = {50: 0.05, 200: 0.10, 500: 0.40}
-"""By number of landmarks, the limit for prediction and one update, ms."""
+"""Limits for prediction and one update, by number of landmarks, ms."""
 
 CLONE_LANDMARKS, CLONE_BAR_MS = (20, 50, 200), 1.0
 """Numbers of landmarks for the consistent filter, and its limit for 200 of them, ms."""
@@ -51,7 +51,7 @@ def dense_filter(ekf: LineEKF) -> ExtendedKalmanFilter:
 
 
 def expected(state: FloatArray, columns: IntArray) -> FloatArray:
-    """The line at ``columns`` of a state as the robot should see it."""
+    """The expected observation of the line at ``columns`` of a state, in the robot's frame."""
     return to_frame(state[columns[POSE:]], state[:POSE])
 
 
@@ -162,7 +162,7 @@ def main() -> None:
     for landmarks, bar in BARS_MS.items():
         ekf = line_filter(landmarks)
         dense = dense_filter(ekf)
-        # The first calls load and warm what later ones find ready.
+        # The first calls compile or load functions and warm the caches that later calls use.
         time_line_filter(ekf, 100)
         sparse_ms = 1000.0 * float(np.median(time_line_filter(ekf, REPETITIONS)))
         dense_ms = 1000.0 * float(np.median(time_dense_filter(dense, REPETITIONS, DENSE_SECONDS)))

@@ -54,7 +54,7 @@ def plain_loop(walls: int = 40) -> Loop:
 
 
 def random_actions(count: int = 1000) -> list[np.ndarray]:
-    """Actions as an untrained policy takes them."""
+    """Actions of an untrained policy."""
     return list(np.random.default_rng(0).uniform(-1.0, 1.0, (count, 2)).astype(np.float32))
 
 
@@ -90,7 +90,7 @@ def team_loop(num_robots: int) -> Loop:
 
 
 def rooms(num_walls: int) -> World:
-    """Square rooms of 2.3 m with a door in each wall: the building grows with the number of walls."""
+    """Square rooms of 2.3 m with a door in each wall. The size of the building grows with the number of walls."""
     # Each room adds two walls, below it and to its left; a door divides each of them into two pieces.
     side = round(math.sqrt(num_walls / 4.0))
     cell, jamb, walls = 2.3, 0.8, []
@@ -106,7 +106,7 @@ def rooms(num_walls: int) -> World:
 
 
 def best_times(loops: dict[str, Loop], bursts: int) -> dict[str, float]:
-    """Microseconds of a step of each loop, the best of several bursts that take turns."""
+    """Duration of a step of each loop, microseconds: the best of several bursts, in which the loops take turns."""
     best = dict.fromkeys(loops, math.inf)
     for loop in loops.values():
         loop(50)
@@ -137,7 +137,7 @@ def print_speeds(bursts: int) -> None:
 
 
 def print_loading(folder: Path) -> None:
-    """Seconds to load, check, and reset in, the largest of the floor plans in a folder."""
+    """Print the times to load, check, and reset the largest of the floor plans in a folder, s."""
     largest = max(folder.glob("*.json"), key=lambda path: path.stat().st_size)
     start = time.perf_counter()
     world = load_world(largest)

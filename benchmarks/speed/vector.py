@@ -89,7 +89,7 @@ def team_loop(num_envs: int, steps: int) -> Loop:
 
 
 def loops() -> dict[str, Loop]:
-    """What is compared. All rates are given as ratios to the first two."""
+    """The loops that are compared. All rates are given as ratios to the first two loops."""
     single = single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02))
 
     def one() -> int:
@@ -145,7 +145,7 @@ def busy_process() -> Iterator[None]:
 
 
 def median_rate(loop: Loop, seconds: float = 3.0) -> float:
-    """Environment-steps a second over a longer while, the median of parts of it."""
+    """Environment-steps a second over a longer period: the median over parts of the period."""
     rates, end = [], time.perf_counter() + seconds
     while time.perf_counter() < end:
         start = time.perf_counter()

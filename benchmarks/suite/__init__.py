@@ -1,1 +1,1 @@
-"""Suites of runs: which jobs they are, how they are executed, and where their results are kept."""
+"""Suites of runs: their jobs, the engines that execute them, and the storage of their results."""

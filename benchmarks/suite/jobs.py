@@ -1,4 +1,4 @@
-"""One job of a suite, and what can come of it."""
+"""A job of a suite, and its result."""
 
 import hashlib
 import json
@@ -15,20 +15,20 @@ Metric: TypeAlias = float | int | str | None
 
 @dataclass(frozen=True)
 class LogSource:
-    """A recorded log, and how it is replayed.
+    """A recorded log, and the settings of its replay.
 
     Attributes
     ----------
     name
-        What it is called in tables.
+        Name of the log in tables.
     file, relations
-        Files under the data folder: the log, and known relative poses to score against (None: none).
+        Files under the data folder: the log, and known relative poses for the scores (None: no relative poses).
     beams
-        Directions of the beams used, deg.
+        Directions of the beams that are used, deg.
     max_range
-        Longest range used, m.
+        Longest range that is used, m.
     odometry_bias
-        True minus reported heading per metre, deg, and true over reported distance.
+        True minus reported heading per metre, deg, and ratio of true to reported distance.
     """
 
     name: str
@@ -41,19 +41,19 @@ class LogSource:
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a suite. Its seed is part of it, so that no engine and no order can change what comes out.
+    """One run of a suite. The seed is a field of the job, so that engine and order do not change the result.
 
     Attributes
     ----------
     world
         Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
-        in the data folder); of a log ``log:NAME``.
+        in the data folder). The world of a log is ``log:NAME``.
     noise
-        Standard deviation of the ranges, m; of a log the assumed one.
+        Standard deviation of the ranges, m; for a log, the assumed standard deviation.
     robots, preset, policy, ablation, laps, seed, max_time, limit
         As in ``limslam_agent.runs.episode.RunConfig``.
     log
-        The recorded log that is replayed instead; None for a simulated run.
+        The recorded log that is replayed instead of a simulation; None for a simulated run.
     """
 
     world: str
@@ -70,19 +70,19 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Digest of all that the job is: 16 hexadecimal digits."""
+        """Digest of all fields of the job: 16 hexadecimal digits."""
         return digest(asdict(self))
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What a line of results says of the job."""
+        """The fields that identify the job in a line of results."""
         names = ("world", "noise", "robots", "preset", "policy", "ablation", "laps", "seed")
         policy = LAPS_POLICY if self.laps and self.policy == "frontier" else self.policy
         return {**{name: getattr(self, name) for name in names}, "policy": policy, "key": self.key}
 
     @property
     def title(self) -> str:
-        """The job in a line, for people."""
+        """A description of the job in one line, for display."""
         parts = [self.world, f"{100 * self.noise:g} cm", self.preset, str(self.identity["policy"]), f"seed {self.seed}"]
         if self.ablation:
             parts.insert(3, self.ablation)
@@ -95,16 +95,17 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a job.
+    """The result of a successful job.
 
     Attributes
     ----------
     metrics, cost
-        As in a run's ``result.json``; ``cost`` also has ``job_s`` and ``job_cpu_s``, the whole job with its scores.
+        As in a run's ``result.json``. ``cost`` also contains ``job_s`` and ``job_cpu_s`` for the whole job with its
+        scores.
     series
-        Arrays for the plots, by name: see ``docs/benchmark.md``.
+        Arrays for the plots, by name; see ``docs/benchmark.md``.
     config
-        Digest of the agent's settings, the robot and the world or log.
+        Digest of the agent's settings, the robot, and the world or log.
     """
 
     metrics: dict[str, Metric]
@@ -115,11 +116,11 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why nothing came of a job: an exception, a killed worker, or too long a time."""
+    """The reason why a job failed: an exception, a killed worker, or a time-out."""
 
     reason: str
 
 
 def digest(content: Any) -> str:
-    """A name for what JSON can say: 16 hexadecimal digits."""
+    """Digest of content that JSON can represent: 16 hexadecimal digits."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""What makes results: versions of packages, and the checkout's commit."""
+"""The origin of results: versions of packages, and the commit of the checkout."""
 
 import subprocess
 from collections.abc import Callable
@@ -11,22 +11,24 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of all that a metric depends on."""
+    """Versions of all packages that a metric depends on."""
     from limslam_agent.runs.results import versions
 
     try:
         return {**versions(), "gtsam": metadata.version("gtsam")}
-    except metadata.PackageNotFoundError:  # only limits need it
+    except metadata.PackageNotFoundError:  # only the offline optimum needs this package
         return versions()
 
 
 def work_alike(work: Callable[[Job], Outcome], expected: dict[str, str], job: Job) -> Outcome:
-    """Do a job where the versions are the expected ones, which the results will bear: on a cluster they may differ.
+    """Run a job if the versions equal the expected versions, which the results will contain.
+
+    On a cluster the versions may differ between machines.
 
     Raises
     ------
     ValueError
-        If they differ.
+        If the versions differ.
     """
     here = package_versions()
     if here != expected:
@@ -35,7 +37,7 @@ def work_alike(work: Callable[[Job], Outcome], expected: dict[str, str], job: Jo
 
 
 def version_changes(before: dict[str, str], now: dict[str, str]) -> str:
-    """What differs between two sets of versions, in words."""
+    """The differences between two sets of versions, as text."""
     return ", ".join(
         f"{name} {before.get(name, 'missing')}, now {now.get(name, 'missing')}"
         for name in sorted(before.keys() | now.keys())
@@ -44,10 +46,10 @@ def version_changes(before: dict[str, str], now: dict[str, str]) -> str:
 
 
 def commit() -> str:
-    """The checkout's commit, with ``-dirty`` when a file of it has been changed; ``unknown`` where there is none."""
+    """The commit of the checkout, with ``-dirty`` if a file has been changed; ``unknown`` without a repository."""
     try:
         top = _git("rev-parse", "--show-toplevel")
-        # An unpacked archive may lie in somebody else's repository.
+        # An unpacked archive may lie inside another project's repository.
         return (
             _git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
             if Path(top) == CHECKOUT
@@ -59,5 +61,5 @@ def commit() -> str:
 
 def _git(*arguments: str) -> str:
     command = ["git", "-C", str(CHECKOUT), *arguments]
-    # Fixed arguments, and none of them a user's.
+    # The arguments are fixed, and contain no user input.
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()  # noqa: S603

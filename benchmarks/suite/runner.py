@@ -1,4 +1,4 @@
-"""Runs a suite: what is missing in its folder is done, and kept as soon as it is."""
+"""Execution of a suite: the missing jobs are run, and each result is stored as soon as its job has ended."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -19,18 +19,18 @@ from benchmarks.suite.work import run_job
 
 @dataclass(frozen=True)
 class Summary:
-    """How a run of a suite went.
+    """The summary of an execution of a suite.
 
     Attributes
     ----------
     jobs, done, before
-        How many there are, have rows now, and had rows before this run.
+        Numbers of jobs: all jobs, jobs with rows now, and jobs with rows before this execution.
     failures
-        Title and reason of all that failed, now or before.
+        Title and reason of all failed jobs, including earlier failures.
     seconds
-        Wall-clock time of this run.
+        Wall-clock time of this execution, s.
     lost
-        How many of them had to be done again because the files of their series were lost.
+        Number of jobs that had to be repeated because the files of their series were lost.
     """
 
     jobs: int
@@ -42,7 +42,7 @@ class Summary:
 
     @property
     def words(self) -> str:
-        """For the screen."""
+        """The summary as text for the terminal."""
         earlier = f", {self.before} of them before" if self.before else ""
         again = f", {self.lost} again because their series were lost" if self.lost else ""
         return (
@@ -53,20 +53,20 @@ class Summary:
 def run_suite(
     suite: Suite, folder: Path, engine: Engine, *, work: Work = run_job, retry_failed: bool = False
 ) -> Summary:
-    """Do the jobs of a suite that have no row in a folder yet.
+    """Run the jobs of a suite that have no row in a folder yet.
 
     Parameters
     ----------
     suite
-        What to run.
+        The suite.
     folder
-        Where the results are, or shall be.
+        Folder for the results; it may contain earlier results.
     engine
-        Who does it.
+        The engine that runs the jobs.
     work
-        What makes an outcome of a job.
+        The function that computes the outcome of a job.
     retry_failed
-        Do failed jobs again.
+        Run failed jobs again.
 
     Raises
     ------

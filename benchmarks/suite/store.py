@@ -1,6 +1,7 @@
-"""The results of a suite in a folder: a line of JSON a job, appended when the job has ended.
+"""The results of a suite in a folder: one line of JSON for each job, appended when the job has ended.
 
-A run can be killed at any moment. A line is there when it is whole, and a job's series are there before its line is.
+A run can be killed at any moment. A line is valid only if it is complete. The series of a job are written before its
+line.
 """
 
 import json
@@ -28,25 +29,26 @@ MAX_RESULTS_BYTES = 256_000_000
 
 @dataclass(frozen=True)
 class Row:
-    """A line of ``results.jsonl``: what ran, and what came of it.
+    """A line of ``results.jsonl``: a job and its result.
 
     Attributes
     ----------
     world, noise, robots, preset, policy, ablation, laps, seed
-        The job. ``policy`` is ``laps`` where laps were driven and ``replay`` for a recorded log, whose world is
-        ``log:NAME``.
+        The fields of the job. ``policy`` is ``laps`` if laps were driven, and ``replay`` for a recorded log, whose
+        world is ``log:NAME``.
     metrics
-        By their names in ``docs/metrics.md``; empty where the job failed.
+        Metrics by their names in ``docs/metrics.md``; empty if the job failed.
     cost
-        Time and memory, which no comparison for identity looks at; empty where the job failed.
+        Time and memory, which are ignored in comparisons for identity; empty if the job failed.
     versions, commit, config
-        What made it: versions of packages, the checkout's commit, and a digest of the agent's settings and the world.
+        Origin of the result: versions of packages, the commit of the checkout, and a digest of the agent's settings and
+        world.
     series
-        File of arrays for the plots, relative to the folder; None where the job failed.
+        File of the arrays for the plots, relative to the folder; None if the job failed.
     key
         Digest of the job.
     error
-        Why the job failed; None where it did not.
+        The reason of the failure; None if the job succeeded.
     """
 
     world: str
@@ -69,14 +71,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Stamp:
-    """What all the results of one folder have in common.
+    """The properties that all results of a folder have in common.
 
     Attributes
     ----------
     suite, digest, jobs
-        The suite's name, its digest, and how many jobs it has.
+        The name of the suite, its digest, and its number of jobs.
     versions, commit
-        Of what makes the results.
+        Versions of packages and commit of the checkout.
     """
 
     suite: str
@@ -87,18 +89,18 @@ class Stamp:
 
 
 class Store:
-    """A folder of results that this process alone writes to: see :func:`open_store`.
+    """A folder of results that only this process writes to; see :func:`open_store`.
 
     Attributes
     ----------
     folder
-        Where it is.
+        Path of the folder.
     stamp
-        What its results are made by.
+        The stamp of the results.
     lost
-        How many jobs have to be done again because their series are no longer there.
+        Number of jobs that must be repeated because their series do not exist any more.
     rows
-        What is there already, by the jobs' keys.
+        The existing rows, by the keys of the jobs.
     """
 
     def __init__(self, folder: Path, stamp: Stamp, lost: int = 0) -> None:
@@ -106,14 +108,14 @@ class Store:
         self.rows: dict[str, Row] = {row.key: row for row in read_rows(folder)}
 
     def append(self, job: Job, result: Outcome | Failure) -> Row:
-        """Keep what came of a job, for good: when this returns, no kill can take it back.
+        """Store the result of a job durably: once this method has returned, a kill cannot lose the result.
 
         Raises
         ------
         ValueError
-            If the job has a row already.
+            If the job already has a row.
         OSError
-            If nothing can be written.
+            If writing fails.
         """
         if job.key in self.rows:
             raise ValueError(f"{self.folder}: has a row for this job already: {job.title}")
@@ -137,22 +139,22 @@ class Store:
 
 @contextmanager
 def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Iterator[Store]:
-    """The folder of a suite's results, made if it is not there, mended if a kill has torn it, and locked.
+    """Open the folder of a suite's results: create it if needed, repair it after a kill, and lock it.
 
     Parameters
     ----------
     folder
-        Where the results are, or shall be.
+        Folder for the results; it may contain earlier results.
     stamp
-        What makes them.
+        The stamp of the new results.
     retry_failed
-        Forget the rows of failed jobs, so that they are missing again.
+        Remove the rows of failed jobs, so that these jobs are missing again.
 
     Raises
     ------
     ValueError
-        If another process writes there, the folder holds something else, or results of another suite, version or
-        commit.
+        If another process writes to the folder, or the folder contains other files, or results of another suite,
+        version or commit.
     """
     _check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -168,17 +170,17 @@ def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Ite
 
 
 def _has_series(folder: Path, row: Row) -> bool:
-    """Whether a row's series are there, if it should have any."""
+    """Whether the series of a row exists, if the row should have a series."""
     return row.series is None or zipfile.is_zipfile(series_path(folder, row.series))
 
 
 def series_path(folder: Path, name: str) -> Path:
-    """The file of a row's series in a folder of results.
+    """The path of a row's series in a folder of results.
 
     Raises
     ------
     ValueError
-        If the name leads out of the folder.
+        If the name refers to a path outside the folder.
     """
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -216,7 +218,7 @@ def _check_stamp(folder: Path, stamp: Stamp) -> None:
 
 
 def _mend(folder: Path) -> None:
-    """Drop a line that a kill has torn, and what it left of files half written."""
+    """Remove an incomplete last line and partly written files, which remain after a kill."""
     path = folder / RESULTS
     content = path.read_bytes() if path.is_file() else b""
     whole = content[: content.rfind(b"\n") + 1]
@@ -234,7 +236,7 @@ def _replace(path: Path, content: bytes) -> None:
 def _append_line(path: Path, line: bytes) -> None:
     with path.open("ab", buffering=0) as file:
         written = file.write(line)
-        if written != len(line):  # the disk is full: the torn line is mended at the next start
+        if written != len(line):  # the disk is full: the incomplete line is removed at the next start
             raise OSError(None, "the disk takes no more", str(path))
         os.fsync(file.fileno())
 
@@ -244,14 +246,14 @@ def _line(row: Row) -> bytes:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a folder of results, or of a ``results.jsonl``.
+    """The rows of a folder of results, or of a file ``results.jsonl``.
 
-    A last line that is not ended is still being written, or was torn by a kill: it is left out.
+    An incomplete last line is left out. Such a line is still being written, or its process was killed.
 
     Raises
     ------
     ValueError
-        If there is no such file, or a line of it is no row; the message names file and line.
+        If the file does not exist, or a line is not a valid row; the message names file and line.
     """
     path = path / RESULTS if path.is_dir() else path
     try:
@@ -263,14 +265,14 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def rows_once(rows: Iterable[Row]) -> tuple[list[Row], int]:
-    """Each job's row once, and the number of rows that were left out because they repeat another.
+    """Each job's row once, and the number of rows that were left out because they repeat another row.
 
-    Cost and series are not compared: a job that was done twice has two of each.
+    Cost and series are not compared, because they differ between repeated runs of a job.
 
     Raises
     ------
     ValueError
-        If two different rows claim to be of the same job.
+        If two different rows have the same job.
     """
     found: dict[tuple[Any, ...], Row] = {}
     skipped = 0
@@ -289,12 +291,12 @@ def rows_once(rows: Iterable[Row]) -> tuple[list[Row], int]:
 
 
 def read_jobs(paths: Sequence[Path]) -> list[Row]:
-    """The rows of folders of results, each job once. A line on standard error says how many rows repeat others.
+    """The rows of folders of results, each job once. A line on standard error gives the number of repeated rows.
 
     Raises
     ------
     ValueError
-        If a file is missing, a line of it is no row, or two different rows claim the same job.
+        If a file is missing, a line is not a valid row, or two different rows have the same job.
     """
     rows, skipped = rows_once(row for path in paths for row in read_rows(path))
     if skipped:
@@ -354,6 +356,6 @@ _FIELDS: dict[str, Callable[[Any], bool]] = {
     "versions": _is_versions, "commit": _is_text, "config": _is_text, "series": _is_text_or_none, "key": _is_text,
     "error": _is_text_or_none,
 }  # fmt: skip
-"""What the values of a row's fields may be."""
+"""The valid values of a row's fields."""
 
 _COMPARED = tuple(name for name in _FIELDS if name not in {"cost", "series"})

@@ -1,4 +1,4 @@
-"""Suite files: TOML in, jobs out. What is not understood is refused, never passed over."""
+"""Suite files: TOML files that define jobs. Unknown content raises an error and is never ignored."""
 
 import itertools
 import math
@@ -25,18 +25,18 @@ MAX_SEEDS = 100_000
 
 @dataclass(frozen=True)
 class Suite:
-    """What is to be run.
+    """A suite of jobs.
 
     Attributes
     ----------
     name, description
-        As the file says.
+        Name and description from the file.
     jobs
-        All of them, no two alike.
+        All jobs; no two jobs are equal.
     digest
-        A name for the jobs, and for what the worlds and logs hold that they stand on.
+        Digest of the jobs, and of the content of the worlds and logs that they use.
     train
-        What `python -m benchmarks train` learns; None if nothing.
+        Settings of the training by `python -m benchmarks train`; None without training.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Suite:
 
 @dataclass(frozen=True)
 class _Kind:
-    """What the values of a list may be."""
+    """The valid values of a list."""
 
     name: str
     is_one: Callable[[Any], bool]
@@ -67,23 +67,23 @@ _AXES: dict[str, tuple[str, _Kind, list[Any] | None]] = {
     "ablations": ("ablation", _TEXT, [NO_ABLATION]),
     "laps": ("laps", _WHOLE, [0]),
 }
-"""For each list of a grid the job's field, what it holds, and its default (None: it must be there)."""
+"""For each list of a grid: the field of the job, the kind of values, and the default (None: the list is required)."""
 
 _LOG_AXES = ("noises", "presets", "ablations")
 
 
 def shipped_suites() -> list[str]:
-    """Names of the suites that come with the benchmarks."""
+    """Names of the suites that are shipped with the benchmarks."""
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
 def load_suite(source: str) -> Suite:
-    """A suite by the name of a shipped one, or by the path of a TOML file.
+    """A suite by the name of a shipped suite, or by the path of a TOML file.
 
     Raises
     ------
     ValueError
-        If there is no such suite, or it cannot be used; the message names file and key.
+        If there is no such suite, or the suite is invalid; the message names file and key.
     """
     path = FOLDER / f"{source}.toml" if source in shipped_suites() else Path(source)
     if path.suffix != ".toml":
@@ -98,12 +98,12 @@ def load_suite(source: str) -> Suite:
 
 
 def parse_suite(text: str, label: str) -> Suite:
-    """A suite from the text of a TOML file; ``label`` names it in errors.
+    """A suite from the text of a TOML file; ``label`` is the name of the file in error messages.
 
     Raises
     ------
     ValueError
-        If the text is no suite, or one of its jobs cannot be run.
+        If the text is not a valid suite, or one of its jobs cannot be run.
     """
     with _named(label):
         try:
@@ -162,9 +162,11 @@ def _grid(table: dict[str, Any]) -> list[Job]:
 
 
 def _combination(job: Job) -> Job:
-    """What must fit together in a job. Seed and noise always fit, and what fits one random floor plan fits them all.
+    """Reduce a job to the fields whose combination must be checked.
 
-    Each world was checked on its own before; a check takes long, and a grid may have hundreds of floor plans.
+    Seed and noise are compatible with every job. Fields that fit one random floor plan fit all random floor plans.
+
+    Each world was checked separately before. A check takes long, and a grid may have hundreds of floor plans.
     """
     world = f"{RANDOM}0" if job.world.startswith(RANDOM) else job.world
     return replace(job, world=world, seed=0, noise=0.0)
@@ -188,7 +190,7 @@ def _log(table: dict[str, Any]) -> list[Job]:
 
 
 def _axes(table: dict[str, Any], known: dict[str, tuple[str, _Kind, list[Any] | None]]) -> dict[str, list[Any]]:
-    """Values of each of the job's fields, each of them tried on its own, so that a refusal can name its key."""
+    """Values of each field of the job. Each value is checked separately, so that an error can name its key."""
     axes = {}
     for key, (name, kind, default) in known.items():
         values = default if default is not None and key not in table else _values(table, key, kind)
@@ -200,7 +202,7 @@ def _axes(table: dict[str, Any], known: dict[str, tuple[str, _Kind, list[Any] | 
 
 
 def _meant(key: str, value: Any) -> list[Any]:
-    """What a value in a file stands for: ``random:0..99`` for 100 worlds, ``none`` for no ablation."""
+    """The values that a value in a file represents: ``random:0..99`` for 100 worlds, ``none`` for no ablation."""
     if key == "noises":
         return [float(value)]
     if key == "ablations" and value == NO_ABLATION:
@@ -251,7 +253,7 @@ def _check_keys(table: dict[str, Any], what: str, needed: set[str], optional: se
 
 @contextmanager
 def _named(label: str) -> Iterator[None]:
-    """Put what it is about in front of a refusal."""
+    """Prefix the message of an error with the name of its subject."""
     try:
         yield
     except ValueError as error:

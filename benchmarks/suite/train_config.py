@@ -1,4 +1,4 @@
-"""The ``[train]`` table of a suite: what is learned from, how long, and what it is tried on."""
+"""The ``[train]`` table of a suite: training data, duration, and evaluation."""
 
 import math
 from collections.abc import Callable
@@ -12,14 +12,14 @@ Pose = Literal["true", "odometry", "belief"]
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of the training.
+    """A phase of the training.
 
     Attributes
     ----------
     pose
-        By which pose the robots' grids are drawn (see `benchmarks.training.explore_env.ExploreConfig`).
+        The pose by which the robots' grids are drawn (see `benchmarks.training.explore_env.ExploreConfig`).
     decisions
-        How many are made in it, by all robots together.
+        Number of decisions in the phase, over all robots.
     """
 
     pose: Pose
@@ -33,7 +33,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Plans:
-    """Floor plans by their seeds: ``count`` of them from ``first`` on."""
+    """Floor plans by their seeds: ``count`` successive seeds from ``first``."""
 
     first: int
     count: int
@@ -44,42 +44,44 @@ class Plans:
 
     @property
     def seeds(self) -> range:
-        """The seeds."""
+        """The seeds of the floor plans."""
         return range(self.first, self.first + self.count)
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """A training by PPO (Schulman et al. 2017), with a fixed budget.
+    """The settings of a training by PPO (Schulman et al. 2017) with a fixed budget.
 
     Attributes
     ----------
     phases
-        One after the other; each leaves its weights.
+        The successive phases; each phase writes its weights.
     plans, held_out
-        Floor plans to learn on, and others to be tried on now and then.
+        Floor plans for training, and floor plans for periodic evaluation.
     noise
         Standard deviation of the ranges, m.
     robots, rollout
-        How many drive at once, and how many decisions of each make a rollout.
+        Number of robots that drive at once, and number of decisions of each robot in a rollout.
     batch, epochs, learning_rate, gamma, entropy
-        Of PPO; learning rate and weight of the entropy go down to a twentieth.
+        Parameters of PPO. Learning rate and entropy weight decrease to a twentieth.
     coverage_goal, max_time
-        An episode ends when so much is seen, or after so long, s.
+        An episode ends at this coverage, or after this time, s.
     time_cost, collision_cost
-        Taken off the reward, new area in m^2, for each step of 0.1 s, and for each of them in contact.
+        Costs that are subtracted from the reward (new area in m^2) for each step of 0.1 s, and for each such step in
+        contact.
     try_every
-        Decisions between two trials on the held-out plans.
+        Number of decisions between two evaluations on the held-out plans.
     minutes
-        Processor time after which training stops in any case: on a machine that is busy otherwise, too, the same budget
-        gives the same policy. One thread does the work, so that on an idle machine it is the time by the clock.
+        Processor time after which training always stops, min. With processor time, the same budget gives the same
+        policy on a busy machine, too. One thread does the work, so that on an idle machine processor time equals
+        wall-clock time.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
 
     Raises
     ------
     ValueError
-        If a number is out of bounds, or a plan serves for learning and for being tried on.
+        If a number is out of bounds, or a plan is used both for training and for evaluation.
     """
 
     phases: tuple[Phase, ...]
@@ -117,12 +119,12 @@ class TrainConfig:
             raise ValueError("held_out: shares floor plans with those that are learned on")
 
     def check_apart(self, jobs: list[Job]) -> None:
-        """Make sure that no job is run on a floor plan that was learned on.
+        """Check that no job uses a floor plan of the training.
 
         Raises
         ------
         ValueError
-            If one is.
+            If a job uses such a floor plan.
         """
         for job in jobs:
             seed = job.world.removeprefix(RANDOM)
@@ -131,12 +133,12 @@ class TrainConfig:
 
 
 def train_config(table: Any) -> TrainConfig:
-    """The training that a table describes. What is not understood is refused.
+    """The training that a table describes. Unknown content raises an error.
 
     Raises
     ------
     ValueError
-        If the table is no training; the message names the key.
+        If the table is not a valid training; the message names the key.
     """
     known = _table(table, TrainConfig, "a training")
     phases = known.get("phases")

@@ -1,4 +1,4 @@
-"""How a job runs: its world, its log, its scores, and what it leaves for the plots."""
+"""The execution of a job: its world or log, its scores, and its series for the plots."""
 
 import functools
 import hashlib
@@ -31,7 +31,7 @@ def data_folder() -> Path:
     Raises
     ------
     ValueError
-        If there is none.
+        If there is no such folder.
     """
     folder = Path(os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
     if not folder.is_dir():
@@ -55,15 +55,15 @@ def data_file(name: str) -> Path:
     return path
 
 
-# Plans are drawn, and their free space is found, once for all of their seeds.
+# The plan and its free space are computed once for all seeds of the plan.
 @functools.lru_cache(maxsize=8)
 def world_source(world: str) -> WorldSource:
-    """What ``load_world`` takes for a job's world.
+    """The argument of ``load_world`` for a job's world.
 
     Raises
     ------
     ValueError
-        If the text names no floor plan.
+        If the text does not name a floor plan.
     """
     if world.startswith(RANDOM):
         return load_world(world)
@@ -73,12 +73,12 @@ def world_source(world: str) -> WorldSource:
 
 
 def contents(jobs: Iterable[Job]) -> dict[str, str]:
-    """Digests of the worlds and the logs that jobs stand on, by their names.
+    """Digests of the worlds and logs that jobs use, by their names.
 
     Raises
     ------
     ValueError
-        If one of them is missing, or cannot be used.
+        If a world or log is missing or invalid.
     """
     jobs = list(jobs)
     worlds = {job.world: load_world(world_source(job.world)).digest for job in jobs if job.log is None}
@@ -88,12 +88,12 @@ def contents(jobs: Iterable[Job]) -> dict[str, str]:
 
 
 def check_log(source: LogSource) -> None:
-    """Refuse a log that is not there, or options that cannot be.
+    """Check that a log exists and that its options are valid.
 
     Raises
     ------
     ValueError
-        If so.
+        If the log does not exist or an option is invalid.
     """
     for name in (source.file, source.relations):
         if name is not None:
@@ -106,12 +106,12 @@ def check_log(source: LogSource) -> None:
 
 
 def run_config(job: Job) -> RunConfig:
-    """What is run for a job that is no log.
+    """The run configuration of a job that is not a log.
 
     Raises
     ------
     ValueError
-        If it cannot be run.
+        If the job cannot be run.
     """
     return RunConfig(
         world_source(job.world), job.noise, job.preset, job.seed, job.max_time, job.laps,
@@ -120,12 +120,12 @@ def run_config(job: Job) -> RunConfig:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a job and score it. All that is random comes from the job's seed.
+    """Run a job and score it. All random numbers depend on the job's seed only.
 
     Raises
     ------
     ValueError
-        If it cannot be run.
+        If the job cannot be run.
     """
     begin, begin_cpu = time.perf_counter(), time.process_time()
     outcome = _simulated(run_config(job)) if job.log is None else _replayed(job, job.log)
@@ -183,19 +183,19 @@ def _odometry(source: LogSource) -> OdometryConfig:
 
 
 def file_digest(path: Path) -> str:
-    """A name for a file's content."""
+    """Digest of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def _each_second(times: FloatArray) -> Any:
-    """Indices of the first row in each period, and of the last row of all. Logs may step back in time."""
+    """Indices of the first row in each period, and of the last row. The times of a log may decrease."""
     latest = np.maximum.accumulate(times - times[0])
     _, first = np.unique(np.floor(latest / SERIES_PERIOD + 1e-9), return_index=True)
     return np.union1d(first, [len(times) - 1])
 
 
 def _plain(scores: Mapping[str, Any]) -> dict[str, Metric]:
-    """Metrics as JSON can say them: plain numbers, and None for what is not finite."""
+    """Metrics as JSON values: plain numbers, and None for values that are not finite."""
     plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in scores.items()}
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in plain.items()

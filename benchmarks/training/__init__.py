@@ -1,1 +1,1 @@
-"""Training of the learned explorer, and its comparison with others."""
+"""Training of the learned exploration policy, and its comparison with other policies."""

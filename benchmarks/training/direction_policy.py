@@ -1,4 +1,4 @@
-"""The trainable twin of `DirectionNetwork`, as Stable-Baselines3's PPO takes it."""
+"""The trainable version of `DirectionNetwork`, for PPO of Stable-Baselines3."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,16 +17,16 @@ _SMALL = 0.01
 
 
 class DirectionExtractor(nn.Module):
-    """Convolutions round the circle: a score for each direction, and a summary for the value.
+    """Circular convolutions that give a score for each direction, and features for the value.
 
     Parameters
     ----------
     view
         Shape of the view.
     readings
-        Numbers that follow the view in an observation.
+        Number of entries that follow the view in an observation.
     width
-        Channels.
+        Number of channels.
     """
 
     def __init__(self, view: ViewConfig, readings: int, width: int = WIDTH) -> None:
@@ -44,7 +44,7 @@ class DirectionExtractor(nn.Module):
         self.register_buffer("compass", compass)
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores (n, directions) and what the value is made from (n, 64)."""
+        """Scores (n, directions), and features for the value (n, 64)."""
         features, state = self._trunk(observation)
         return self.score(features)[:, 0], self._summary(features, state)
 
@@ -53,7 +53,7 @@ class DirectionExtractor(nn.Module):
         return torch.as_tensor(self.score(self._trunk(observation)[0])[:, 0])
 
     def forward_critic(self, observation: Tensor) -> Tensor:
-        """What the value is made from (n, 64)."""
+        """Features for the value (n, 64)."""
         return self._summary(*self._trunk(observation))
 
     def _trunk(self, observation: Tensor) -> tuple[Tensor, Tensor]:
@@ -69,7 +69,7 @@ class DirectionExtractor(nn.Module):
         return torch.as_tensor(self.value(torch.cat((features.mean(dim=2), features.amax(dim=2), state), dim=1)))
 
     def to_numpy(self) -> DirectionNetwork:
-        """The policy as it runs on a robot."""
+        """The policy in the form that a robot runs."""
         weights = {
             f"{layer}.{part}": getattr(getattr(self, layer), part).detach().cpu().numpy().copy()
             for layer in LAYERS
@@ -86,12 +86,12 @@ def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
 
 
 class DirectionPolicy(ActorCriticPolicy):
-    """Actor and critic on one trunk; the scores are the logits.
+    """Actor and critic with shared layers; the scores are the logits.
 
     Parameters
     ----------
     *args, **kwargs
-        As Stable-Baselines3 gives them.
+        Arguments from Stable-Baselines3.
     view
         Shape of the view.
     """
@@ -107,7 +107,8 @@ class DirectionPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Callable[[float], float]) -> None:
         super()._build(lr_schedule)
-        # There is nothing to be learned between scores and logits. A small last layer starts from an even choice.
+        # No parameters are needed between scores and logits. Small initial weights of the last layer give nearly equal
+        # probabilities.
         self.action_net = nn.Identity()
         with torch.no_grad():
             self.mlp_extractor.score.weight.mul_(_SMALL)

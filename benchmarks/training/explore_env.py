@@ -1,4 +1,4 @@
-"""The batched environment as a learned explorer sees it: polar views of its own grid, headings as actions."""
+"""The batched environment for a learned explorer: polar views of each robot's grid, and headings as actions."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -23,24 +23,24 @@ from limslam_env.interface import NominalNoise, RobotSpec
 PoseSource = Literal["true", "odometry", "belief"]
 
 SIDE = 256
-"""Cells of a grid, which reaches half as far from the start."""
+"""Cells along a side of a grid, which extends half as far from the start."""
 
 
 @dataclass(frozen=True)
 class ExploreConfig:
-    """How a learned explorer looks and drives.
+    """The observation and the motion of a learned explorer.
 
     Attributes
     ----------
     view, drive, grid
-        As for `LearnedPolicy` and the agent's grid.
+        Settings as for `LearnedPolicy` and for the agent's grid.
     pose
-        By which pose the grid is drawn: the ``true`` one, which no robot knows; by ``odometry``, what the wheels say
-        since the start; by ``belief``, what the consistent estimator believes after the same readings.
+        The pose by which the grid is drawn. ``true`` is the true pose, which no robot knows. ``odometry`` is the pose
+        from wheel odometry since the start. ``belief`` is the pose of the consistent estimator after the same readings.
     range_std
-        What the estimator is told of the ranges' noise, m.
+        Standard deviation of the ranges that the estimator assumes, m.
     reward_scale
-        Of the environment's rewards.
+        Scale factor of the environment's rewards.
     """
 
     view: ViewConfig = field(default_factory=ViewConfig)
@@ -52,23 +52,24 @@ class ExploreConfig:
 
 
 class ExploreVectorEnv(gym.vector.VectorWrapper):
-    """Many robots that each draw a grid of what their noisy beams see, and are told where to head.
+    """Many robots, each with an occupancy grid from its noisy ranges, whose actions are headings.
 
-    An action is the number of a direction, counter-clockwise from ahead; the robot turns there and drives as fast as it
-    can for ``drive.hold`` steps, and its bumper keeps it off what it has seen. The reward is the sum of the steps'.
+    An action is the number of a direction, counter-clockwise from straight ahead. The robot turns to this direction and
+    drives at full speed for ``drive.hold`` steps. Its collision guard keeps it away from observed obstacles. The reward
+    is the sum of the rewards of the steps.
 
     Parameters
     ----------
     env
-        Environments that end an episode and begin the next one in the same step, for the default robot's kind:
+        Environments that end an episode and begin the next episode in the same step, with the default kind of robot:
         observations with ``ranges`` (n, n_beams) and ``wheels`` (n, 2), info with ``pose`` (n, 3).
     config
-        How it looks and drives.
+        Settings of observation and motion.
 
     Raises
     ------
     ValueError
-        If the environments begin their episodes otherwise, or do not tell what their robot is.
+        If the environments begin episodes in another way, or do not describe their robot.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], config: ExploreConfig | None = None) -> None:
@@ -106,7 +107,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin again with empty grids."""
+        """Reset all environments and empty the grids."""
         told, info = self.env.reset(seed=seed, options=options)
         everywhere = np.ones(self.num_envs, dtype=bool)
         self._begin(everywhere, told, info)
@@ -115,7 +116,10 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[NDArray[np.float32], FloatArray, BoolArray, BoolArray, dict[str, Any]]:
-        """Head where ``actions`` (n,) say for some steps; where an episode ends before, its robot waits in the next."""
+        """Drive with headings ``actions`` (n,) for some steps.
+
+        A robot whose episode ends early waits in its next episode.
+        """
         headings = self._poses[:, 2] + np.asarray(actions) * (2.0 * np.pi / self.config.view.directions)
         rewards, wheels = np.zeros(self.num_envs), np.zeros((self.num_envs, 2), dtype=np.float32)
         terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
@@ -144,9 +148,9 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         )
 
     def _begin(self, which: BoolArray, told: dict[str, Any], info: dict[str, Any]) -> None:
-        """Empty the grids of robots that start anew, and take in the first readings."""
+        """Empty the grids of robots that start an episode, and add the first readings."""
         self._values[which], self._ages[which], self._slots[which] = 0, -1, 0
-        # The start pose is what a robot is told of the truth.
+        # The start pose is the only part of the ground truth that a robot receives.
         self._poses[which] = info["pose"][which]
         self._corners[which] = np.floor(self._poses[which, :2] / self.config.grid.cell).astype(np.int64) - SIDE // 2
         self._boxes[which] = (SIDE, 0, SIDE, 0)
@@ -175,14 +179,14 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         else:
             left, right = np.asarray(told["wheels"][which], dtype=float).T
             half = 0.5 * (right - left) / self.robot.axle
-            # sinc of numpy is that of pi x.
+            # numpy's sinc(x) is sin(pi x) / (pi x).
             chord, middle = 0.5 * (left + right) * np.sinc(half / np.pi), self._poses[which, 2] + half
             ahead = np.column_stack((chord * np.cos(middle), chord * np.sin(middle)))
             self._poses[which, :2] += ahead
             self._poses[which, 2] = wrap_angle(middle + half)
 
     def _finish(self, which: BoolArray, info: dict[str, Any], final: NDArray[Any]) -> None:
-        """Take in the last readings of episodes that end, for a last look."""
+        """Add the last readings of episodes that end, for the final observation."""
         last = {"ranges": np.zeros_like(self._ranges), "wheels": np.zeros((self.num_envs, 2), dtype=np.float32)}
         for robot in np.flatnonzero(which):
             for key, values in last.items():

@@ -1,7 +1,7 @@
-"""The inner loops of training, compiled by numba: many robots' grids, collision guards and polar views at once.
+"""The inner loops of training, compiled by numba: grids, collision guards and polar views of many robots at once.
 
-Each does what a part of ``limslam_agent`` does for one robot, and tests hold it to that: ``mark_grid`` is
-`OccupancyGrid.update`, ``note_touch`` and ``soften`` are `CollisionGuard`'s, ``look`` is `polar_view.observe`.
+Each function does what a part of ``limslam_agent`` does for one robot, and tests compare the results: ``mark_grid``
+with `OccupancyGrid.update`, ``note_touch`` and ``soften`` with `CollisionGuard`, ``look`` with `polar_view.observe`.
 Grids are squares with the robot's start in the middle, so that they need not grow.
 """
 
@@ -42,28 +42,28 @@ def mark_grid(
     radius: float,
     rules: FloatArray,
 ) -> None:
-    """Update one robot's grid by its readings (n_beams,), m.
+    """Update one robot's grid with its readings (n_beams,), m.
 
     Parameters
     ----------
     values
-        (side, side), changed: positive is free, negative is occupied, 0 is unknown.
+        Cells (side, side), changed: positive is free, negative is occupied, 0 is unknown.
     corner
         Column and row of the lower left cell, counted from the world's origin.
     box
-        First row, row past the last, first column, and column past the last of the known cells; changed.
+        First row, row after the last, first column, and column after the last of the known cells; changed.
     stamps, stamp
-        Scratch (side, side), and a number that it does not contain yet.
+        Working array (side, side), and a number that the array does not contain yet.
     pose
-        (3,), m and rad, at which the readings are placed.
+        Pose (3,) at which the readings were taken, m and rad.
     measured
-        Which readings (n_beams,) are used.
+        Mask (n_beams,) of the readings that are used.
     beams
-        (n_beams, 6): origin x, y (m), direction x, y, and the readings (m) up to and from which nothing is measured.
+        Origin x, y (m), direction x, y, and least and largest measurable range (m) of each beam (n_beams, 6).
     radius
-        Of the body, m.
+        Radius of the body, m.
     rules
-        Side of a cell (m), what a beam adds to a cell that it crosses, what it subtracts where it ends, and the limit.
+        Side of a cell (m), increment of a crossed cell, decrement of the cell at the end of a beam, and the limit.
     """
     side = len(values)
     cells = touched_cells(pose, ranges, measured, beams, radius, rules[0])
@@ -82,13 +82,13 @@ def mark_grid(
 def note_touch(
     points: FloatArray, ages: IntArray, slot: int, pose: FloatArray, ranges: ReadingArray, beams: FloatArray
 ) -> None:
-    """Remember where the beams ended.
+    """Store the end points of the beams.
 
     Parameters
     ----------
     points, ages
-        (MEMORY, n_beams, 2), m, and (MEMORY, n_beams): the step after which each is forgotten; row ``slot`` modulo
-        MEMORY is overwritten.
+        End points (MEMORY, n_beams, 2), m, and the step (MEMORY, n_beams) after which each point is forgotten. Row
+        ``slot`` modulo MEMORY is overwritten.
     slot
         Number of this step.
     pose, ranges, beams
@@ -119,7 +119,7 @@ def soften(
     turn: float,
     radius: float,
 ) -> float:
-    """The speed (m/s) that there is room for when ``speed`` and ``turn`` (rad/s) are wanted."""
+    """The largest safe speed (m/s) when ``speed`` and ``turn`` (rad/s) are requested."""
     heading = pose[2] + 0.5 * turn * LOOK_AHEAD
     way_x, way_y = speed * LOOK_AHEAD * math.cos(heading), speed * LOOK_AHEAD * math.sin(heading)
     for share in _STOPPING_SHARES:
@@ -150,10 +150,10 @@ def frontier_steps(
     tolls: NDArray[np.int32],
     queue: NDArray[np.int32],
 ) -> int:
-    """Fill ``steps`` (side, side) within the box with the cost of the way to the nearest frontier; how many there are.
+    """Fill ``steps`` (side, side) within the box with the path cost to the nearest frontier; return the frontier count.
 
-    In half cells, as `polar_view.frontier_distance` counts; a very large number where no way leads. ``tolls``
-    (side, side) and ``queue`` (more than side * side,) are scratch.
+    The unit is half a cell, as in `polar_view.frontier_distance`. Cells without a path have a very large cost.
+    ``tolls`` (side, side) and ``queue`` (more than side * side,) are working arrays.
     """
     side = len(values)
     head, tail, size = 0, 0, len(queue)
@@ -175,7 +175,7 @@ def frontier_steps(
             queue[tail] = row * side + column
             tail += 1
     sources = tail
-    # Labels are corrected until nothing changes: with three prices that is as fast as a heap.
+    # Labels are corrected until nothing changes. With three prices, this is as fast as a heap.
     while head != tail:
         cell = queue[head]
         head = (head + 1) % size
@@ -223,10 +223,10 @@ def look(
     cell: float,
     view: NDArray[np.float32],
 ) -> None:
-    """Fill ``view`` with the polar view (3 * rings * directions,) and, behind it, the way to a frontier (2,).
+    """Fill ``view`` with the polar view (3 * rings * directions,), followed by the way to a frontier (2,).
 
-    ``samples`` (rings * directions * 6, 2), m, lie in the robot's frame; ``radii`` (rings,), m, belong to the rings;
-    ``steps`` is what :func:`frontier_steps` has filled.
+    ``samples`` (rings * directions * 6, 2), m, are in the robot's frame. ``radii`` (rings,) are the radii of the rings,
+    m. ``steps`` is the result of :func:`frontier_steps`.
     """
     rings = len(radii)
     directions = len(samples) // (6 * rings)
@@ -278,9 +278,9 @@ def take_in(
     radius: float,
     rules: FloatArray,
 ) -> None:
-    """Grids and collision guards of the robots ``which`` (n,) take in a step's readings (n, n_beams) at poses (n, 3).
+    """Add a step's readings (n, n_beams) at poses (n, 3) to grids and collision guards of the robots ``which`` (n,).
 
-    ``stamps`` (side, side) is scratch that all robots share: robot i uses ``stamp + i``.
+    ``stamps`` (side, side) is a working array of all robots: robot i uses ``stamp + i``.
     """
     measured = np.ones(ranges.shape[1], dtype=np.bool_)
     for robot in range(len(poses)):
@@ -303,10 +303,10 @@ def steer(
     drive: FloatArray,
     wheels: NDArray[np.float32],
 ) -> None:
-    """Fill ``wheels`` (n, 2), shares of the maximum, of robots at poses (n, 3) that are to go where ``headings`` say.
+    """Fill ``wheels`` (n, 2), shares of the maximum speed, of robots at poses (n, 3) that drive towards ``headings``.
 
-    ``headings`` (n,), rad. ``drive``: gain of the turn (1/s), fastest turn (rad/s), top wheel speed (m/s), axle (m),
-    radius (m).
+    ``headings`` (n,) are in rad. ``drive`` contains the gain of the turn (1/s), the fastest turn (rad/s), the top wheel
+    speed (m/s), the axle (m) and the radius (m).
     """
     top, axle = drive[2], drive[3]
     for robot in range(len(poses)):
@@ -336,7 +336,7 @@ def look_round(
     max_ranges: FloatArray,
     views: NDArray[np.float32],
 ) -> None:
-    """Fill ``views`` (n, size) of the robots ``which`` (n,), as `polar_view.observe` puts them together."""
+    """Fill ``views`` (n, size) of the robots ``which`` (n,), with the layout of `polar_view.observe`."""
     first = 3 * (len(samples) // 6)
     for robot in range(len(poses)):
         if which[robot]:

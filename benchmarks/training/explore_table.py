@@ -1,4 +1,4 @@
-"""Coverage over time of explorers on the same floor plans: a table with intervals, and a figure."""
+"""Coverage over time of exploration policies on the same floor plans: a table with intervals, and a figure."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ LABELS = {
     "learned": "PPO on belief",
     "learned_true_pose": "PPO on true pose (oracle)",
 }
-"""What policies are called, in the order of the table."""
+"""The displayed names of the policies, in the order of the table."""
 
 GOAL, NOTHING = 0.8, "\N{EN DASH}"
 MOMENTS = (30.0, 60.0, 90.0, 120.0, 180.0, 240.0)
@@ -40,11 +40,11 @@ class Curves:
     plans
         Names of the floor plans (n,).
     time
-        (k,), s.
+        Times (k,), s.
     coverage
-        (n, k), 0 to 1. A run that ended before has the coverage that it ended with.
+        Coverage (n, k), 0 to 1. A run that ended earlier keeps its last coverage.
     collisions
-        (n,), how often something was touched.
+        Number of contacts in each run (n,).
     """
 
     plans: tuple[str, ...]
@@ -54,18 +54,18 @@ class Curves:
 
     @property
     def times(self) -> FloatArray:
-        """When each plan (n,) was covered to the goal, s; the last time for those that were not by then."""
+        """The time (n,) at which the coverage of each plan reached the goal, s; the last time if it never did."""
         reached = self.coverage >= GOAL
         return np.asarray(np.where(reached.any(axis=1), self.time[reached.argmax(axis=1)], self.time[-1]))
 
 
 def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
-    """The curves of each policy in folders of results, in the table's order; of a plan that comes twice, the first.
+    """The curves of each policy in folders of results, in the table's order. Of repeated plans, the first is used.
 
     Raises
     ------
     ValueError
-        If there are none.
+        If there are no curves.
     """
     found: dict[str, dict[str, tuple[FloatArray, FloatArray, float]]] = {}
     for folder in folders:
@@ -99,7 +99,10 @@ def _course(folder: Path, row: Row) -> tuple[FloatArray, FloatArray, float] | No
 
 
 def curve_table(curves: Mapping[str, Curves]) -> str:
-    """Markdown: medians with 95 % bootstrap intervals, and the time that is gained on frontier explorers, by plan."""
+    """Markdown table of medians with 95 % bootstrap intervals, and of the time saved relative to frontier exploration.
+
+    The time saved is compared plan by plan.
+    """
     last = next(iter(curves.values())).time[-1]
     moments = [moment for moment in MOMENTS if moment <= last]
     head = [
@@ -153,7 +156,7 @@ def _words(estimate: Estimate | None, digits: int, last: float = math.inf) -> st
 
 
 def draw_curves(curves: Mapping[str, Curves], path: Path) -> None:
-    """Write a figure: median coverage over time, and the band that half of the plans lie in."""
+    """Write a figure with the median coverage over time, and a band that contains half of the plans."""
     figure, [[axes]] = sheet_of(1, 1, (6.4, 3.8))
     handles: list[Line2D] = []
     for number, (policy, curve) in enumerate(curves.items()):

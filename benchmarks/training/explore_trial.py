@@ -1,4 +1,4 @@
-"""How soon a learned explorer sees floor plans that it has not learned on, many of them at once."""
+"""Evaluation of a learned explorer on many floor plans that were not used in training."""
 
 from collections.abc import Sequence
 
@@ -14,18 +14,18 @@ from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_pla
 
 
 class Trial:
-    """The same plans again and again.
+    """Repeated evaluation on the same plans.
 
     Parameters
     ----------
     seeds
-        Of the floor plans.
+        Seeds of the floor plans.
     noise
         Standard deviation of the ranges, m.
     config
-        How the robots look and drive.
+        Settings of observation and motion.
     longest
-        Time that each has, s.
+        Duration of each episode, s.
     """
 
     def __init__(self, seeds: Sequence[int], noise: float, config: ExploreConfig, longest: float = 240.0) -> None:
@@ -40,16 +40,16 @@ class Trial:
         self._decisions = round(longest / self.period)
 
     def coverage(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> FloatArray:
-        """The share that was seen (plans, decisions + 1), after each decision.
+        """The coverage (plans, decisions + 1) after each decision.
 
-        ``temperature``: directions are drawn by their scores over this; 0 takes the best one.
+        Directions are drawn with the softmax of scores / ``temperature``; 0 takes the direction with the best score.
         """
         generator = np.random.default_rng(seed)
         told, info = self._env.reset(seed=seed)
         rows = [info["coverage"].copy()]
         for _ in range(self._decisions):
             scores = np.stack([network.scores(row) for row in told]).astype(float)
-            # The largest of scores with Gumbel noise is drawn by its softmax.
+            # The argmax of scores with added Gumbel noise is a sample from their softmax.
             chosen = (scores + temperature * generator.gumbel(size=scores.shape)).argmax(axis=1)
             told, _, _, _, info = self._env.step(chosen)
             rows.append(info["coverage"].copy())
@@ -57,6 +57,9 @@ class Trial:
 
 
 def times_to(coverage: FloatArray, goal: float, period: float) -> FloatArray:
-    """When each plan (n,) was covered to a share, s; rows (n, k) are ``period`` (s) apart. Infinite for never."""
+    """The time (n,) at which each plan reached a coverage, s; infinity if it never did.
+
+    The columns of ``coverage`` (n, k) are ``period`` (s) apart.
+    """
     reached = coverage >= goal
     return np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)

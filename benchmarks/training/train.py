@@ -1,7 +1,7 @@
 """``python -m benchmarks train``: PPO on the batched environment, for a fixed budget (extra ``rl``).
 
-What is learned is `DirectionNetwork`. The reward is newly seen area by the truth, which a
-simulator knows; what the policy looks at is what a robot has, but for the phases whose pose is the true one.
+The trained network is `DirectionNetwork`. The reward is the newly seen area according to the ground truth of the
+simulator. The observations are those of a robot, except in phases with the true pose.
 """
 
 import json
@@ -38,33 +38,34 @@ SAVE_EVERY = 60.0
 
 @dataclass
 class Progress:
-    """How far a training is: decisions made, and processor time spent (s)."""
+    """The progress of a training: number of decisions, and processor time (s)."""
 
     decisions: int = 0
     spent: float = 0.0
 
 
 def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
-    """Train, and leave weights, checkpoint, TensorBoard logs and trials in a folder.
+    """Train a policy, and write weights, checkpoint, TensorBoard logs and evaluations to a folder.
 
     Parameters
     ----------
     config
-        What is learned.
+        Settings of the training.
     folder
-        Where to; made if it is not there.
+        Folder for the output; created if it does not exist.
     resume
-        Go on from the folder's checkpoint.
+        Continue from the checkpoint in the folder.
 
     Returns
     -------
     weights
-        Those of the last phase that there was time for.
+        Weights of the last phase that was reached within the time limit.
 
     Raises
     ------
     ValueError
-        If the folder holds a training and is not to be resumed, or there is none to resume, or it is another one.
+        If the folder contains a training and ``resume`` is false, or contains no training to resume, or another
+        training.
     """
     saved = _claim(config, folder, resume=resume)
     torch.set_num_threads(1)
@@ -82,11 +83,12 @@ def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
             if number:
                 model.set_env(_batch(config, phase))
             keeper = _Keeper(config, phase, folder, progress)
-            # The learning rate falls over all decisions up to the phase's end: later phases begin low.
+            # The learning rate decreases over all decisions up to the end of the phase: later phases begin with a low
+            # rate.
             model.learn(end - progress.decisions, callback=keeper, reset_num_timesteps=False, tb_log_name=phase.pose)
             keeper.keep()
             save_network(folder / f"{_name(phase.pose)}.npz", _network(model))
-        # When the time is over before its turn, a phase leaves none.
+        # A phase that does not begin within the time limit writes no weights.
         if (folder / f"{_name(phase.pose)}.npz").exists():
             weights = folder / f"{_name(phase.pose)}.npz"
     return weights
@@ -97,13 +99,13 @@ def _name(pose: Pose) -> str:
 
 
 def _claim(config: TrainConfig, folder: Path, *, resume: bool) -> dict[str, Any] | None:
-    """The checkpoint to go on from, if any. A folder belongs to one training."""
+    """The checkpoint for resuming, if there is one. A folder belongs to one training."""
     asked = json.loads(json.dumps(asdict(config)))
     path = folder / CONFIG
     if resume:
         try:
             known = json.loads(path.read_text(encoding="utf-8"))["config"]
-            # Tensors and numbers only: loading runs nothing.
+            # The checkpoint contains only tensors and numbers: loading it executes no code.
             saved: dict[str, Any] = torch.load(folder / CHECKPOINT, weights_only=True)
         except (OSError, ValueError, KeyError, RuntimeError, EOFError) as error:
             raise ValueError(f"{folder}: no training to resume: {error}") from error
@@ -143,7 +145,7 @@ def _network(model: PPO) -> DirectionNetwork:
 
 
 class _Keeper(BaseCallback):
-    """Keeps the time, checkpoints, and tries the policy on the held-out plans."""
+    """Measures the time, writes checkpoints, and evaluates the policy on the held-out plans."""
 
     def __init__(self, config: TrainConfig, phase: Phase, folder: Path, progress: Progress) -> None:
         super().__init__()
@@ -188,7 +190,7 @@ class _Keeper(BaseCallback):
             self._trial = Trial(config.held_out.seeds, config.noise, explore)
         coverage = self._trial.coverage(_network(self.model), TEMPERATURE)
         times = times_to(coverage, GOAL, self._trial.period)
-        # Of a time that half of the plans did not reach, there is no median.
+        # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
         self._note()
         row = {

@@ -1,4 +1,4 @@
-"""Settings of the graph of local maps, one frozen dataclass a stage. One setting serves all logs; m and rad."""
+"""Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all logs; m and rad."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,14 +10,14 @@ _DEGREE = math.pi / 180.0
 
 @dataclass(frozen=True)
 class KeyPoseConfig(Bounded):
-    """Which poses of a log are estimated, and which of its scans are used.
+    """The choice of the poses of a log that are estimated, and of the scans that are used.
 
     Attributes
     ----------
     distance, turn
-        A new key pose begins after so much driving (m) or turning (rad).
+        A new key pose begins after this distance driven (m) or this turn (rad).
     scan_distance, scan_turn
-        A scan gives points only if the robot has moved (m) or turned (rad) so much since the last one that did.
+        A scan gives points only after this motion (m) or turn (rad) since the last scan that gave points.
     """
 
     distance: Positive = 0.25
@@ -28,22 +28,22 @@ class KeyPoseConfig(Bounded):
 
 @dataclass(frozen=True)
 class MotionConfig(Bounded):
-    """How far odometry is trusted, and what is known of its constant errors beforehand.
+    """The uncertainty of odometry, and the prior of its constant errors.
 
     Attributes
     ----------
     along, across
-        Standard deviation of the motion in m for the square root of a metre driven.
+        Standard deviation of the motion, m per square root of a metre driven.
     slip
-        Of both in m for the square root of a radian turned.
+        Standard deviation of both components, m per square root of a radian turned.
     turn_per_metre, turn_per_radian
-        Of the heading in rad for the square root of a metre driven and of a radian turned.
+        Standard deviation of the heading, rad per square root of a metre driven and of a radian turned.
     least_position, least_turn
         Least standard deviations between two key poses, m and rad.
     bias_std
-        Prior standard deviation of the heading that odometry misses on each metre, rad/m.
+        Prior standard deviation of the missing heading of odometry per metre, rad/m.
     scale_std, turn_gain_std
-        Prior standard deviations of the shares by which distances and turns are wrong.
+        Prior standard deviations of the relative errors of distances and turns.
     """
 
     along: NonNegative = 0.05
@@ -60,25 +60,25 @@ class MotionConfig(Bounded):
 
 @dataclass(frozen=True)
 class LinkConfig(Bounded):
-    """Normals of points, and links from points to the line through another point.
+    """Normals of points, and links from points to the lines through other points.
 
     Attributes
     ----------
     normal_radius, normal_travel
-        Neighbours of a point within this distance (m) and this much driving (m) give its normal.
+        Neighbours of a point within this distance (m) and this distance driven (m) determine its normal.
     min_neighbours, min_spread, max_thickness, max_ratio, min_incidence
         Fewest neighbours; least standard deviation along and largest across the line (m); largest ratio of the two
         variances; least sine of the angle between beam and wall.
     radius, min_travel, travel
-        Points are linked within this distance (m) and between these lengths of driving (m).
+        Points are linked within this distance (m) and between these distances driven (m).
     bands
-        Inner borders of the bands of driving, m; the nearest point of each band is linked.
+        Inner borders of the bands of distance driven, m; the nearest point of each band is linked.
     min_cosine, max_offset
         Least cosine between the normals, and largest distance from the line as a share of ``radius``.
     std, kernel
-        Standard deviation of a link (m), and the residual in standard deviations where the Geman-McClure kernel bends.
+        Standard deviation of a link (m), and the scale of the Geman-McClure kernel in standard deviations.
     cross_travel, cross_min_cosine
-        Links between visits: least driving between the points (m), and least cosine between the normals.
+        Links between visits: least distance driven between the points (m), and least cosine between the normals.
     """
 
     normal_radius: Positive = 0.4
@@ -102,22 +102,22 @@ class LinkConfig(Bounded):
 
 @dataclass(frozen=True)
 class WallLineConfig(Bounded):
-    """Straight walls found by a Hough transform in windows of driving.
+    """Straight walls, found by a Hough transform in windows of distance driven.
 
     Attributes
     ----------
     window, first_window
-        Length of a window (m), and of those of the first iteration; windows overlap by half.
+        Length of a window (m), and length of the windows of the first iteration (m); windows overlap by half.
     tolerance
         Largest distance of a point from its line, m.
     offset_bin, angle_bin, spread
-        Bins of the Hough space (m, rad), and how many angle bins a point votes for on either side.
+        Bins of the Hough space (m, rad), and the number of angle bins on either side that a point votes for.
     min_points, min_length, max_gap, max_angle
         Fewest points, least length (m), largest gap along the line (m), largest angle between normals (rad).
     max_lines, max_tries
-        Most lines in a window, and peaks looked at.
+        Largest number of lines in a window, and largest number of peaks that are tested.
     std, inflation
-        Standard deviation of a point about its line (m), and the factor by which it is enlarged.
+        Standard deviation of a point about its line (m), and its inflation factor.
     """
 
     window: Positive = 10.0
@@ -138,7 +138,7 @@ class WallLineConfig(Bounded):
 
 @dataclass(frozen=True)
 class SmoothingConfig(Bounded):
-    """Iterations of the local smoothing with links alone, and with links and lines."""
+    """Number of iterations of the local smoothing with links alone, and with links and lines."""
 
     link_iterations: Count = 5
     line_iterations: Count = 10
@@ -151,11 +151,11 @@ class LocalMapConfig(Bounded):
     Attributes
     ----------
     half
-        Driving to either side of a chunk's middle, m.
+        Distance driven on either side of a chunk's middle, m.
     hop
-        Driving between the middles of successive chunks, m.
+        Distance driven between the middles of successive chunks, m.
     cell, hit_radius
-        Side of a cell, and how far around a point cells count as hit, m.
+        Side of a cell, and radius around a point in which cells are occupied, m.
     """
 
     half: Positive = 3.5
@@ -173,9 +173,9 @@ class MatchConfig(Bounded):
     block
         Width of the coarse search's blocks, cells.
     prior
-        What a match at the border of its window loses, for shift and turn each.
+        Penalty of a match at the border of its window, for shift and for turn.
     sharpness
-        How a score's lack turns into likelihood, for each point.
+        Factor from a difference in score to a difference in log-likelihood, for each point.
     floor_position, floor_turn
         Least standard deviations of a match, m and rad.
     """
@@ -189,29 +189,30 @@ class MatchConfig(Bounded):
 
 @dataclass(frozen=True)
 class LoopConfig(Bounded):
-    """Loops looked for along the way, and the agreement between loops that they need.
+    """Loops along the way, and the agreement with other loops that a loop needs.
 
     Attributes
     ----------
     min_travel
-        Least driving between two chunks of a loop, m.
+        Least distance driven between two chunks of a loop, m.
     gate, gate_sigmas, max_distance
         Chunks are matched if their distance is below ``gate`` + ``gate_sigmas`` standard deviations, at most
         ``max_distance``; m.
     window, turn_window, turn_step
         Largest window of a match, m and rad, and the step of its turns, rad.
     least_window, least_turn
-        What of it does not depend on the uncertainty, m and rad.
+        The part of the window that does not depend on the uncertainty, m and rad.
     score, backward_score
-        Least score, and least score of the match the other way round.
+        Least score, and least score of the match in the opposite direction.
     best
-        Most loops that are taken from a chunk.
+        Largest number of loops from one chunk.
     agree_distance, agree_turn
-        Two loops agree if one predicts the other so well, m and rad.
+        Two loops agree if one loop predicts the other loop within these tolerances, m and rad.
     support_from, support_to
-        A supporting loop lies so much driving away, m.
+        Least and largest distance driven to a supporting loop, m.
     group_distance, group_turn, group_chunks
-        Agreement within a group of loops, m and rad, between chunks so many apart.
+        Tolerances of agreement within a group of loops, m and rad, and largest distance between their chunks, in
+        chunks.
     """
 
     min_travel: NonNegative = 10.0
@@ -242,17 +243,18 @@ class ChunkGraphConfig(Bounded):
     Attributes
     ----------
     hop_inflation, hop_position, hop_turn
-        The covariance of a hop is that of the local graph times this, plus these standard deviations squared, m, rad.
+        The covariance of a hop is the local graph's covariance times this, plus these standard deviations squared; m,
+        rad.
     hop_kernel
-        Chi-square where the Cauchy kernel of the hops bends.
+        Scale of the Cauchy kernel of the hops, as a chi-square.
     loop_kernel
         The parameter of dynamic covariance scaling (DCS) of the loops.
     annealing, refining
-        Factors of both kernels, one after the other, from the chain of hops and from a solution that is nearly right.
+        Successive factors of both kernels: from the chain of hops, and from a solution that is nearly right.
     iterations, tolerance
-        Most iterations for each factor, and the step (m, rad) below which they stop.
+        Largest number of iterations for each factor, and the step (m, rad) below which iteration stops.
     kept
-        Loops of a lower weight are not used further.
+        Loops with a lower weight are not used further.
     """
 
     hop_inflation: NonNegative = 6.0
@@ -269,24 +271,26 @@ class ChunkGraphConfig(Bounded):
 
 @dataclass(frozen=True)
 class WideSearchConfig(Bounded):
-    """The search for places that were not recognised, with hardly any knowledge of where the robot is.
+    """The search for places that were not recognised, with a very uncertain pose of the robot.
 
     Attributes
     ----------
     min_travel, max_distance
-        Least driving between two chunks (m), and largest distance (m).
+        Least distance driven between two chunks (m), and largest distance between them (m).
     window, turn_window, turn_step
         Largest window of a match, m and rad, and the step of its turns, rad.
     least_window, least_turn, sigmas
-        What of the window does not depend on the uncertainty (m, rad), and standard deviations that are added to it.
+        The part of the window that does not depend on the uncertainty (m, rad), and the number of standard deviations
+        added.
     near
-        Chunks are compared within this distance beyond the window, m: so far two chunks can see the same.
+        Chunks are compared up to this distance beyond the window, m. Within this distance two chunks can show the same
+        place.
     score
         Least score.
     neighbours, neighbour_window, neighbour_turn
-        So many neighbouring chunks must match where predicted, within this window, m and rad.
+        Number of neighbouring chunks that must match where predicted, within this window, m and rad.
     recognised
-        Chunks so near to the end of a loop, counted in chunks, need no wide search.
+        Chunks within this number of chunks of the end of a loop need no wide search.
     """
 
     min_travel: NonNegative = 15.0
@@ -312,13 +316,13 @@ class UnionConfig(Bounded):
     Attributes
     ----------
     radius, min_travel
-        Chunks within this distance and more than this driving away make the union, m.
+        Chunks within this distance, and with more than this distance driven between, form the union, m.
     window, turn_window, turn_step
-        Of a match, m and rad.
+        Largest window of a match, m and rad, and the step of its turns, rad.
     score
         Least score.
     recognised
-        Chunks so near to the end of a loop, counted in chunks, are not matched.
+        Chunks within this number of chunks of the end of a loop are not matched.
     """
 
     radius: Positive = 8.0
@@ -339,13 +343,13 @@ class BundleConfig(Bounded):
     radius, last_radius
         Points of other visits are linked within this distance in the first and in the last iteration, m.
     link_inflation, cross_inflation
-        Factors of the standard deviations of links along the way and between visits.
+        Factors of the standard deviations of links along the way and of links between visits.
     max_turn
         A step that turns a pose by more than this (rad) is scaled down.
     damping
-        Share of the diagonal that is added to it.
+        Share of the diagonal that is added to the diagonal.
     tolerance
-        Iterations stop when no pose turns by more than this, rad.
+        Iteration stops when no pose turns by more than this, rad.
     """
 
     radius: Positive = 0.4
@@ -359,20 +363,20 @@ class BundleConfig(Bounded):
 
 @dataclass(frozen=True)
 class AgreementConfig(Bounded):
-    """The score without truth, and the decisions that rest on it.
+    """The score without ground truth, and the decisions that use it.
 
     Attributes
     ----------
     min_travel, max_distance
-        Chunks that are compared are more than this driving and less than this distance apart, m.
+        Chunks are compared if the distance driven between them is larger and their distance is smaller than this, m.
     gain
-        A group of loops of the wide search is kept if the score rises by this.
+        A group of loops of the wide search is accepted if the score rises by at least this.
     max_groups, max_group
-        Most groups that are tried, and most loops of one.
+        Largest number of groups that are tried, and largest number of loops in a group.
     doubtful
-        At most so many groups are tried without in a pass.
+        Largest number of groups whose removal is tried in a pass.
     prune_gain
-        A group of loops is removed if the score rises by this without it.
+        A group of loops is removed if its removal raises the score by this.
     """
 
     min_travel: NonNegative = 13.5
@@ -386,27 +390,29 @@ class AgreementConfig(Bounded):
 
 @dataclass(frozen=True)
 class RoundConfig(Bounded):
-    """Rounds in which everything is tested anew.
+    """Rounds in which all loops are tested anew.
 
     Attributes
     ----------
     hops
         The hop between chunks in each round, as a share of ``LocalMapConfig.hop``.
     iterations
-        Of the bundle, in each round.
+        Number of iterations of the bundle in each round.
     wide_search
-        In how many rounds places are searched widely. A place may become findable only when others have been found.
+        Number of rounds with a wide search. Some places can be found only after other places have been found.
     orientations
-        First headings of the log in the frames in which the search is tried, rad. Which bins of the Hough transforms
-        walls fall into depends on it.
+        First headings of the log in the frames of the searches, rad. The headings determine which bins of the Hough
+        transforms the walls fall into.
     tried, trial
-        So many searches, those with the highest scores after their first round, are tried for so many rounds.
+        Number of searches, those with the highest scores after the first round, that are continued, up to round
+        ``trial``.
     finished, hopeless
-        So many of them, those with the highest scores and none worse than the best by ``hopeless``, do all rounds.
+        Number of these searches that do all rounds. Their scores are the highest, and none is worse than the best score
+        by ``hopeless``.
     tie
-        Scores this near to the best are as good; the last such round is taken.
+        Scores within this distance of the best score are considered equal; the last such round is taken.
     settled
-        Rounds end when the score rises by less and no new place was recognised.
+        Rounds end when the score rises by less than this and no new place was recognised.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)

@@ -1,4 +1,4 @@
-"""Settings of the line smoother, which solves for all poses of a run, one frozen dataclass for each stage.
+"""Settings of the line smoother, which estimates all poses of a run: one frozen dataclass for each stage.
 
 All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
 """
@@ -17,18 +17,18 @@ _StdShare = Annotated[float, Bounds(1e-6, 0.999)]
 
 @dataclass(frozen=True)
 class CalibrationPrior(Bounded):
-    """What is known of constant errors of wheels and beams before they are estimated.
+    """The prior of the constant errors of wheels and beams.
 
     Attributes
     ----------
     size_std
-        Standard deviation of the size of both wheels together, as a share.
+        Standard deviation of the common relative size error of both wheels.
     uneven_std
-        Of the right wheel beside the left one, as a share.
+        Standard deviation of the right wheel's relative size error with respect to the left wheel.
     axle_std
-        Of the axle, as a share.
+        Standard deviation of the axle's relative size error.
     bias_std
-        Of what all ranges read too much, m.
+        Standard deviation of the bias of all ranges, m.
     """
 
     size_std: _StdShare = 0.03
@@ -47,25 +47,26 @@ class CalibrationPrior(Bounded):
 
 @dataclass(frozen=True)
 class ReassociationConfig(Bounded):
-    """How readings are given to lines anew, and lines are merged.
+    """Association of readings with lines, and merging of lines.
 
     Attributes
     ----------
     rounds
-        At most so many rounds of merging, association and solving.
+        Largest number of rounds of merging, association and solving.
     settled
-        A round that moves no pose farther than this, m, is the last one.
+        The last round is the first round that moves no pose farther than this, m.
     gate, beyond
-        A reading belongs to a line that predicts it within ``gate`` standard deviations and that reaches to
-        within ``beyond`` (m) of the place where the beam meets it.
+        A reading belongs to a line if the line predicts it within ``gate`` standard deviations. The beam must meet the
+        line at most ``beyond`` (m) beyond the line's ends.
     margin
-        A second line must predict the reading worse by so many standard deviations; otherwise it is not used.
+        The second-best line must predict the reading worse by at least this, in standard deviations. Otherwise the
+        reading is not used.
     fewest
-        A line has at least so many readings.
+        Least number of readings of a line.
     one_wall_gate
-        Two lines may be one wall below this chi-square (two degrees of freedom).
+        Two lines may be one wall if their chi-square (two degrees of freedom) is below this gate.
     max_offset, max_angle, min_overlap
-        They must lie this close together, m and rad, and share so much of the wall, m.
+        Largest differences of two lines that may be one wall, m and rad, and the least length of their overlap, m.
     """
 
     rounds: CountOrNone = 8
@@ -82,12 +83,12 @@ class ReassociationConfig(Bounded):
 
 @dataclass(frozen=True)
 class ScoreConfig(Bounded):
-    """What a map without truth is worth: log-likelihood of wheels and ranges, less the prices of what it claims.
+    """The score of a map without ground truth: log-likelihood of wheels and ranges, minus a price for each line.
 
     Attributes
     ----------
     clip
-        A look that no line explains, or that goes through a wall, costs as much as this squared residual, in variances.
+        Squared residual, in variances, of a look that no line explains or that passes through a wall.
     line
         Price of a line.
     """
@@ -98,32 +99,34 @@ class ScoreConfig(Bounded):
 
 @dataclass(frozen=True)
 class MendingConfig(Bounded):
-    """How wrong associations of a whole map are taken back.
+    """Correction of wrong associations of a whole map.
 
     Attributes
     ----------
     rounds
-        At most so many rounds of moves.
+        Largest number of rounds of moves.
     gain
-        A move is kept if the score rises by so much.
+        A move is accepted if the score rises by at least this.
     last_rounds
-        At most so many rounds of re-association after new lines were founded.
+        Largest number of rounds of re-association after new lines were created.
     cut
-        A line is cut where it was not read for so far a drive, m.
+        A line is cut where it was not read for this distance driven, m.
     max_offset, max_angle, min_overlap
-        Pieces that may be one wall lie this close together, m and rad, and share so much of it, m.
+        Largest differences of segments that may be one wall, m and rad, and the least length of their overlap, m.
     dropped_share, dropped_least
-        A line is dropped when beams contradict it more often than this, and than this share of its readings.
+        A line is dropped if the number of beams that contradict it exceeds ``dropped_least``, and also this share of
+        its readings.
     unexplained
-        Readings that are farther than so many standard deviations from every line may found new ones.
+        Readings farther than this number of standard deviations from every line may create new lines.
     reborn_readings
-        New lines have at least so many of them.
+        Least number of readings of a new line.
     doubled_sigmas, doubled_offset, doubled_angle
-        Two lines that share a stretch of wall are made one where they are closer than so many standard deviations of a
-        range, or this offset, m, and this angle, rad.
+        Two lines that share a stretch of wall are merged if their distance and their angle are small. The limit of the
+        distance is this number of standard deviations of a range, or this offset, m, if that is larger. The limit of
+        the angle is in rad.
     contradicted, unsure_heading
-        Mending is tried where beams contradict more than this share of all looks, or where the filter's heading once
-        had this standard deviation, rad.
+        Correction is tried if beams contradict more than this share of all looks, or if the filter's heading had this
+        standard deviation, rad, at any step.
     """
 
     rounds: CountOrNone = 3
@@ -146,23 +149,24 @@ class MendingConfig(Bounded):
 
 @dataclass(frozen=True)
 class SmootherConfig(Bounded):
-    """The line smoother.
+    """All settings of the line smoother.
 
     Attributes
     ----------
     reassociation, score, mending
-        Of its stages.
+        Settings of the stages.
     calibrate, calibration
-        Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or ``if_needed``; and
-        what is known of them.
+        Whether constant errors of wheels, axle and ranges are estimated (``always``, ``never``, or ``if_needed``), and
+        the prior of these errors.
     calibration_gate, calibration_price
-        They are needed where beams contradict the map, or where their estimates are so large, as a chi-square (four
-        degrees of freedom a robot). They are believed if the score gains this much.
+        Calibration is needed if beams contradict the map, or if the chi-square of the estimated errors (four degrees of
+        freedom for each robot) exceeds the gate. It is accepted if the score rises by the price.
     max_gap, through_tolerance
-        What is drawn as one piece: holes that no beam looked at, m, and beams that passed for each one that hit.
+        Largest hole without looks inside a drawn wall segment, m, and largest number of passing beams for each beam
+        that hit.
     shown_readings, shown_length, shown_sigmas
-        A line is drawn if it was read this often, in pieces of this length, m, or more; and of so many standard
-        deviations of a range.
+        A line is drawn if it has at least this number of readings. A segment of it is drawn if it is at least this
+        long, m, and at least this number of standard deviations of a range.
     """
 
     reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)

@@ -1,1 +1,1 @@
-"""A graph of local maps with loops: smooths a recorded log after it has ended."""
+"""A graph of local maps with loops, which smooths a recorded log after its end."""

@@ -1,6 +1,7 @@
-"""Agreement without truth: between loops, and between what different visits have seen of one place.
+"""Agreement without ground truth: between loops, and between the observations of one place by different visits.
 
-Scores of good and of bad matches overlap, so no threshold tells them apart. Two loops that predict each other do.
+Scores of right and wrong matches overlap, so that no threshold separates them. Agreement between two loops does
+separate them.
 """
 
 from collections.abc import Sequence
@@ -20,9 +21,11 @@ kernel = entry_of(__name__)
 
 
 def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How well each loop (row) predicts each other one (column): distances (k, k), m, and angles (k, k), rad.
+    """Errors with which each loop (row) predicts each other loop (column).
 
-    The ways between the loops' ends are those of poses (c, 3).
+    Returns distances (k, k), m, and angles (k, k), rad.
+
+    The relative poses between the ends of the loops are computed from ``poses`` (c, 3).
     """
     first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
     relative = np.array([loop.relative for loop in loops])
@@ -34,7 +37,7 @@ def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, Fl
 
 
 def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, config: LoopConfig) -> BoolArray:
-    """Which loops (k,) have another one nearby that agrees, seen from another chunk.
+    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
 
     ``travel`` (c,) is the distance driven up to each chunk, m.
     """
@@ -51,7 +54,7 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, conf
 
 
 def groups_of(loops: Sequence[Loop], poses: FloatArray, config: LoopConfig) -> list[list[int]]:
-    """Loops that agree with each other, directly or through others, each group with its first loop first."""
+    """Groups of loops that agree, directly or through other loops. The first loop of the group comes first."""
     distance, angle = agreements(loops, poses)
     first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
     near = np.abs(first[:, None] - first[None]) <= config.group_chunks
@@ -66,18 +69,18 @@ def groups_of(loops: Sequence[Loop], poses: FloatArray, config: LoopConfig) -> l
 
 @dataclass(frozen=True, eq=False)
 class MapScore:
-    """The score G of a set of chunks, for any poses of them.
+    """The score G of a set of chunks, as a function of their poses.
 
     Attributes
     ----------
     grids
-        (c, n, n) cells of all chunks.
+        Cells (c, n, n) of the grids of all chunks.
     low, cell
-        Of the grids, m.
+        Lowest coordinate and cell side of the grids, m.
     points, starts
-        (p, 2) m, points of all chunks, one chunk after the other; (c + 1,) where each begins.
+        Points (p, 2) of all chunks, m, sorted by chunk; and the index (c + 1,) of each chunk's first point.
     travel
-        (c,) distance driven up to each chunk, m.
+        Distance (c,) driven up to each chunk, m.
     config
         The settings.
     """
@@ -104,7 +107,10 @@ class MapScore:
         )
 
     def verdicts(self, poses: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Points (p,) of which more other visits have seen a wall there than free space, and the other way round."""
+        """Masks (p,) of the confirmed and of the contradicted points.
+
+        At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
+        """
         far = np.array([self.config.min_travel, self.config.max_distance])
         hits, frees = _votes(
             self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far
@@ -112,7 +118,7 @@ class MapScore:
         return (hits > 0) & (hits >= frees), frees > hits
 
     def __call__(self, poses: FloatArray) -> float:
-        """Share of points that other visits confirm, minus the share that they contradict, for poses (c, 3)."""
+        """Share of points that other visits confirm, minus the share that other visits contradict, for poses (c, 3)."""
         confirmed, contradicted = self.verdicts(poses)
         return float(confirmed.mean() - contradicted.mean())
 
@@ -149,16 +155,16 @@ def _votes(
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What was decided about groups of loops.
+    """The result of a decision about groups of loops.
 
     Attributes
     ----------
     loops
-        The loops of the graph from now on.
+        The loops of the graph after the decision.
     solution
-        The graph with them.
+        The solution of the graph with these loops.
     dropped
-        Loops that were left out, or taken out again.
+        Loops that were rejected or removed.
     """
 
     loops: list[Loop]
@@ -167,10 +173,10 @@ class Decision:
 
 
 def prune_groups(poses: FloatArray, hops: Hops, loops: list[Loop], score: MapScore, config: GraphConfig) -> Decision:
-    """Take out small groups of loops without which the map agrees better with itself.
+    """Remove small groups of loops if the score of the map rises without them.
 
-    The groups around which visits contradict each other most are tried. ``poses`` (c, 3) are those of the chunks by
-    the trajectory, by which loops are grouped.
+    The groups with the largest share of contradicted points around them are tried. The loops are grouped by ``poses``
+    (c, 3), the poses of the chunks in the trajectory.
     """
     agreement, dropped = config.agreement, []
     solution = solve_annealed(poses[0], hops, loops, config.chunks)
@@ -196,7 +202,7 @@ def prune_groups(poses: FloatArray, hops: Hops, loops: list[Loop], score: MapSco
 
 
 def _contradictions(groups: list[list[int]], loops: Sequence[Loop], score: MapScore, poses: FloatArray) -> FloatArray:
-    """For each group, the share of contradicted points among all judged ones around its loops."""
+    """For each group, the share of contradicted points among all confirmed or contradicted points around its loops."""
     confirmed, contradicted = score.verdicts(poses)
     shares = np.zeros(len(groups))
     for row, group in enumerate(groups):
@@ -221,10 +227,10 @@ def accept_groups(
     *,
     near: bool,
 ) -> Decision:
-    """Add groups of loops, the best supported first, each only if the score rises by ``gain``.
+    """Add groups of loops in the order of their support, each only if the score rises by ``gain``.
 
-    Groups that agree are one. ``poses`` (c, 3) are those of the chunks by the trajectory. Where the loops are ``near``,
-    each trial starts from the solution so far with kernels that are not so wide, which is faster.
+    Groups that agree are merged. ``poses`` (c, 3) are the poses of the chunks in the trajectory. With ``near``, each
+    trial starts from the current solution with narrower kernels, which is faster.
     """
     waiting = _ranked([loop for group in new for loop in group], poses, config)
     solution = solve_annealed(poses[0], hops, loops, config.chunks)
@@ -246,7 +252,7 @@ def accept_groups(
 
 
 def _ranked(loops: list[Loop], poses: FloatArray, config: GraphConfig) -> list[list[Loop]]:
-    """Groups of loops, at most one loop a pair of chunks, in the order of their evidence."""
+    """Groups of loops in the order of their evidence, with at most one loop for each pair of chunks."""
     if not loops:
         return []
     ranked = []

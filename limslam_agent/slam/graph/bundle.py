@@ -1,7 +1,7 @@
 """The bundle: all key poses, walls, loops and links between visits in one least-squares problem.
 
-Associations are made anew at each iteration, and the radius within which points of different visits are linked shrinks.
-Steps are added to the poses: the chunk graph has brought them near enough.
+Points are associated anew at each iteration, and the radius within which points of different visits are linked shrinks.
+Steps are added to the poses directly: the chunk graph has given initial poses that are accurate enough.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ def bundle(
     range_std: float,
     iterations: int,
 ) -> Trajectory:
-    """Solve the whole problem in so many iterations."""
+    """Solve the whole problem in a given number of iterations."""
     settings = config.bundle
     for number in range(iterations):
         progress = number / max(1, iterations - 1)
@@ -47,7 +47,7 @@ def _iterate(
     range_std: float,
     radius: float,
 ) -> tuple[Trajectory, float]:
-    """One Gauss-Newton step with new associations; the largest turn of a pose in it, rad."""
+    """Do one Gauss-Newton step with new associations, and return the largest turn of a pose in this step, rad."""
     settings, std = config.bundle, link_std(config, range_std)
     lines = find_lines(cloud, config.lines, config.lines.window, config.lines.tolerance)
     equations = local_equations(keys, trajectory, cloud, config, settings.link_inflation * std, len(lines.angles))

@@ -1,8 +1,8 @@
-"""The pose graph of the chunks: hops between neighbours and loops, both robust, solved by annealing.
+"""The pose graph of the chunks: hops between neighbours and loops, with robust kernels, solved by annealing.
 
-Hops have a Cauchy kernel, so that a slip of the wheels bends the graph in one place. Loops have dynamic covariance
-scaling, so that a wrong one loses its weight. Both kernels start wide and narrow together: with narrow kernels from
-the start the graph stays where odometry has put it, and right loops look wrong.
+Hops have a Cauchy kernel, so that wheel slip distorts the graph in one place only. Loops have dynamic covariance
+scaling, so that a wrong loop loses its weight. Both kernels start wide and become narrow together. With narrow kernels
+from the start, the graph would stay at the odometry poses, and right loops would be rejected.
 """
 
 from collections.abc import Sequence
@@ -29,15 +29,15 @@ class Loop:
     Attributes
     ----------
     first, second
-        The chunk whose grid was searched, and the one whose points were matched.
+        The chunk whose grid was searched, and the chunk whose points were matched.
     relative
-        (3,) pose of the second in the frame of the first.
+        Pose (3,) of the second chunk in the frame of the first chunk.
     information
-        (3, 3) inverse of its covariance.
+        Inverse (3, 3) of the covariance of the relative pose.
     score
-        Of the match.
+        Score of the match.
     source
-        The stage that found it.
+        The stage that found the loop.
     """
 
     first: int
@@ -65,16 +65,16 @@ class ChunkSolution:
 
 
 def hops_between(poses: FloatArray, covariances: FloatArray, config: ChunkGraphConfig) -> Hops:
-    """Hops along poses (c, 3), with covariances (c - 1, 3, 3) of the local graph enlarged.
+    """Hops along poses (c, 3), with inflated covariances (c - 1, 3, 3) of the local graph.
 
-    The local graph believes its associations; with its covariances as they are right loops lose against it.
+    The local graph trusts its associations. With its original covariances, right loops would be outweighed by the hops.
     """
     least = np.diag([config.hop_position**2, config.hop_position**2, config.hop_turn**2])
     return Hops(se2.between(poses[:-1], poses[1:]), config.hop_inflation * covariances + least)
 
 
 def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop], config: ChunkGraphConfig) -> ChunkSolution:
-    """Solve from the chain of hops that begins at ``start`` (3,), from wide kernels to narrow ones."""
+    """Solve with wide kernels first and narrow kernels last, from the chain of hops that begins at ``start`` (3,)."""
     poses = integrate(start, hops.motions)
     if not loops:
         return ChunkSolution(poses, np.zeros(0))
@@ -82,7 +82,7 @@ def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop], config:
 
 
 def refine(poses: FloatArray, hops: Hops, loops: Sequence[Loop], config: ChunkGraphConfig) -> ChunkSolution:
-    """Solve from poses (c, 3) that are nearly right, with kernels that are not so wide at first."""
+    """Solve from poses (c, 3) that are nearly right, with narrower first kernels."""
     return solve(poses, hops, loops, config, config.refining, config.iterations)
 
 
@@ -94,7 +94,7 @@ def solve(
     annealing: Sequence[float],
     iterations: int,
 ) -> ChunkSolution:
-    """Solve from poses (c, 3), which may be fewer than the hops lead to."""
+    """Solve from poses (c, 3), which may be fewer than the poses that the hops connect."""
     edges = _edges(hops, loops, len(poses))
     pattern = _Pattern(edges[0], edges[1], len(poses))
     kinds = len(poses) - 1
@@ -113,7 +113,7 @@ def solve(
 
 
 def information_matrix(poses: FloatArray, hops: Hops, loops: Sequence[Loop], weights: FloatArray) -> FloatArray:
-    """Information (3 c, 3 c) of all poses, with the loops weighted, and the first pose fixed."""
+    """Information matrix (3 c, 3 c) of all poses, with weighted loops and a fixed first pose."""
     first, second, measured, information = _edges(hops, loops, len(poses))
     weight = np.append(np.ones(len(poses) - 1), weights)
     _, jacobian = relation_factor(poses, first, second, measured)
@@ -126,7 +126,7 @@ def information_matrix(poses: FloatArray, hops: Hops, loops: Sequence[Loop], wei
 
 
 def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses: FloatArray) -> Trajectory:
-    """Move all key poses with the chunks: between two chunks the corrections are blended by the driving."""
+    """Move all key poses with the chunks; between chunks, interpolate the corrections by the distance driven."""
     old, travel = trajectory.poses, keys.key_travel
     numbers = np.arange(len(keys))
     before = np.clip(np.searchsorted(middles, numbers, side="right") - 1, 0, len(middles) - 1)
@@ -154,7 +154,7 @@ def _edges(hops: Hops, loops: Sequence[Loop], count: int) -> tuple[IntArray, Int
 
 
 class _Pattern:
-    """Where the edges' blocks go in the sparse matrix, which is the same in all iterations."""
+    """Positions of the edges' blocks in the sparse matrix, which are the same in all iterations."""
 
     def __init__(self, first: IntArray, second: IntArray, count: int) -> None:
         self._columns = np.hstack((3 * first[:, None] + np.arange(3), 3 * second[:, None] + np.arange(3)))
@@ -191,7 +191,7 @@ def _edge_blocks(
     hop_kernel: float,
     loop_kernel: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weighted blocks (e, 6, 6), gradients (e, 6) and weights (e,) of the edges, of which the first are hops."""
+    """Weighted blocks (e, 6, 6), gradients (e, 6) and weights (e,) of the edges. The hops come first."""
     count = len(first)
     blocks, gradients, weights = np.empty((count, 6, 6)), np.empty((count, 6)), np.empty(count)
     by, error = np.zeros((3, 6)), np.empty(3)

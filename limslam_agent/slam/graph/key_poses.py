@@ -1,7 +1,7 @@
-"""Key poses: which poses of a log are estimated, and how all its events and points hang on them.
+"""Key poses: the poses of a log that are estimated, and the assignment of all events and points to these poses.
 
-A new key pose begins after some driving or turning. Events between two key poses ride on odometry, which is corrected
-for its constant errors: a heading bias on each metre, a scale of distances and a gain of turns.
+A new key pose begins after some driving or turning. Between two key poses, the events follow odometry. Odometry is
+corrected for its constant errors: a heading bias per metre, a scale of distances and a gain of turns.
 """
 
 from dataclasses import dataclass
@@ -20,25 +20,25 @@ _DECIMALS = 7  # of a motion, m and rad
 
 @dataclass(frozen=True, eq=False)
 class LogData:
-    """What a robot has recorded, one row an event.
+    """A recorded log with one row for each event.
 
     Attributes
     ----------
     time
-        (n,) s.
+        Times (n,), s.
     odometry
-        (n, 3) m, m, rad: absolute odometry poses in a frame of their own.
+        Absolute odometry poses (n, 3) in the frame of odometry; m, m, rad.
     ranges, hit
-        (n, b) m, and whether the beam has measured a wall.
+        Ranges (n, b), m, and whether each beam has measured a wall.
     origins, angles
-        (b, 2) m and (b,) rad: where the beams begin on the robot and where they point.
+        Origins (b, 2), m, and directions (b,), rad, of the beams in the robot's frame.
     max_range
-        Longest reading, m.
+        Longest range, m.
     range_std
-        Stated standard deviation of a range, m.
+        Specified standard deviation of a range, m.
     variances
-        (n, 3) m^2, m^2, rad^2: variances of the motion since the event before (along, across, heading), or None for
-        those of the settings.
+        Variances (n, 3) of the motion since the previous event (along, across, heading), m^2, m^2, rad^2. None for the
+        variances of the settings.
     """
 
     time: FloatArray
@@ -73,22 +73,24 @@ class LogData:
 
 @dataclass(frozen=True, eq=False)
 class KeyPoses:
-    """The part of the problem that never changes: m key poses, n events, p points.
+    """The constant part of the problem: m key poses, n events, p points.
 
     Attributes
     ----------
     event_key, first_event
-        (n,) the key pose that each event hangs on; (m,) the first event of each.
+        The key pose (n,) of each event, and the first event (m,) of each key pose.
     offset, offset_forward
-        (n, 3) raw odometry of each event in the frame of its key pose; (n,) m, distance driven ahead since it.
+        Odometry pose (n, 3) of each event in the frame of its key pose; distance (n,) driven forward since the key
+        pose, m.
     step, step_forward, step_variances
-        (m - 1, 3) raw odometry from one key pose to the next; (m - 1,) m; (m - 1, 3).
+        Odometry motion (m - 1, 3) from each key pose to the next; its distance (m - 1,), m, and its variances (m - 1,
+        3).
     travel
-        (n,) m, path driven up to each event.
+        Length (n,) of the path up to each event, m.
     point_event, point_key, point_travel
-        (p,) of each point; points are in the order of events.
+        Event, key pose and travel (p,) of each point; points are in the order of events.
     in_robot, origin_in_robot
-        (p, 2) m: each point, and the origin of its beam, in the robot's frame at its event.
+        Each point (p, 2) and the origin of its beam (p, 2), in the robot's frame at its event, m.
     """
 
     event_key: IntArray
@@ -111,13 +113,16 @@ class KeyPoses:
 
     @property
     def key_travel(self) -> FloatArray:
-        """Path driven up to each key pose (m,), m."""
+        """Length (m,) of the path up to each key pose, m."""
         return np.asarray(self.travel[self.first_event])
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The estimate: key poses (m, 3) and the odometry's ``bias`` (3,): rad/m, share of distance, share of turns."""
+    """The estimate: key poses (m, 3) and the ``bias`` (3,) of odometry.
+
+    The bias is the missing heading per metre, rad/m, the share of distances, and the share of turns.
+    """
 
     poses: FloatArray
     bias: FloatArray
@@ -155,8 +160,8 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
 def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
     """Motions (n, 3) between poses of odometry, rounded to 1e-7 m and rad.
 
-    Rounding errors depend on the frame that odometry is given in, and the thresholds of the search enlarge them:
-    without this, errors of 1e-14 m decided whether a loop was found.
+    Rounding errors depend on the frame of odometry, and the thresholds of the search amplify them. Without rounding,
+    errors of 1e-14 m decided whether a loop was found.
     """
     # Adding zero makes a negative zero a positive one.
     return np.asarray(np.round(se2.between(first, second), _DECIMALS) + 0.0)
@@ -176,17 +181,17 @@ def _step_variances(
 
 
 def calibrated_steps(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Motions from each key pose to the next (m - 1, 3) by odometry without its constant errors."""
+    """Odometry motions (m - 1, 3) from each key pose to the next, corrected for the constant errors."""
     return _calibrated(keys.step, keys.step_forward, bias)
 
 
 def event_offsets(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Poses (n, 3) of all events in the frames of their key poses, by odometry without its constant errors."""
+    """Poses (n, 3) of all events in the frames of their key poses, by corrected odometry."""
     return _calibrated(keys.offset, keys.offset_forward, bias)
 
 
 def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> FloatArray:
-    """The heading missed on the way turns the way by half of it."""
+    """Correct a motion. The direction of the motion is rotated by half of the missing heading."""
     turn, scale, gain = bias
     half = 0.5 * turn * forward
     cos, sin = np.cos(half), np.sin(half)
@@ -196,7 +201,7 @@ def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> Fl
 
 
 def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
-    """Poses (m, 3) that motions (m - 1, 3) lead to from ``start`` (3,)."""
+    """Poses (m, 3) that follow from motions (m - 1, 3) and the first pose ``start`` (3,)."""
     return _integrate(np.asarray(start, dtype=np.float64), np.ascontiguousarray(steps))
 
 
@@ -213,7 +218,7 @@ def points_in_keys(keys: KeyPoses, bias: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """Take points (p, 2) from the frames of poses (p, 3), one each, into the frame that the poses are given in."""
+    """Transform points (p, 2) from the frames of poses (p, 3), one pose for each point, into the frame of the poses."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + cos * points[:, 0] - sin * points[:, 1]
     return np.column_stack((x, poses[:, 1] + sin * points[:, 0] + cos * points[:, 1]))
@@ -222,7 +227,7 @@ def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
 def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
     """Poses (n, 3) of all events.
 
-    What odometry and the next key pose differ by is spread over the way between two key poses.
+    The difference between odometry and the next key pose is distributed over the path between two key poses.
     """
     poses, key = trajectory.poses, keys.event_key
     ridden = se2.compose(poses[key], event_offsets(keys, trajectory.bias))
@@ -238,7 +243,7 @@ def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
 
 @kernel
 def _count_ups(length: FloatArray, turn: FloatArray, distance: float, angle: float) -> IntArray:
-    """How often so much driving or turning has come together, up to each event."""
+    """The number of times, up to each event, that the accumulated driving or turning has reached its threshold."""
     out = np.zeros(len(length), np.int64)
     driven = turned = 0.0
     count = 0

@@ -1,7 +1,7 @@
-"""Factors of the graph with their Jacobians, and the sparse normal equations that they are summed up in.
+"""Factors of the graph with their Jacobians, and the sparse normal equations to which the factors are added.
 
-The unknowns stand in this order: three for each key pose, the three constant errors of odometry, two for each line
-(turn about its centre, offset). A step is added to a pose's numbers.
+The unknowns have this order: three for each key pose, the three constant errors of odometry, two for each line (turn
+about its centre, offset). A step is added to the parameters of a pose directly.
 """
 
 from dataclasses import dataclass, field
@@ -48,7 +48,7 @@ class NormalEquations:
         self.add_blocks(columns, jacobian.transpose(0, 2, 1) @ weighted, np.einsum("fdq,fd->fq", weighted, error))
 
     def add_blocks(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
-        """Add sums that are known already: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
+        """Add given sums: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
         width = columns.shape[1]
         self._rows.append(np.repeat(columns, width, axis=1).ravel())
         self._columns.append(np.tile(columns, (1, width)).ravel())
@@ -56,9 +56,9 @@ class NormalEquations:
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
     def factorise(self, damping: float = 0.0) -> SuperLU:
-        """Factors of the matrix without the first pose, which stays where it is.
+        """Factorise the matrix without the first pose, which is fixed.
 
-        ``damping`` times the diagonal is added to it.
+        ``damping`` times the diagonal is added to the matrix.
         """
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
         matrix = csc_matrix((np.concatenate(self._values), (rows, columns)), shape=(self.size, self.size))
@@ -75,7 +75,7 @@ class NormalEquations:
         return step
 
     def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        """Covariances (f, d, d) of quantities with Jacobians (f, d, q) by the unknowns ``columns`` (f, q)."""
+        """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
         count, height, _ = jacobian.shape
         right = np.zeros((self.size, count * height))
         places = np.arange(count * height).reshape(count, height)
@@ -95,7 +95,7 @@ def relation_factor(
 ) -> tuple[FloatArray, FloatArray]:
     """Errors (f, 3) of measured relative poses (f, 3), and their Jacobians (f, 3, 6) by the first and second pose.
 
-    The error is the estimated relative pose minus the measured one, the heading wrapped.
+    The error is the estimated relative pose minus the measured relative pose, with a wrapped heading.
     """
     a, b = poses[first], poses[second]
     cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
@@ -112,12 +112,15 @@ def relation_factor(
 
 
 def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Errors (m - 1, 3) of odometry between key poses; Jacobians (m - 1, 3, 9) by both poses and these errors."""
+    """Errors (m - 1, 3) of odometry between key poses, and their Jacobians (m - 1, 3, 9).
+
+    The Jacobians refer to both poses and the constant errors of odometry.
+    """
     first = np.arange(len(keys) - 1)
     steps = calibrated_steps(keys, trajectory.bias)
     error, by_poses = relation_factor(trajectory.poses, first, first + 1, steps)
     by_bias = np.zeros((len(first), 3, 3))
-    # The calibrated step by the heading bias: half the missed heading turns the way.
+    # The derivative of the calibrated step by the heading bias: half the missing heading rotates the step.
     by_bias[:, 0, 0], by_bias[:, 1, 0] = 0.5 * keys.step_forward * steps[:, 1], -0.5 * keys.step_forward * steps[:, 0]
     by_bias[:, 2, 0] = -keys.step_forward
     by_bias[:, :2, 1] = -steps[:, :2] / (1.0 + trajectory.bias[1])
@@ -150,15 +153,15 @@ def add_links(
     Parameters
     ----------
     equations
-        What they are added to.
+        The normal equations to which the links are added.
     poses
         Key poses (m, 3).
     geometry
-        Of the points: key pose (p,), place (p, 2) m and normal (p, 2) in the frame of the key pose.
+        Key pose (p,) of each point, and its place (p, 2), m, and normal (p, 2) in the frame of the key pose.
     links
-        Indices of the point, and of the one whose line it should lie on.
+        Index of the point, and index of the other point, whose line should contain the first point.
     std, bend
-        Standard deviation of a link, m, and the residual in standard deviations where the kernel bends.
+        Standard deviation of a link, m, and the scale of the kernel in standard deviations.
     """
     if not len(links):
         return
@@ -218,7 +221,7 @@ def link_error(
     dx, dy = first[0] + ax - second[0] - bx, first[1] + ay - second[1] - by_
     by[0], by[1], by[2] = nx, ny, ax * ny - ay * nx
     by[3], by[4] = -nx, -ny
-    # A turn of the second pose moves the line's point and turns its normal.
+    # A rotation of the second pose moves the point of the line and rotates its normal.
     by[5] = (nx * dy - ny * dx) - (bx * ny - by_ * nx)
     return float(nx * dx + ny * dy)
 

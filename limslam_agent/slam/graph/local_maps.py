@@ -1,4 +1,4 @@
-"""Local maps: chunks of a few metres of driving, drawn into small grids that other chunks are matched against."""
+"""Local maps: chunks of a few metres of driving, drawn into small grids for matching with other chunks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 HIT = 5
-"""Value of a cell in which something was seen. Scores are sums of cells divided by this."""
+"""Value of an occupied cell. Scores are sums of cells divided by this value."""
 FREE = -3
-"""Value of a cell through which a beam has passed; 0 is unknown."""
-_SPARE = 0.5  # m, around all that a chunk can see
-_LEAST_END = 1.0  # m driven after the last chunk's middle
+"""Value of a free cell, through which a beam has passed; the value 0 means unknown."""
+_SPARE = 0.5  # m, margin around the area that a chunk can see
+_LEAST_END = 1.0  # m that must be driven after the middle of the last chunk
 
 Cells = NDArray[np.int8]
 
@@ -31,15 +31,15 @@ class LocalMap:
     Attributes
     ----------
     middle
-        That key pose.
+        Index of this key pose.
     travel
-        Distance driven up to it, m.
+        Distance driven up to this key pose, m.
     places, origins
-        (p, 2) m: all its points and the origins of their beams.
+        All points (p, 2) and the origins of their beams (p, 2), m.
     points
-        (k, 2) m: points thinned to one in each cell.
+        Points (k, 2), thinned to one point in each cell, m.
     grid
-        (n, n) cells, first index along x; the frame's origin is in the middle.
+        Cells (n, n), first index along x. The origin of the frame is in the middle.
     cell
         Side of a cell, m.
     """
@@ -91,7 +91,7 @@ def grid_size(config: LocalMapConfig, max_range: float) -> int:
 
 
 def united(maps: Sequence[LocalMap], poses: FloatArray, size: int, config: LocalMapConfig) -> LocalMap:
-    """One map of several chunks with poses (c, 3), in the frame of the first pose."""
+    """One map of several chunks with poses (c, 3), in the frame of the first chunk."""
     relative = se2.between(poses[0], poses)
     places = np.vstack([se2.transform_points(pose, each.places) for pose, each in zip(relative, maps, strict=True)])
     origins = np.vstack([se2.transform_points(pose, each.origins) for pose, each in zip(relative, maps, strict=True)])
@@ -107,7 +107,7 @@ def thinned(places: FloatArray, cell: float) -> FloatArray:
 
 
 def draw_grid(places: FloatArray, origins: FloatArray, size: int, config: LocalMapConfig) -> Cells:
-    """A grid (size, size) around the origin: free along the beams, and hit around the points."""
+    """A grid (size, size) around the origin, with free cells along the beams and occupied cells around the points."""
     low = -0.5 * config.cell * size
     return _draw(places, origins, size, low, config.cell, config.hit_radius)
 
@@ -120,7 +120,7 @@ def _draw(places: FloatArray, origins: FloatArray, size: int, low: float, cell: 
         bx, by = (places[k, 0] - low) / cell, (places[k, 1] - low) / cell
         length = max(abs(bx - ax), abs(by - ay))
         steps = int(length) + 1
-        # The last cells before a point may be the wall itself.
+        # The last cells before a point may belong to the wall.
         last = 1.0 - 2.5 / max(length, 1e-6)
         for step in range(steps):
             share = step / steps

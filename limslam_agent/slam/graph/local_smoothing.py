@@ -1,9 +1,10 @@
-"""Local smoothing: odometry made straight along the way, before any loop is known.
+"""Local smoothing: the correction of odometry along the way, before any loop is known.
 
-Points are linked to lines through other points of the same stretch of driving, first alone, then together with walls
-found by a Hough transform in windows. All associations are made anew at each iteration. Each step is applied to the
-relative motions between key poses, which are then integrated again: a turn in the middle of the log carries all that
-comes later along, which steps added to the poses themselves would tear apart.
+Points are linked to lines through other points of the same section of driving. The first iterations use these links
+alone. Later iterations also use walls found by a Hough transform in windows. All associations are made anew at each
+iteration. Each step is applied to the relative motions between key poses, which are then integrated again. A rotation
+in the middle of the log therefore moves all later poses. Steps that are added to the poses themselves would not do
+this, and would distort the trajectory.
 """
 
 import numpy as np
@@ -17,9 +18,9 @@ from limslam_env.geometry import FloatArray
 
 
 def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float) -> Trajectory:
-    """Smooth along the way: first with links alone, then with lines in windows that grow.
+    """Smooth along the way, first with links alone, then with lines in windows of growing length.
 
-    Without lines headings drift. With lines from the start the odometry's bias comes out wrong.
+    Without lines, the headings drift. With lines from the start, the estimated bias of odometry is wrong.
     """
     for number in range(config.smoothing.link_iterations):
         widening = max(1.0, 2.0 * 0.7**number)
@@ -31,7 +32,7 @@ def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, 
 
 
 def link_std(config: GraphConfig, range_std: float) -> float:
-    """Standard deviation of a link, m: what the model is wrong by and the ranges' noise."""
+    """Standard deviation of a link, m, from the model error and the range noise."""
     return float(np.hypot(config.links.std, range_std))
 
 
@@ -43,7 +44,10 @@ def line_std(config: GraphConfig, range_std: float) -> float:
 def local_equations(
     keys: KeyPoses, trajectory: Trajectory, cloud: PointCloud, config: GraphConfig, std: float, lines: int = 0
 ) -> NormalEquations:
-    """Odometry and links along the way with standard deviation ``std`` (m), with room for so many lines."""
+    """Normal equations of odometry and links along the way, with unknowns for the lines.
+
+    ``std`` (m) is the standard deviation of a link.
+    """
     equations = NormalEquations(3 * len(keys) + 3 + 2 * lines)
     add_odometry(equations, keys, trajectory, config.motion)
     links = links_along(cloud, config.links)
@@ -73,7 +77,7 @@ def _with_links(
 def _with_lines(
     keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float, progress: float
 ) -> Trajectory:
-    """One iteration with lines; windows grow and tolerances shrink as ``progress`` goes from 0 to 1."""
+    """Do one iteration with lines; windows grow and tolerances shrink as ``progress`` goes from 0 to 1."""
     cloud = point_cloud(keys, trajectory, config.links, range_std)
     window = config.lines.first_window + (config.lines.window - config.lines.first_window) * progress
     widening = 1.8 - 0.8 * progress

@@ -1,7 +1,7 @@
-"""Loops looked for along the way: each chunk is matched against earlier ones that may be the same place.
+"""The search for loops along the way: each chunk is matched against earlier chunks that may show the same place.
 
-The search goes from chunk to chunk as if the log were happening. A covariance of all chunks so far says which earlier
-chunks can be near and how wide the window of a match has to be; each loop that is found shrinks it.
+The search processes the chunks in order, as in online operation. The joint covariance of all chunks so far determines
+which earlier chunks can be near, and how wide the window of a match must be. Each accepted loop reduces the covariance.
 """
 
 from collections.abc import Sequence
@@ -25,22 +25,22 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 
 _BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
 _EARLY_ANNEALING, _EARLY_ITERATIONS = (5.0, 1.0), 3
-# Where a loop's weight has changed by more than this, the covariance is computed anew.
+# The covariance is computed anew if the weight of a loop has changed by more than this.
 _WEIGHT_CHANGE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """The chunks of a log, as one trajectory has cut them.
+    """The chunks of a log, for one trajectory.
 
     Attributes
     ----------
     maps
         The c chunks in the order of driving.
     middles, poses, travel
-        (c,) key poses in their middle; (c, 3) where the trajectory has them; (c,) distance driven, m.
+        Middle key poses (c,); their poses (c, 3) in the trajectory; distance driven (c,), m.
     hops
-        Motions between them.
+        Motions between successive chunks.
     config
         The settings.
     """
@@ -58,23 +58,23 @@ class Chunks:
         return len(self.maps)
 
     def grid(self, number: int) -> SearchGrid:
-        """The grid of a chunk, ready for the windows of loops along the way."""
+        """The search grid of a chunk, with the window size of loops along the way."""
         if number not in self._grids:
             self._grids[number] = search_grid(self.maps[number], self.config.loops.window, self.config.matching)
         return self._grids[number]
 
     def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float, least: float) -> Match:
-        """Match the points of a chunk into the grid of the first one, within a window about a guess (3,)."""
+        """Match the points of the second chunk with the grid of the first chunk, in a window about a guess (3,)."""
         window = Window(shift, turn, self.config.loops.turn_step)
         return match(self.grid(first), self.maps[second].points, guess, window, self.config.matching, least)
 
     def matches_backward(self, first: int, second: int, pose: FloatArray) -> bool:
-        """Whether they match the other way round, too, near to where the second chunk was found in the first one."""
+        """Whether the chunks also match in the opposite direction, near the relative pose that was found."""
         least = self.config.loops.backward_score
         return self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN, least).score >= least
 
     def loop(self, first: int, second: int, found: Match, source: str, grid: SearchGrid | None = None) -> Loop:
-        """A loop with the covariance of its match, from the first chunk's grid or from another one in its frame."""
+        """A loop with the covariance of its match, from the first chunk's grid or another grid in its frame."""
         step = self.config.loops.turn_step
         mean, covariance = match_covariance(
             grid or self.grid(first), self.maps[second].points, found.pose, step, self.config.matching
@@ -83,7 +83,7 @@ class Chunks:
 
 
 def loops_along_the_way(chunks: Chunks) -> list[Loop]:
-    """All loops that are found, right ones and wrong ones."""
+    """All loops that the search accepts, both right and wrong."""
     belief = _Belief(chunks)
     for _ in range(len(chunks) - 1):
         belief.advance()
@@ -117,7 +117,7 @@ def _loops_of_newest(chunks: Chunks, belief: "_Belief") -> list[Loop]:
 
 
 class _Belief:
-    """Where the chunks so far are, with their joint covariance, as loops are found."""
+    """The poses of the chunks so far and their joint covariance."""
 
     def __init__(self, chunks: Chunks) -> None:
         self._chunks = chunks
@@ -129,7 +129,7 @@ class _Belief:
         self.loops: list[Loop] = []
 
     def advance(self) -> None:
-        """Go on to the next chunk by the hop."""
+        """Add the next chunk by the motion of the hop."""
         last, hops = self.count - 1, self._chunks.hops
         motion = hops.motions[last]
         self._poses[last + 1] = se2.compose(self._poses[last], motion)
@@ -142,7 +142,7 @@ class _Belief:
         self.count += 1
 
     def seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The newest chunk's pose in the frames of old ones (k, 3), and its standard deviations (k,), m and rad."""
+        """The newest chunk's pose in the frames of old chunks (k, 3), and its standard deviations (k,), m and rad."""
         newest = np.full(len(old), self.count - 1)
         poses = self._poses[: self.count]
         _, jacobian = relation_factor(poses, newest, old, np.zeros((len(old), 3)))
@@ -153,7 +153,7 @@ class _Belief:
         return se2.between(poses[old], poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 
     def close(self, found: Sequence[Loop]) -> None:
-        """Take in loops of the newest chunk."""
+        """Add loops of the newest chunk."""
         chunks, config = self._chunks, self._chunks.config.chunks
         self.loops += found
         poses = self._poses[: self.count]
@@ -173,7 +173,7 @@ class _Belief:
         self._covariance[:size, :size] = np.linalg.inv(information)
 
     def _update(self, loop: Loop, weight: float) -> None:
-        """What a loop teaches about all chunks (the Kalman filter's update of the covariance)."""
+        """Update the joint covariance of all chunks with a loop, as the Kalman filter does."""
         ends = np.array([[loop.first], [loop.second]])
         _, jacobian = relation_factor(self._poses, ends[0], ends[1], loop.relative[None])
         columns = (3 * ends + np.arange(3)).ravel()

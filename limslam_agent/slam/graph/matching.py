@@ -1,10 +1,10 @@
 """Correlative matching: the pose at which the points of one chunk fit best into the grid of another.
 
-The score of a pose is the mean of the cells that the points fall on, 1 where all fall on hits, less a small penalty
-towards the border of the window. The search is exact branch and bound on two levels: the maximum over each block of
-shifts bounds the scores in it (Olson, "Real-time correlative scan matching", 2009), and blocks are opened in the order
-of their bounds until no bound is better than the best score. The grid of block maxima is stored by its phase, so that
-the bounds of a whole row of blocks lie side by side and are summed up together.
+The score of a pose is the mean of the cells at the points, minus a small penalty towards the border of the window. The
+score is 1 if all points lie in occupied cells. The search is exact branch and bound on two levels. The maximum over
+each block of shifts bounds the scores in the block (Olson, "Real-time correlative scan matching", 2009). Blocks are
+evaluated in the order of their bounds until no bound is better than the best score. The grid of block maxima is stored
+by its phase. The bounds of a whole row of blocks are therefore contiguous and are summed together.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from limslam_env.geometry import FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
-# Rows of bounds are summed up in whole vectors of so many.
+# Rows of bounds are summed in vectors of this length.
 _LANES = 16
 NO_MATCH = -9.0
 
@@ -30,15 +30,15 @@ Sums = NDArray[np.int16]
 
 @dataclass(frozen=True, eq=False)
 class SearchGrid:
-    """A chunk's grid made ready for searches.
+    """A chunk's grid, prepared for searches.
 
     Attributes
     ----------
     padded
-        (n, n) cells with room for the window all around.
+        Cells (n, n), padded on all sides by the size of the window.
     blocks
-        (w, w, r, r + 16): maxima over blocks of w x w cells, by the phase of their first cell. Rows are longer than
-        needed, since they are read in whole vectors.
+        Maxima (w, w, r, r + 16) over blocks of w x w cells, by the phase of their first cell. Rows have spare entries,
+        since they are read in whole vectors.
     low
         Lowest x and y of the padded grid, m.
     cell
@@ -56,7 +56,7 @@ class SearchGrid:
 
 @dataclass(frozen=True)
 class Window:
-    """What is searched about a first guess: shifts up to ``shift`` (m) along x and y, turns up to ``turn`` (rad)."""
+    """The search window about a first guess: shifts up to ``shift`` (m) along x and y, turns up to ``turn`` (rad)."""
 
     shift: float
     turn: float
@@ -65,17 +65,17 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """The best pose (3,) of a chunk in another one's frame, and its score; ``NO_MATCH`` if none is good enough."""
+    """The best pose (3,) of a chunk in another chunk's frame, and its score; ``NO_MATCH`` if every score is too low."""
 
     score: float
     pose: FloatArray
 
 
 def search_grid(chunk: LocalMap, window: float, config: MatchConfig) -> SearchGrid:
-    """Make a chunk's grid ready for windows of up to ``window`` m."""
+    """Prepare a chunk's grid for windows of up to ``window`` m."""
     width = config.block
     margin = max(int(window / chunk.cell + 1e-6), _VOLUME_CELLS)
-    # A point that lies further outside can be moved nearer: it still meets only unknown cells.
+    # A point that lies further outside can be moved nearer, since it still meets only unknown cells.
     pad = -(-(2 * margin + 2 * width + 2) // width) * width
     size = -(-(len(chunk.grid) + 2 * pad) // width) * width
     padded, blocks = _blocks_of(chunk.grid, pad, size, width, _LANES)
@@ -90,7 +90,7 @@ def match(
     Raises
     ------
     ValueError
-        If the grid was not made for so large a window.
+        If the grid was prepared for smaller windows.
     """
     margin = int(window.shift / grid.cell + 1e-6)
     if margin > grid.margin:
@@ -108,7 +108,7 @@ def match_covariance(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (3,) and covariance (3, 3) of a match, from the scores of all poses around it.
 
-    Scores are taken for likelihoods: exp of ``sharpness`` times the number of points times the score.
+    The likelihood of a pose is exp(``sharpness`` times the number of points times the score).
     """
     scores = _volume(grid.padded, points, pose, grid.low, grid.cell, turn_step, _VOLUME_CELLS, _VOLUME_TURNS)
     weight = np.exp((scores - scores.max()) * len(points) * config.sharpness)
@@ -131,7 +131,7 @@ def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
 def _blocks_of(grid: Cells, pad: int, size: int, width: int, spare: int) -> tuple[Cells, Cells]:
     padded = np.zeros((size, size), np.int8)
     padded[pad : pad + len(grid), pad : pad + len(grid)] = grid
-    # The maximum over width cells, by maxima over 2, 4, 8, ... cells.
+    # The maximum over a block is computed from maxima over 2, 4, 8, ... cells.
     maxima, done = padded.copy(), 1
     while done < width:
         more = min(done, width - done)
@@ -164,7 +164,7 @@ def _pixels(
 
 @kernel
 def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
-    """Add a patch of cells to sums of the same shape, from a row and a column on."""
+    """Add a patch of cells that begins at a given row and column to sums of the same shape."""
     for a in range(sums.shape[0]):
         line = cells[row + a, column : column + sums.shape[1]]
         total = sums[a]
@@ -184,7 +184,7 @@ def _bounds(blocks: Cells, pixels: IntArray, margin: int, sums: Sums) -> None:
 
 @kernel
 def _open(padded: Cells, pixels: IntArray, first_x: int, first_y: int, sums: Sums) -> None:
-    """Sums of the cells for all shifts in a block."""
+    """Compute the sums of the cells for all shifts in a block."""
     sums[:] = 0
     for k in range(len(pixels)):
         _add_rows(sums, padded, pixels[k, 0] + first_x, pixels[k, 1] + first_y)
@@ -209,7 +209,7 @@ def _best_in_block(
 def _search(
     padded: Cells, blocks: Cells, points: FloatArray, guess: FloatArray, margin: int, turns: int, numbers: FloatArray
 ) -> tuple[float, float, float, float]:
-    """Score, x, y and turn of the best pose; a score of -9 if none is above the least one."""
+    """Score, x, y and turn of the best pose; the score is -9 if no score exceeds the least score."""
     low, cell, turn_step, prior, least = numbers
     width, size, count = blocks.shape[0], padded.shape[0], len(points)
     across, angles = (2 * margin) // width + 1, 2 * turns + 1
@@ -252,7 +252,7 @@ def _volume(
     cells: int,
     turns: int,
 ) -> FloatArray:
-    """Scores (2 turns + 1, 2 cells + 1, 2 cells + 1) of all poses around one."""
+    """Scores (2 turns + 1, 2 cells + 1, 2 cells + 1) of all poses in a window around a given pose."""
     wide, count, size = 2 * cells + 1, len(points), padded.shape[0]
     scores = np.empty((2 * turns + 1, wide, wide))
     pixels, sums = np.empty((count, 2), np.int64), np.empty((wide, wide), np.int16)

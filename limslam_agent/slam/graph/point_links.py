@@ -1,7 +1,7 @@
 """Normals of points from their neighbours, and links from points to the lines through other points.
 
-All neighbours are sought in a grid of cells whose points are sorted by the distance driven, so that points of one
-stretch of driving are found without looking at all the other visits of the place.
+Neighbours are searched in a grid of cells. The points of a cell are sorted by the distance driven, so that the points
+of one section of driving are found without reading the points of other visits.
 """
 
 from dataclasses import dataclass
@@ -21,18 +21,18 @@ _ROW = 1 << 24
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """The points of a trajectory, p of them in the order of driving.
+    """The points of a trajectory: p points in the order of driving.
 
     Attributes
     ----------
     key, travel
-        (p,) the key pose and the distance driven, m.
+        Key pose (p,) and distance driven (p,), m, of each point.
     in_key, places
-        (p, 2) m, in the frame of the key pose and in the world.
+        Points (p, 2) in the frame of the key pose and in the world frame, m.
     normals, normals_in_key
-        (p, 2) unit vectors towards the sensor, in the world and in the frame of the key pose.
+        Unit vectors (p, 2) towards the sensor, in the world frame and in the frame of the key pose.
     good
-        (p,) whether the normal can be trusted.
+        Whether each normal (p,) is reliable.
     """
 
     key: IntArray
@@ -45,12 +45,12 @@ class PointCloud:
 
     @property
     def geometry(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Key pose, place and normal in its frame, as factors need them."""
+        """Key pose of each point, and its place and normal in the frame of the key pose, as the factors need them."""
         return self.key, self.in_key, self.normals_in_key
 
 
 def point_cloud(keys: KeyPoses, trajectory: Trajectory, config: LinkConfig, range_std: float) -> PointCloud:
-    """Put all points into the world and find their normals."""
+    """Transform all points into the world frame and compute their normals."""
     in_key, origin_in_key = points_in_keys(keys, trajectory.bias)
     pose = trajectory.poses[keys.point_key]
     places, origins = to_world(pose, in_key), to_world(pose, origin_in_key)
@@ -62,10 +62,10 @@ def point_cloud(keys: KeyPoses, trajectory: Trajectory, config: LinkConfig, rang
 def find_normals(
     places: FloatArray, origins: FloatArray, travel: FloatArray, config: LinkConfig, range_std: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Normals (p, 2) of points by principal component analysis of their neighbours, and whether they can be trusted.
+    """Normals (p, 2) of points by principal component analysis of their neighbours, and whether they are reliable.
 
-    Neighbours come from the same stretch of driving: the distance between two points counts the driving between them,
-    too. Normals point towards the beams' origins.
+    Neighbours belong to the same section of driving: the distance between two points includes the distance driven
+    between them. Normals point towards the beams' origins.
     """
     index = _index(places, travel, config.normal_radius)
     thickness = config.max_thickness**2 + range_std**2
@@ -74,7 +74,7 @@ def find_normals(
 
 
 def links_along(cloud: PointCloud, config: LinkConfig) -> IntArray:
-    """Links (l, 2) between points of one stretch of driving: to the nearest point in each band of driving."""
+    """Links (l, 2) between points of one section of driving, to the nearest point in each band of distance driven."""
     index = _index(cloud.places, cloud.travel, config.radius)
     borders = np.array([config.min_travel, *config.bands, config.travel])
     limits = np.array([config.radius, config.min_cosine, config.max_offset * config.radius])
@@ -82,14 +82,14 @@ def links_along(cloud: PointCloud, config: LinkConfig) -> IntArray:
 
 
 def links_across(cloud: PointCloud, radius: float, config: LinkConfig) -> IntArray:
-    """Links (l, 2) to points of other visits: to the nearest one, and to the nearest one of yet another visit."""
+    """Links (l, 2) to the nearest point of another visit, and to the nearest point of a third visit."""
     index = _index(cloud.places, cloud.travel, radius)
     limits = np.array([radius, config.cross_min_cosine, config.cross_travel])
     return _across(cloud.places, cloud.normals, cloud.good, cloud.travel, *index, limits)
 
 
 def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArray, IntArray, float]:
-    """Cells (p,) in ascending order, the points (p,) in them in the order of driving, and the cells' side, m."""
+    """Cells (p,) in ascending order, their points (p,) in the order of driving, and the side of a cell, m."""
     cells = np.floor(places / side).astype(np.int64)
     number = cells[:, 0] * _ROW + cells[:, 1]
     order = np.lexsort((travel, number))
@@ -98,7 +98,7 @@ def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArra
 
 @kernel
 def _span(cells: IntArray, order: IntArray, travel: FloatArray, cell: int, low: float, high: float) -> tuple[int, int]:
-    """First and last (excluded) place in ``order`` of the points in a cell that were seen between two travels."""
+    """First and last (excluded) index in ``order`` of a cell's points that were seen between two distances driven."""
     begin, end = int(np.searchsorted(cells, cell)), int(np.searchsorted(cells, cell + 1))
     while begin < end and travel[order[begin]] < low:
         begin += 1
@@ -155,7 +155,7 @@ def _normals(
 
 @kernel
 def _band(gap: float, borders: FloatArray) -> int:
-    """Between which borders, in ascending order, a length of driving lies; the last ones have no end."""
+    """Index of the band that contains a distance driven; the last band has no upper limit."""
     band = 0
     while band < len(borders) - 2 and gap >= borders[band + 1]:
         band += 1

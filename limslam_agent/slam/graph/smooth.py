@@ -1,11 +1,11 @@
-"""From a log to its smoothed trajectory: all stages of the graph of local maps, one after the other.
+"""The smoothing of a log: all stages of the graph of local maps in order.
 
-Nothing in here knows the truth. Where there is a choice, the score G of :class:`MapScore` makes it: the share of points
-that other visits of a place confirm, minus the share that they contradict.
+No stage uses the ground truth. Alternatives are compared by the score G of :class:`MapScore`: the share of points that
+other visits of a place confirm, minus the share that other visits contradict.
 
-The log is solved in frames of its own, in which it begins at the origin, and the result is moved to the start pose at
-the end. The result therefore does not depend on the start pose. Which loops are found can depend on the heading of the
-frame, since it decides where the bins of the Hough transforms lie. The search is therefore tried with several headings.
+The log is solved in frames in which it begins at the origin, and the result is then transformed to the start pose. The
+result therefore does not depend on the start pose. The heading of the frame determines the positions of the bins of the
+Hough transforms, and can thereby change which loops are found. The search is therefore run with several headings.
 """
 
 import math
@@ -51,34 +51,34 @@ KEPT = "kept"
 
 @dataclass(frozen=True, eq=False)
 class LoopVerdict:
-    """A loop that was found in the round of the result, and what became of it: ``KEPT``, or why it was left out."""
+    """A loop that was found in the round of the result, and its status: ``KEPT``, or the reason for its rejection."""
 
     loop: Loop
     reason: str
 
     @property
     def kept(self) -> bool:
-        """Whether it is part of the result."""
+        """Whether the loop is part of the result."""
         return self.reason == KEPT
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What a round has come to.
+    """The result of a round.
 
     Attributes
     ----------
     trajectory
-        After the bundle.
+        The trajectory after the bundle.
     score
         G of the bundled map.
     verdicts
-        On all loops that were found.
+        The verdicts on all loops that were found.
     middles, chunk_covariances
-        (c,) key poses in the middle of the chunks; (c, 3, 3) their covariances by the graph of chunks, relative to the
-        first one.
+        Middle key poses of the chunks (c,); their covariances (c, 3, 3) from the graph of chunks, relative to the first
+        chunk.
     recognised
-        How many loops the wide search and the unions have brought.
+        Number of loops from the wide search and from union matching.
     """
 
     trajectory: Trajectory
@@ -96,21 +96,21 @@ class GraphResult:
     Attributes
     ----------
     poses
-        (n, 3) of all events.
+        Poses (n, 3) of all events.
     score
-        G of the map; the higher, the better the visits of places agree. It compares maps of one log only.
+        G of the map; a higher score means better agreement of the visits. It compares maps of the same log only.
     start
-        Which search it came from: the start, and the turn of the frame.
+        The search of the result: its start, and the heading of its frame.
     scores
         G after each round of each search.
     verdicts
-        On all loops that were found in the round that the result is from.
+        The verdicts on all loops that were found in the round of the result.
     chunk_events, chunk_poses, chunk_covariances
-        (c,) events in the middle of the chunks, their poses (c, 3) and covariances (c, 3, 3) by the graph of chunks.
+        Middle events of the chunks (c,), their poses (c, 3), and covariances (c, 3, 3) from the graph of chunks.
     turn_bias, scale, turn_gain
-        What odometry was found to be wrong by: heading missed on each metre (rad/m), share of distances, of turns.
+        The estimated errors of odometry: missing heading per metre (rad/m), share of distances, share of turns.
     keys, trajectory
-        The key poses, for those who draw the points.
+        The key poses and their trajectory, from which the points can be drawn.
     """
 
     poses: FloatArray
@@ -129,16 +129,16 @@ class GraphResult:
 
 
 def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = None) -> GraphResult:
-    """Smooth a log that has ended.
+    """Smooth a log after its end.
 
     Parameters
     ----------
     data
-        What was recorded.
+        The recorded log.
     start
         Pose (3,) of the first event in the frame of the result.
     config
-        The settings; they need not be changed for a log.
+        The settings; the defaults serve all logs.
     """
     config = config or GraphConfig()
     keys = choose_keys(data, config.keys, config.motion)
@@ -161,7 +161,7 @@ def _local(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> T
 
 @dataclass(frozen=True, eq=False)
 class _Log:
-    """What all rounds share: the key poses, local trajectory, recording, settings, and the hops' covariances."""
+    """The common data of all rounds: key poses, local trajectory, recording, settings, and covariances of the hops."""
 
     keys: KeyPoses
     local: Trajectory
@@ -170,7 +170,7 @@ class _Log:
     _covariances: dict[float, FloatArray] = field(default_factory=dict)
 
     def hop(self, number: int) -> float:
-        """Driving between the chunks of a round, m."""
+        """Distance driven between the chunks of a round, m."""
         return self.config.maps.hop * self.config.rounds.hops[number]
 
     def middles(self, number: int) -> IntArray:
@@ -186,13 +186,13 @@ class _Log:
         return Chunks(maps, middles, poses, self.keys.key_travel[middles], hops, config)
 
     def score(self, trajectory: Trajectory) -> float:
-        """G of a trajectory's map, with chunks side by side."""
+        """G of a trajectory's map, for chunks whose middles are ``config.maps.half`` apart."""
         middles = chunk_middles(self.keys, self.config.maps, self.config.maps.half)
         maps = cut_chunks(self.keys, trajectory, self.config.maps, middles, self.data.max_range)
         return MapScore.of(maps, self.config.agreement)(trajectory.poses[middles])
 
     def _hop_covariances(self, number: int) -> FloatArray:
-        """Covariances (c - 1, 3, 3) of the hops of a round, by the graph of the local smoothing."""
+        """Covariances (c - 1, 3, 3) of the hops of a round, from the graph of the local smoothing."""
         hop = self.hop(number)
         if hop not in self._covariances:
             middles = self.middles(number)
@@ -203,7 +203,7 @@ class _Log:
 def local_covariances(
     keys: KeyPoses, trajectory: Trajectory, middles: IntArray, config: GraphConfig, range_std: float
 ) -> FloatArray:
-    """Covariances (c - 1, 3, 3) of the motions between key poses (c,), by odometry and links along the way."""
+    """Covariances (c - 1, 3, 3) of the motions between key poses (c,), from odometry and links along the way."""
     cloud = point_cloud(keys, trajectory, config.links, range_std)
     std = config.bundle.link_inflation * link_std(config, range_std)
     equations = local_equations(keys, trajectory, cloud, config, std)
@@ -214,7 +214,7 @@ def local_covariances(
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """The graph of chunks at the end of a round's search: its loops, their solution, and what was left out and why."""
+    """The graph of chunks after a round's search: its loops, their solution, and the rejected loops."""
 
     loops: list[Loop]
     solution: ChunkSolution
@@ -222,7 +222,7 @@ class _Placed:
     recognised: int = 0
 
     def after(self, decision: Decision, reason: str) -> "_Placed":
-        """What it is after a decision that left loops out for a reason."""
+        """The graph after a decision that rejected loops for a reason."""
         dropped = self.dropped + [LoopVerdict(loop, reason) for loop in decision.dropped]
         gained = max(0, len(decision.loops) - len(self.loops))
         return _Placed(decision.loops, decision.solution, dropped, self.recognised + gained)
@@ -235,13 +235,13 @@ class _Search:
     Attributes
     ----------
     log
-        In this frame.
+        The log in this frame.
     start, turn
-        The start, and the first heading in this frame, rad.
+        The name of the start, and the first heading in this frame, rad.
     found
-        Loops along the way by the local trajectory, for the first round.
+        Loops along the way in the local trajectory, for the first round.
     rounds
-        Those that are done.
+        The completed rounds.
     """
 
     log: _Log
@@ -252,48 +252,48 @@ class _Search:
 
     @property
     def name(self) -> str:
-        """For the reader of a result."""
+        """The name of the search in a result."""
         return f"{self.start}, turned by {math.degrees(self.turn):.3g} deg" if self.turn else self.start
 
     @property
     def score(self) -> float:
-        """The highest score of its rounds."""
+        """The highest score of the search's rounds."""
         return max(each.score for each in self.rounds)
 
     def advanced(self, end: int) -> "_Search":
-        """The search after so many rounds."""
+        """The search after ``end`` rounds."""
         return replace(self, rounds=_rounds(self.log, self.rounds, self.found, self.start, end))
 
 
 def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> list[_Search]:
-    """The first round of both starts in the frame in which the first heading is ``turn`` (rad)."""
+    """The first round of both starts, in the frame in which the first heading is ``turn`` (rad)."""
     log = _Log(keys, _local(keys, data, config, turn), data, config)
     found = loops_along_the_way(log.chunks(log.local, 0))
     return [_Search(log, start, turn, found).advanced(1) for start in _STARTS]
 
 
 def _searched(searches: list[_Search]) -> list[_Search]:
-    """All searches, of which only the best go on to the trial, and only the best of these to all rounds."""
+    """All searches. Only the best searches do the trial rounds, and only the best of these do all rounds."""
     config = searches[0].log.config.rounds
     tried = _continued(searches, config.trial, config.tried, math.inf)
     return _continued(tried, len(config.hops), config.finished, config.hopeless)
 
 
 def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
-    """The searches after at most ``most`` of them, none worse than the best by ``hopeless``, have gone on."""
+    """Continue at most ``most`` searches, none worse than the best search by ``hopeless``, up to round ``end``."""
     best = sorted(searches, key=lambda search: search.score, reverse=True)[:most]
     least = best[0].score - hopeless
     return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
 
 
 def _best(rounds: list[Round], tie: float) -> Round:
-    """The round with the highest score; of rounds within ``tie`` of it the last one, in which most has been tested."""
+    """The last round whose score is within ``tie`` of the highest score. The last round has tested most loops."""
     highest = max(each.score for each in rounds)
     return [each for each in rounds if each.score >= highest - tie][-1]
 
 
 def _rounds(log: _Log, done: list[Round], found: list[Loop], start: str, end: int) -> list[Round]:
-    """Rounds in which chunks are cut anew and everything is tested anew, until nothing changes."""
+    """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
     rounds = list(done)
     for number in range(len(done), end):
         trajectory = rounds[-1].trajectory if rounds else log.local
@@ -308,7 +308,7 @@ def _rounds(log: _Log, done: list[Round], found: list[Loop], start: str, end: in
 
 
 def _round(log: _Log, trajectory: Trajectory, number: int, found: list[Loop] | None, start: str) -> Round:
-    """Loops along the way, their support, the wide search, unions from the second round on, and the bundle."""
+    """Do one round: loops along the way, support, wide search, unions from the second round on, and the bundle."""
     config, chunks = log.config, log.chunks(trajectory, number)
     loops = loops_along_the_way(chunks) if found is None else found
     placed, score = _supported(chunks, loops), MapScore.of(chunks.maps, config.agreement)
@@ -330,7 +330,7 @@ def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:
 
 
 def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
-    """The careful start: groups of the wide search must raise G, and doubtful groups are taken out."""
+    """The guarded start: groups of the wide search must raise G, and doubtful groups are removed."""
     placed = _pruned(chunks, placed, score)
     groups = search_widely(chunks, placed.solution, placed.loops)
     decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
@@ -340,7 +340,7 @@ def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
 
 
 def _place_all(chunks: Chunks, placed: _Placed, _: MapScore) -> _Placed:
-    """The bold start: all groups of the wide search come in, and only the robust kernels judge them."""
+    """The unguarded start: all groups of the wide search are added, and only the robust kernels reject loops."""
     groups = search_widely(chunks, placed.solution, placed.loops)
     loops = placed.loops + [loop for group in groups for loop in group]
     solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
@@ -363,7 +363,7 @@ def _accept(
 
 
 def _bundled(log: _Log, trajectory: Trajectory, chunks: Chunks, placed: _Placed, iterations: int) -> Round:
-    """Carry the graph of chunks over to the key poses, bundle, and say what became of each loop."""
+    """Transfer the poses of the chunks to the key poses, solve the bundle, and give a verdict on each loop."""
     config, solution = log.config, placed.solution
     strong = solution.weights > config.chunks.kept
     kept = [loop for loop, good in zip(placed.loops, strong, strict=True) if good]
@@ -385,7 +385,7 @@ def _bundled(log: _Log, trajectory: Trajectory, chunks: Chunks, placed: _Placed,
 
 
 def _covariances(chunks: Chunks, placed: _Placed) -> FloatArray:
-    """Covariances (c, 3, 3) of the chunks relative to the first one, by the graph of chunks."""
+    """Covariances (c, 3, 3) of the chunks relative to the first chunk, from the graph of chunks."""
     count = len(chunks)
     solution = placed.solution
     joint = np.linalg.inv(information_matrix(solution.poses, chunks.hops, placed.loops, solution.weights))
@@ -398,7 +398,7 @@ def _moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:
 
 
 def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
-    """The round in the frame of the result, from the frame in which the log begins at (0, 0, ``turn``)."""
+    """The round, transformed from the frame in which the log begins at (0, 0, ``turn``) to the frame of the result."""
     motion = se2.compose(np.asarray(start, dtype=float), np.array([0.0, 0.0, -turn]))
     cos, sin = math.cos(motion[2]), math.sin(motion[2])
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -1,7 +1,7 @@
 """Matching of a chunk against the union of all chunks of other visits nearby.
 
-Seven metres of six beams are little. The union of all that other visits have seen around shows a place much better, and
-recognises chunks that no single other chunk matches.
+A chunk contains only seven metres of driving with six beams. The union of all other visits' chunks nearby describes a
+place much better. It recognises chunks that match no other chunk alone.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ _LEEWAY = 0.02
 
 
 def match_unions(chunks: Chunks, poses: FloatArray, loops: list[Loop]) -> list[Loop]:
-    """Loops from chunks that are not next to one to the nearest chunk of other visits, with the chunks at (c, 3)."""
+    """Loops from unrecognised chunks to the nearest chunk of other visits, with the chunks at ``poses`` (c, 3)."""
     config = chunks.config.union
     known = recognised(loops, len(chunks), config.recognised)
     found = [_match_union(chunks, poses, int(number)) for number in np.nonzero(~known)[0]]

@@ -1,8 +1,8 @@
-"""Straight walls, found by a Hough transform of points with normals in windows of driving.
+"""Straight walls, found by a Hough transform of points with normals in windows of distance driven.
 
-Each point votes for the lines through it whose normal is near to its own. The strongest line is refined by total least
-squares, its points are taken out, and the next one is sought. In the least-squares problem a line has two unknowns: a
-turn about its centre and an offset.
+Each point votes for the lines through it whose normal is close to the normal of the point. The strongest line is
+refined by total least squares, its points are removed, and the next line is searched. In the least-squares problem a
+line has two unknowns: a rotation about its centre and an offset.
 """
 
 from dataclasses import dataclass
@@ -21,15 +21,15 @@ kernel = entry_of(__name__)
 
 @dataclass(frozen=True, eq=False)
 class WallLines:
-    """Lines, l of them, with k memberships of points.
+    """A number l of lines, with k assignments of points to lines.
 
     Attributes
     ----------
     angles, centres
-        (l,) rad, direction of the normal; (l, 2) m.
+        Directions of the normals (l,), rad, and centres (l, 2), m.
     points, lines
-        (k,) a point and the line that it belongs to, sorted by line and then by point. A point may belong to a line
-        of each window that it lies in.
+        Assignments (k,): a point and its line, sorted by line and then by point. A point may belong to one line in each
+        window that contains the point.
     """
 
     angles: FloatArray
@@ -44,7 +44,7 @@ class WallLines:
 
 
 def find_lines(cloud: PointCloud, config: WallLineConfig, window: float, tolerance: float) -> WallLines:
-    """Lines in all windows of ``window`` m of driving, of points within ``tolerance`` m."""
+    """Lines of points within ``tolerance`` m, in all windows of ``window`` m of driving."""
     end = cloud.travel[-1] if len(cloud.travel) else 0.0
     begins = np.arange(0.0, max(end - 0.5 * window, 1e-3), 0.5 * window)
     spans = np.searchsorted(cloud.travel, np.column_stack((begins, begins + window)))
@@ -59,7 +59,7 @@ def lines_in(
     config: WallLineConfig,
     tolerance: float,
 ) -> WallLines:
-    """Lines among the points of each span (w, 2): first point and last, excluded."""
+    """Lines among the points of each span (w, 2), which is given by its first point and its last point (excluded)."""
     limits = np.array([tolerance, config.min_length, config.max_gap, np.cos(config.max_angle)])
     bins = round(2.0 * np.pi / config.angle_bin)
     counts = np.array([config.min_points, config.max_lines, config.max_tries, config.spread, bins])
@@ -72,7 +72,8 @@ def add_lines(
 ) -> None:
     """Add the distances of points from their lines, with the Geman-McClure kernel, and a weak prior of the lines.
 
-    ``std`` (m) is that of a point about its line; information is divided by ``inflation`` squared.
+    ``std`` (m) is the standard deviation of a point about its line. The information is divided by ``inflation``
+    squared.
     """
     if not len(lines.angles):
         return
@@ -89,7 +90,7 @@ def add_lines(
 
 @kernel
 def line_error(pose: FloatArray, place: FloatArray, angle: float, centre: FloatArray, by: FloatArray) -> float:
-    """Distance of a point in the world, seen from a pose, from a line; derivatives by pose and line in ``by`` (5,)."""
+    """Distance of a point, observed from a pose, to a line; writes the derivatives by pose and line to ``by`` (5,)."""
     nx, ny = np.cos(angle), np.sin(angle)
     dx, dy = place[0] - centre[0], place[1] - centre[1]
     by[0], by[1] = nx, ny
@@ -134,7 +135,7 @@ def _line_blocks(
 def _vote(
     votes: FloatArray, places: FloatArray, turn: float, spread: int, grid: tuple[int, int, float, float], sign: float
 ) -> None:
-    """Add or take back the votes of one point with a normal at ``turn`` rad."""
+    """Add or remove the votes of one point with a normal at ``turn`` rad."""
     bins, width, side, low = grid
     step = 2.0 * np.pi / bins
     middle = int(np.round(turn / step))
@@ -151,7 +152,7 @@ def _vote(
 
 @kernel
 def _touched(places: FloatArray, turns: FloatArray, spread: int, grid: tuple[int, int, float, float]) -> IntArray:
-    """The bins that points vote for, each once."""
+    """The bins that the points vote for, each bin once."""
     bins, width, side, low = grid
     step = 2.0 * np.pi / bins
     out = np.empty(len(places) * (2 * spread + 1), np.int64)
@@ -168,7 +169,7 @@ def _touched(places: FloatArray, turns: FloatArray, spread: int, grid: tuple[int
 
 @kernel
 def _longest_run(along: FloatArray, member: BoolArray, gap: float) -> tuple[int, float, float]:
-    """Number of points, begin and end of the run with the most points, between gaps along a line."""
+    """Number of points, begin and end of the run with the most points along a line; larger gaps end a run."""
     spots = np.sort(along[member])
     best, low, high = 0, 0.0, 0.0
     begin = 0
@@ -182,7 +183,7 @@ def _longest_run(along: FloatArray, member: BoolArray, gap: float) -> tuple[int,
 
 @kernel
 def fit_line(places: FloatArray, member: BoolArray, nx: float, ny: float) -> tuple[float, float, float, float]:
-    """Total least squares: centre and unit normal, on the side of (nx, ny), of the points that are members."""
+    """Total least squares of member points: centre and unit normal, oriented towards the side of (nx, ny)."""
     n = mx = my = sxx = syy = sxy = 0.0
     for k in range(len(places)):
         if member[k]:
@@ -210,7 +211,10 @@ def _refine(
     min_points: int,
     limits: FloatArray,
 ) -> tuple[bool, float, float]:
-    """Fit a line (normal x, y, centre x, y) three times to its longest run; whether it stands, and its two ends."""
+    """Fit a line three times to its longest run; return whether the line is valid, and its ends.
+
+    The line is given by normal x, y and centre x, y.
+    """
     member, along = np.empty(len(places), np.bool_), np.empty(len(places))
     low = high = 0.0
     for _turn in range(3):
@@ -242,7 +246,7 @@ def _take(
     ends: tuple[float, float],
     limits: FloatArray,
 ) -> None:
-    """Points on a line between its ends are free no longer; those without a trusted normal come along."""
+    """Assign the free points between the ends of a line to the line, including points without a reliable normal."""
     for k in range(len(places)):
         dx, dy = places[k, 0] - line[2], places[k, 1] - line[3]
         along = line[0] * dy - line[1] * dx
@@ -263,7 +267,7 @@ def _window(
     label: IntArray,
     found: FloatArray,
 ) -> int:
-    """Lines among the points of one window: the line of each point in ``label``, angle and centre in ``found``."""
+    """Find lines in one window: write the line of each point to ``label``, angle and centre to ``found``."""
     label[:] = -1
     if good.sum() < counts[0]:
         return 0

@@ -1,8 +1,8 @@
-"""The search for places that were not recognised along the way, with hardly any knowledge of where the robot is.
+"""The search for places that were not recognised along the way, with a very uncertain pose of the robot.
 
-A match in so wide a window may well be wrong: one corridor looks like another. So the window is as wide as the graph of
-chunks is unsure, with sigmas to spare, and a match counts only if several neighbouring chunks match where it predicts
-them. These matches make a group with it.
+A match in so wide a window may be wrong, since many corridors look alike. The width of the window is therefore the
+uncertainty of the chunk graph plus several standard deviations. A match is accepted only if several neighbouring chunks
+match where it predicts them. These matches and the first match form a group.
 """
 
 import numpy as np
@@ -13,14 +13,14 @@ from limslam_agent.slam.graph.loop_search import Chunks
 from limslam_agent.slam.graph.matching import Match, Window, match, search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
-_NEAR, _FAR = 2.5, 5.0  # m of driving to the neighbours that have to match, too
+_NEAR, _FAR = 2.5, 5.0  # m of driving to the neighbours that must match as well
 _LEEWAY = 0.01
-# Chunks overlap: grids and chunks so far apart, m of driving, show everything.
+# Chunks overlap. Grids and chunks at this spacing, m of driving, cover the whole log.
 _GRIDS_APART, _CHUNKS_APART = 4.0, 2.4
 
 
 def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
-    """Which of the chunks (count,) lie within ``reach`` chunks of the end of a loop."""
+    """Mask (count,) of the chunks that lie within ``reach`` chunks of the end of a loop."""
     marked = np.zeros(count, dtype=np.bool_)
     for loop in loops:
         for end in (loop.first, loop.second):
@@ -29,7 +29,7 @@ def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
 
 
 def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) -> list[list[Loop]]:
-    """Groups of loops for chunks that no loop of ``loops`` lies near to, from the graph's solution with these loops."""
+    """Groups of loops for chunks that are not near any loop of ``loops``, from the solution with these loops."""
     config, poses = chunks.config.wide, solution.poses
     known = recognised(loops, len(chunks), config.recognised)
     if known.all():
@@ -55,11 +55,11 @@ def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) ->
 
 
 def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int, steps: tuple[int, int]) -> IntArray:
-    """Chunks not recognised that may show what ``first`` shows; of two of these each pair counts once."""
+    """Unrecognised chunks that may show the place of ``first``; pairs of unrecognised chunks are counted once."""
     config = chunks.config.wide
     near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= config.max_distance
     apart = np.abs(chunks.travel - chunks.travel[first]) >= config.min_travel
-    # A chunk that is not searched itself as a grid must meet the others from both sides.
+    # A chunk that is not searched itself as a grid must be compared with earlier and with later chunks.
     numbers = np.arange(len(chunks))
     once = known[first] | (numbers > first) | (numbers % steps[0] != 0)
     return np.nonzero(near & apart & ~known & once & (numbers % steps[1] == 0))[0]
@@ -68,7 +68,7 @@ def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int,
 def _windows(
     chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How wide to search for chunks (k,) in the grid of the first one: shifts (k,), m, and turns (k,), rad.
+    """Search windows for chunks (k,) in the grid of the first chunk: shifts (k,), m, and turns (k,), rad.
 
     ``joint`` (3 c, 3 c) is the covariance of all chunks.
     """
@@ -84,7 +84,7 @@ def _windows(
 
 
 def _step(chunks: Chunks, apart: float) -> int:
-    """How many chunks lie so far apart, m of driving."""
+    """Number of chunks that corresponds to this distance, m of driving."""
     hop = max(float(np.median(np.diff(chunks.travel))), 1e-6)
     return max(1, int(np.ceil(apart / hop - 0.05)))
 
@@ -108,7 +108,7 @@ def _group(chunks: Chunks, poses: FloatArray, first: int, second: int, found: Ma
 
 
 def _neighbours(chunks: Chunks, first: int, second: int) -> list[tuple[int, int]]:
-    """Pairs of chunks some metres of driving away, the second one always another than ``second``."""
+    """Pairs of chunks some metres of driving away. The second chunk always differs from ``second``."""
     near, far = _step(chunks, _NEAR), _step(chunks, _FAR)
     pairs = [(first + a, second + b) for a in (-far, -near, 0, near, far) for b in (-far, far, -near, near)]
     return [(i, j) for i, j in pairs if 0 <= i < len(chunks) and 0 <= j < len(chunks) and i != j]

@@ -1,1 +1,1 @@
-"""Smoothing: all poses of a run solved for together, with associations that can be taken back."""
+"""Smoothing of a finished run: all poses are solved for together, and wrong associations can be corrected."""

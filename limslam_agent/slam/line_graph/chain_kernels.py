@@ -1,10 +1,10 @@
 """Compiled parts of the line smoother: wheel motions, expected readings, and the elimination of chains of poses.
 
 A **motion** is (left, right, aside): the travel of both wheels and a shift to the left, m. The wheels drive an exact
-arc, as in :func:`limslam_env.geometry.se2.arc`; the shift is square to the chord of that arc. With the shift, a pair of
-poses and a motion determine each other. A **calibration** is (left, right, axle, bias): the shares by which the wheels
-and the axle are larger than specified, and what every range reads too much, m. A **line** is (d, alpha) about an anchor
-a: the points x with (cos alpha, sin alpha) . (x - a) = d.
+arc, as in :func:`limslam_env.geometry.se2.arc`; the shift is perpendicular to the chord of that arc. With the shift, a
+pair of poses and a motion determine each other. A **calibration** is (left, right, axle, bias): the relative excess of
+the wheels and of the axle over their specified sizes, and the bias of all ranges, m. A **line** is (d, alpha) about an
+anchor a: the points x with (cos alpha, sin alpha) . (x - a) = d.
 """
 
 import math
@@ -15,7 +15,7 @@ from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_env.geometry import FloatArray, IntArray
 
 CALIBRATED = 4
-"""Numbers in the calibration of a robot."""
+"""Number of parameters in the calibration of a robot."""
 
 RANGE, BY_POSE, BY_LINE, COSINE, COLUMNS = 0, 1, 4, 6, 7
 """Columns of a row about a reading: its expected range, derivatives by pose (3) and line (2), and the cosine."""
@@ -72,7 +72,7 @@ def motion_jacobians(poses: FloatArray, axle: float, by_before: FloatArray, by_a
 
 @compiled
 def _chord(before: FloatArray, after: FloatArray) -> tuple[float, float]:
-    """How far a pose lies ahead of and to the left of another, seen in the direction between both headings, m."""
+    """Displacement between two poses, ahead and to the left in the direction of their mean heading, m."""
     middle = 0.5 * (before[2] + after[2])
     cos, sin = math.cos(middle), math.sin(middle)
     x, y = after[0] - before[0], after[1] - before[1]
@@ -81,7 +81,7 @@ def _chord(before: FloatArray, after: FloatArray) -> tuple[float, float]:
 
 @compiled
 def _arc_over_chord(half: float) -> float:
-    """Length of an arc over that of its chord; ``half`` is half the turn, rad."""
+    """Ratio of the length of an arc to that of its chord; ``half`` is half the turn, rad."""
     return 1.0 + half * half / 6.0 if abs(half) < _SMALL_TURN else half / math.sin(half)
 
 
@@ -95,13 +95,13 @@ def _arc_over_chord_derivative(half: float) -> float:
 
 @compiled
 def expected_reading(pose: FloatArray, beam: FloatArray, line: FloatArray, anchor: FloatArray, row: FloatArray) -> None:
-    """What a beam (x, y, angle) on the body should read; ``row`` (7,) is laid out as :data:`RANGE` and so on say."""
+    """The expected range of a beam (x, y, angle) on the body; :data:`RANGE` etc. give the layout of ``row`` (7,)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     arm_x, arm_y = cos * beam[0] - sin * beam[1], sin * beam[0] + cos * beam[1]
     ux, uy = math.cos(pose[2] + beam[2]), math.sin(pose[2] + beam[2])
     nx, ny = math.cos(line[1]), math.sin(line[1])
     cosine = nx * ux + ny * uy
-    # A beam exactly along the line would meet it nowhere; very far away serves as well, and is a number.
+    # A beam exactly parallel to the line does not meet it. A very large finite distance is used instead.
     divisor = cosine if abs(cosine) > _PARALLEL else _PARALLEL
     x, y = pose[0] + arm_x - anchor[0], pose[1] + arm_y - anchor[1]
     distance = (line[0] - nx * x - ny * y) / divisor
@@ -122,7 +122,7 @@ def expected_readings(
     anchors: FloatArray,
     rows: FloatArray,
 ) -> None:
-    """Rows (k, 7) about readings of lines ``label`` (k,), by beams (k, 3) at the poses with the numbers (k,)."""
+    """Rows (k, 7) of readings that are associated with lines ``label`` (k,), by beams (k, 3) at pose indices (k,)."""
     for k in range(len(places)):
         if label[k] >= 0:
             expected_reading(poses[places[k]], beam[k], lines[label[k]], anchors[label[k]], rows[k])
@@ -141,17 +141,17 @@ def add_motions(
     shared: FloatArray,
     shared_right: FloatArray,
 ) -> None:
-    """Add the motions of one chain to its normal equations, all rows in standard deviations.
+    """Add the motions of one chain to its normal equations. All rows are divided by standard deviations.
 
     Parameters
     ----------
     by_before, by_after, by_calibration, residuals
-        (t - 1, 3, 3), (t - 1, 3, 3), (t - 1, 3, c) and (t - 1, 3).
+        Derivatives (t - 1, 3, 3), (t - 1, 3, 3) and (t - 1, 3, c), and residuals (t - 1, 3).
     diagonal, below, border, right
-        Of the poses: blocks (t, 3, 3), blocks (t, 3, 3) between each pose and the next one, blocks (t, 3, c) with the
-        calibration, and the right side (t, 3).
+        Parts of the equations of the poses: blocks (t, 3, 3), blocks (t, 3, 3) between each pose and the next pose,
+        blocks (t, 3, c) with the calibration, and the right side (t, 3).
     shared, shared_right
-        Of the calibration: (c, c) and (c,).
+        Parts of the equations of the calibration: (c, c) and (c,).
     """
     for step in range(len(by_before)):
         before, after, other = by_before[step], by_after[step], by_calibration[step]
@@ -231,22 +231,22 @@ def eliminate(
     coupled: FloatArray,
     solved: FloatArray,
 ) -> None:
-    """Eliminate the poses 1 to t - 2 of a chain; the first pose is known, the last one stays.
+    """Eliminate the poses 1 to t - 2 of a chain. The first pose is known, and the last pose remains.
 
-    A block Cholesky factorisation of an arrow matrix. The readings of the chain, sorted by ``steps`` (k,), couple the
-    poses to the lines, ``border`` (t, 3, c) to the calibration.
+    This is a block Cholesky factorisation of an arrow matrix. The readings of the chain, sorted by ``steps`` (k,),
+    couple the poses to the lines. ``border`` (t, 3, c) couples the poses to the calibration.
 
     Parameters
     ----------
     lower, gains
-        To be filled: (t, 3, 3), the Cholesky factor of each pose's block, and how each pose is coupled to the one
-        before.
+        Output arrays (t, 3, 3): the Cholesky factor of each pose's block, and the coupling of each pose to the previous
+        pose.
     coupled, solved
-        To be filled: (t, 3, m) and (t, 3), how each pose is coupled to calibration and lines, and its right side,
-        both with the factor taken off. Those of the last pose are left as they are.
+        Output arrays (t, 3, m) and (t, 3): the coupling of each pose to calibration and lines, and its right side, both
+        multiplied by the inverse of the factor. The entries of the last pose are not changed.
     """
     last, first_line = len(diagonal) - 1, border.shape[2]
-    # Lines are numbered in the order in which they are seen: the columns of later lines are still zero.
+    # Lines are numbered in the order of their first readings: the columns of later lines are still zero.
     active, k = first_line, 0
     while k < len(steps) and steps[k] < 1:
         k += 1
@@ -285,7 +285,7 @@ def _subtract_previous(
     step: int,
     active: int,
 ) -> None:
-    """What eliminating the pose before changes for a pose."""
+    """Subtract the effect of eliminating the previous pose from a pose's block, coupling and right side."""
     factor, gain = lower[step - 1], gains[step]
     for i in range(3):
         gain[i, 0] = below[i, 0] / factor[0, 0]
@@ -303,7 +303,7 @@ def _subtract_previous(
 
 @compiled
 def _factor(block: FloatArray) -> None:
-    """The lower Cholesky factor of a block (3, 3), in its place."""
+    """Replace a block (3, 3) by its lower Cholesky factor."""
     a = math.sqrt(block[0, 0])
     b, c = block[1, 0] / a, block[2, 0] / a
     d = math.sqrt(block[1, 1] - b * b)
@@ -315,7 +315,7 @@ def _factor(block: FloatArray) -> None:
 
 @compiled
 def _take_off(factor: FloatArray, coupled: FloatArray, solved: FloatArray, active: int) -> None:
-    """Solve with the factor (3, 3) for the columns (3, m) and the right side (3,), in their places."""
+    """Solve with the factor (3, 3) for the columns (3, m) and the right side (3,), in place."""
     for j in range(active):
         coupled[0, j] /= factor[0, 0]
         coupled[1, j] = (coupled[1, j] - factor[1, 0] * coupled[0, j]) / factor[1, 1]
@@ -329,7 +329,7 @@ def _take_off(factor: FloatArray, coupled: FloatArray, solved: FloatArray, activ
 def substitute(
     lower: FloatArray, gains: FloatArray, coupled: FloatArray, solved: FloatArray, shared: FloatArray, moves: FloatArray
 ) -> None:
-    """Changes of poses ``moves`` (t, 3), given those of the last pose, in it, and of calibration and lines (m,)."""
+    """Compute the steps of poses ``moves`` (t, 3) from its last row and the steps of calibration and lines (m,)."""
     for step in range(len(moves) - 2, 0, -1):
         factor, gain, move = lower[step], gains[step + 1], moves[step]
         for i in range(3):
@@ -353,15 +353,15 @@ def pose_marginals(
     with_shared: FloatArray,
     covariances: FloatArray,
 ) -> None:
-    """Covariances (t, 3, 3) of all poses of a chain, given that of the last one, in it.
+    """Fill in the covariances (t, 3, 3) of all poses of a chain; that of the last pose is given.
 
-    A pose that has been eliminated is L^-T (z - W y - G^T x), with the shared variables y, the next pose x, and z of
-    unit covariance that is independent of both.
+    An eliminated pose is L^-T (z - W y - G^T x). Here y are the shared variables, x is the next pose, and z has unit
+    covariance and is independent of both.
 
     Parameters
     ----------
     shared, with_shared
-        Covariance (m, m) of calibration and lines, and that of the last pose with them (3, m).
+        Covariance (m, m) of calibration and lines, and the cross-covariance (3, m) of the last pose with them.
     """
     cross = with_shared.copy()
     for step in range(len(covariances) - 2, 0, -1):
@@ -377,7 +377,7 @@ def pose_marginals(
 
 @compiled
 def _inverse_transposed(factor: FloatArray) -> FloatArray:
-    """Of a lower triangle (3, 3)."""
+    """The inverse of the transpose of a lower triangular matrix (3, 3)."""
     back = np.zeros((3, 3))
     for i in range(3):
         back[i, i] = 1.0 / factor[i, i]

@@ -1,7 +1,7 @@
-"""Compiled parts of the association of readings with lines: fits, ends, best lines, pairs that are one wall, crossings.
+"""Compiled parts of data association: line fits, line ends, best lines, merges of lines, and crossings of walls.
 
-Lines are (d, alpha) about an anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
-line counts from its anchor, m.
+Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
+line is its distance from the anchor, m.
 """
 
 import math
@@ -15,15 +15,15 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 GRAZING = 0.2
 _TRIED_ANGLES = 90
-_FITTED = 40  # readings of a line at most, from which it is fitted
+_FITTED = 40  # largest number of a line's readings that are used to fit it
 _FAR = 1e9
-_OUTLIER = 25.0  # what explains a reading worse, in variances, is no worse than this
+_OUTLIER = 25.0  # largest squared residual of a reading, divided by the variance; larger residuals are clipped
 _REGULAR = (1e-6, 1e-8)  # added to the covariance of the difference of two lines, m^2 and rad^2
 
 
 @compiled
 def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]:
-    """Where a beam begins, m, and its direction, in the world."""
+    """Origin of a beam, m, and its direction, in the world frame."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + cos * beam[0] - sin * beam[1], pose[1] + sin * beam[0] + cos * beam[1]
     return x, y, math.cos(pose[2] + beam[2]), math.sin(pose[2] + beam[2])
@@ -33,7 +33,7 @@ def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]
 def hit_points(
     poses: FloatArray, places: IntArray, beams: FloatArray, distances: FloatArray, points: FloatArray
 ) -> None:
-    """Where readings end, m, and the unit vectors of their beams, as rows of ``points`` (k, 4)."""
+    """End points of readings, m, and the unit vectors of their beams, as rows of ``points`` (k, 4)."""
     for k in range(len(places)):
         x, y, ux, uy = ray(poses[places[k]], beams[k])
         points[k, 0], points[k, 1] = x + distances[k] * ux, y + distances[k] * uy
@@ -42,10 +42,10 @@ def hit_points(
 
 @entry
 def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArray, anchors: FloatArray) -> None:
-    """Lines (m, 2) and anchors (m, 2) through points (k, 4), which are grouped: group i begins at ``firsts[i]``.
+    """Fit lines (m, 2) and anchors (m, 2) to points (k, 4) in groups; group i begins at ``firsts[i]``.
 
-    Of many angles, the one that explains most readings. Total least squares of the points would take the noise along
-    the beams for the line where points are crowded together.
+    Of many angles, the angle that explains most readings is chosen. Where points lie close together, total least
+    squares would fit the noise along the beams instead of the line.
     """
     for group in range(len(lines)):
         first, end = firsts[group], firsts[group + 1]
@@ -65,7 +65,7 @@ def _fit_at(points: FloatArray, anchor: FloatArray, angle: float, std: float) ->
     nx, ny = math.cos(angle), math.sin(angle)
     total, weights = 0.0, 0.0
     for k in range(len(points)):
-        # A point is farther from the line by the cosine than along the beam.
+        # The distance from the line is the residual along the beam times the cosine.
         weight = 1.0 / max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING) ** 2
         total += weight * ((points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny)
         weights += weight
@@ -87,7 +87,7 @@ def places_along(
     anchors: FloatArray,
     along: FloatArray,
 ) -> None:
-    """Where beams should meet the lines that they are given to, (k,), m; readings of no line are left out."""
+    """Places (k,) where beams should meet their associated lines, m; readings without a line are left out."""
     row = np.zeros(COLUMNS)
     for k in range(len(places)):
         if label[k] < 0:
@@ -113,14 +113,15 @@ def best_lines(
     best: IntArray,
     misfits: FloatArray,
 ) -> None:
-    """For each reading, the line (k,) that predicts it best among those that the beam meets near enough.
+    """For each reading, the line (k,) that predicts it best, among the lines that the beam meets near enough.
 
     Parameters
     ----------
     ends, beyond
-        (m, 2), m, from where to where each line was read, and how far beyond it may be met.
+        Ends (m, 2) of the part of each line that was read, m, and the distance beyond the ends at which a beam may meet
+        it.
     best, misfits
-        To be filled: the line or -1, and how far the reading is from the best and from the second one (k, 2), m.
+        Output arrays: the line or -1, and the misfits of the reading to the best and the second line (k, 2), m.
     """
     normals = _normals(lines, anchors)
     for k in range(len(places)):
@@ -144,7 +145,7 @@ def best_lines(
 
 @compiled
 def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
-    """Of each line its normal, and how far it and its anchor lie along normal and direction from the origin (m, 4)."""
+    """For each line, its normal, and the coordinates of the line and its anchor along normal and direction (m, 4)."""
     result = np.empty((len(lines), 4))
     for line in range(len(lines)):
         nx, ny = math.cos(lines[line, 1]), math.sin(lines[line, 1])
@@ -158,7 +159,7 @@ def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
 def _difference(
     first: int, second: int, lines: FloatArray, anchors: FloatArray, jacobian: FloatArray
 ) -> tuple[float, float]:
-    """The first line about the second one's anchor, less the second: offset and angle; and the derivatives (2, 4)."""
+    """Offset and angle of the first line about the second line's anchor, minus the second line; derivatives (2, 4)."""
     turn = lines[first, 1] - lines[second, 1]
     angle = (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
     sign = -1.0 if math.cos(turn) < 0.0 else 1.0
@@ -174,9 +175,9 @@ def _difference(
 def _agreement(
     first: int, second: int, lines: FloatArray, anchors: FloatArray, covariance: FloatArray, work: FloatArray
 ) -> tuple[float, float]:
-    """Squared Mahalanobis distance of two lines, and the logarithm of their difference's determinant.
+    """Squared Mahalanobis distance of two lines, and the logarithm of the determinant of their difference's covariance.
 
-    ``work`` (2, 8) is left with the Jacobian, the difference's offset and angle, and its information matrix.
+    On return, ``work`` (2, 8) holds the Jacobian, the difference's offset and angle, and its information matrix.
     """
     work[0, 4], work[1, 4] = _difference(first, second, lines, anchors, work[:, :4])
     a, b, c = _REGULAR[0], 0.0, _REGULAR[1]
@@ -197,7 +198,7 @@ def _agreement(
 
 @compiled
 def _apart(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> tuple[float, float]:
-    """How far the middle of the second line lies from the first one, m, and the length that both cover, m."""
+    """Distance of the middle of the second line from the first line, m, and the length of their overlap, m."""
     nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
     mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
     low, high, off = np.inf, -np.inf, 0.0
@@ -220,10 +221,11 @@ def merge_lines(
     most_moved: FloatArray,
     merged_into: IntArray,
 ) -> int:
-    """Merge lines that may be one wall, the surest pair first; returns how many merged.
+    """Merge lines that may be one wall, in the order of likelihood; return the number of merges.
 
-    Every merged pair is a constraint that moves all other lines, as their joint covariance tells. The surest pair is
-    that with the greatest likelihood: a pair of which little is known agrees easily, and proves nothing.
+    Every merged pair is a constraint that updates all other lines through their joint covariance. The pair with the
+    greatest likelihood is merged first. A pair with a large covariance passes the chi-square test easily, and this is
+    weak evidence.
 
     Parameters
     ----------
@@ -232,10 +234,10 @@ def merge_lines(
     limits
         The largest chi-square, offset (m) and angle (rad), and the least overlap (m).
     most_moved
-        Stop when a line has moved farther than this, m and rad, and a standard deviation: it is time to linearise
-        again.
+        Merging stops when the change of a line exceeds this, m and rad, and one standard deviation: the problem must
+        then be linearised again.
     merged_into
-        To be filled: for each line the one that it was merged into, itself where it was not, (m,).
+        Output array (m,): for each line, the line that it was merged into, or the line itself if it was not merged.
     """
     begin, work, count = lines.copy(), np.zeros((2, 8)), 0
     spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
@@ -291,7 +293,7 @@ def _is_near(
 
 @compiled
 def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArray, work: FloatArray) -> None:
-    """Let two lines be one: a Kalman update of all lines with their difference, which is zero."""
+    """Constrain two lines to be equal: a Kalman update of all lines with their difference, which is zero."""
     size = len(covariance)
     gain, crossed = np.zeros((size, 2)), np.zeros((size, 2))
     for row in range(size):
@@ -309,7 +311,7 @@ def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArra
 
 @compiled
 def _unite_ends(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> None:
-    """Let the first line reach to the ends of the second one."""
+    """Extend the first line to the ends of the second line."""
     nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
     mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
     for end in range(2):
@@ -343,19 +345,21 @@ def count_crossings(
     misses: IntArray,
     against: IntArray,
 ) -> int:
-    """Count where beams went through lines; returns how many of them went through a wall.
+    """Count the beams that passed through lines; return the number of beams that passed through a wall.
 
-    A beam went through a line when it reached farther beyond it than ``margin``, m along the line's normal. It went
-    through a wall, once at most, when others have ended in that bin of the line and close to it on both sides.
+    A beam passed through a line if it reached more than ``margin`` beyond it, m along the line's normal. It passed
+    through a wall, counted at most once, if other beams ended in that bin of the line and close to the bin on both
+    sides.
 
     Parameters
     ----------
     reached
-        How far each beam went without meeting anything (k,), m.
+        Length of the free path of each beam (k,), m.
     low, hits
-        First bin (m,) of each line, and how many beams ended in each bin (m, b), 0 beyond a line's last one.
+        First bin (m,) of each line, and the number of beams that ended in each bin (m, b), 0 beyond a line's last bin.
     misses, against
-        To be added to: how many went through each bin (m, b), and how many walls of each line (m,) were gone through.
+        Counts that are increased: beams that passed through each bin (m, b), and walls of each line (m,) that were
+        passed through.
     """
     count, normals = 0, _normals(lines, anchors)
     for k in range(len(places)):
@@ -381,7 +385,7 @@ def count_crossings(
 
 @compiled
 def _is_wall(hits: IntArray, place: int) -> bool:
-    """Whether beams ended in a bin, and in one of the two bins on each side of it."""
+    """Whether beams ended in a bin, and in at least one of the two adjacent bins on each side of it."""
     if place < 2 or place >= len(hits) - 2 or hits[place] == 0:
         return False
     return bool(hits[place - 1] + hits[place - 2] > 0 and hits[place + 1] + hits[place + 2] > 0)
@@ -402,11 +406,11 @@ def explain_looks(
     misfits: FloatArray,
     best: IntArray,
 ) -> None:
-    """How well each look fits the walls that its beam meets (k,), m, and the line (k,) that explains it, or -1.
+    """The residual of each look to the walls that its beam meets (k,), m, and the line (k,) that explains it, or -1.
 
-    A beam ends at the first wall that it surely meets, or before that at the end of a wall that it may just meet. So
-    two walls close behind each other explain no more than the first of them does. A look that saw nothing fits exactly
-    unless it went through a wall by more than ``margin``, m along the normal.
+    A beam ends at the first wall that it certainly meets, or before that at the end of a wall that it may just meet.
+    Two walls close behind each other therefore explain no more looks than the first of them. A look that met no wall
+    has no residual, unless it passed through a wall by more than ``margin``, m along the normal.
     """
     normals = _normals(lines, anchors)
     for k in range(len(places)):
@@ -423,7 +427,7 @@ def explain_looks(
 def _first_sure(
     beam: tuple[float, float, float, float], normals: FloatArray, low: IntArray, hits: IntArray
 ) -> tuple[float, int, float]:
-    """How far a beam goes to the first wall that it surely meets, m, the wall's line, and the cosine."""
+    """The distance to the first wall that a beam certainly meets, m, the wall's line, and the cosine."""
     x, y, ux, uy = beam
     first, found, its_cosine = _FAR, -1, 1.0
     for line in range(len(normals)):
@@ -448,7 +452,7 @@ def _nearest_before(
     low: IntArray,
     hits: IntArray,
 ) -> tuple[float, int]:
-    """By how much a reading misses the nearest wall that its beam may meet before, or surely at, ``first``, m."""
+    """The residual of a reading to the nearest wall that its beam may meet up to ``first``, m."""
     x, y, ux, uy = beam
     misfit, best = _FAR, -1
     for line in range(len(normals)):
@@ -466,5 +470,5 @@ def _nearest_before(
 
 @compiled
 def _has_hits(hits: IntArray, place: int) -> bool:
-    """Whether beams ended in a bin or beside it."""
+    """Whether beams ended in a bin or in an adjacent bin."""
     return bool(hits[max(place - 1, 0) : place + 2].sum() > 0)

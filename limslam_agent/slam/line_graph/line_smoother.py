@@ -1,9 +1,9 @@
-"""The line smoother: all poses of a run and all lines solved for together, in least squares.
+"""The line smoother: least squares over all poses of a run and all lines.
 
-Every step has a pose of its own, wheels drive exact arcs, and every reading that is given to a line is one factor
-(F. Dellaert and M. Kaess, "Factor Graphs for Robot Perception", 2017). The poses of a robot form a chain and lines are
-few. So poses are eliminated one after another, a block of three at a time, and what remains is a dense system of the
-lines, the last poses and the calibration. Several robots are several chains that share the lines.
+Every step has its own pose, the wheels drive exact arcs, and every reading that is associated with a line is one factor
+(F. Dellaert and M. Kaess, "Factor Graphs for Robot Perception", 2017). The poses of a robot form a chain, and there are
+few lines. The poses are therefore eliminated one after another, in blocks of three variables. A dense system of the
+lines, the last poses and the calibration remains. Several robots are several chains that share the lines.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,13 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = 0.005  # m
-GRAZING = 0.2  # cosine between beam and normal; below it a reading tells little but how the angle errs
+GRAZING = 0.2  # cosine between beam and normal; below this value a reading depends mostly on the beam's angle error
 
-# Steps to the side of this size add up to less than a millimetre in a run, and keep the equations regular.
+# Sideways shifts of this size add up to less than a millimetre in a run. They keep the equations regular.
 _ASIDE_STD = 1e-5
 _LEAST_VARIANCE = 1e-12
-# What keeps the equations of a line regular that was read only once, m and rad; other lines do not feel it.
+# Standard deviations, m and rad, that keep the equations of a line regular if it was read only once. Other lines are
+# unaffected.
 _LINE_STD = np.array([100.0, 10.0])
 _MOST_HALVINGS = 6
 _CHOOSING = 2  # iterations after which the set of grazing readings is fixed
@@ -41,11 +42,12 @@ class Readings:
     Attributes
     ----------
     places
-        Number (k,) of the pose that each was taken at: that of robot i at step s of t is i t + s.
+        Index (k,) of the pose at which each reading was taken. The pose of robot i at step s of t has the index i t +
+        s.
     beams
-        Number (k,) of the beam of each.
+        Index (k,) of the beam of each reading.
     distances
-        What was read (k,), m.
+        Measured distances (k,), m.
     """
 
     places: IntArray
@@ -58,22 +60,22 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What was measured by n robots in t steps, and how surely.
+    """The measurements of n robots in t steps, and their standard deviations.
 
     Attributes
     ----------
     robot
-        Body and beams of each.
+        Body and beams of each robot.
     starts
         Known poses (n, 3) of the first step, m and rad.
     wheels, stds
-        Reported motions (n, t - 1, 3), m, the last column zero, and their standard deviations.
+        Reported motions (n, t - 1, 3), m, whose last column is zero, and their standard deviations.
     readings, range_std
-        What the beams read of walls, and its standard deviation, m.
+        The readings of walls, and their standard deviation, m.
     looks
-        Those readings, and beams that saw nothing: how far each of them went without meeting anything.
+        The readings of walls, and the beams that met no wall, each with the length of its free path.
     prior
-        Inverse covariance (4, 4) of a robot's calibration; None where robots are as specified.
+        Inverse covariance (4, 4) of a robot's calibration; None where the robots are taken to be as specified.
     """
 
     robot: RobotSpec
@@ -97,7 +99,7 @@ class Problem:
 
     @cached_property
     def look_beams(self) -> FloatArray:
-        """The same for ``looks``."""
+        """Origin and direction (k, 3) of the beam of each look, m, m, rad, in the robot's frame."""
         return self._beams_of(self.looks)
 
     @cached_property
@@ -112,16 +114,16 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is solved for.
+    """The variables of the least-squares problem.
 
     Attributes
     ----------
     motions, poses
-        (n, t - 1, 3), m, and the poses (n, t, 3) that they lead to, m and rad; headings are not wrapped.
+        Motions (n, t - 1, 3), m, and the poses (n, t, 3) that follow from them, m and rad; headings are not wrapped.
     lines, anchors
-        (m, 2), as (d, alpha) about an anchor point each, m and rad, and the anchors (m, 2), m.
+        Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2), m.
     calibration
-        (n, 4): left wheel, right wheel and axle are larger by these shares, and what all ranges read too much, m.
+        Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all ranges, m.
     """
 
     motions: FloatArray
@@ -132,20 +134,21 @@ class State:
 
     @property
     def flat_poses(self) -> FloatArray:
-        """All poses (n t, 3), those of a robot after those of the one before it."""
+        """All poses (n t, 3), sorted by robot and then by step."""
         return self.poses.reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Factored:
-    """The equations of the last step: each chain's factors, and the covariance of what was not eliminated.
+    """The equations of the last step: the factors of each chain, and the covariance of the remaining variables.
 
     Attributes
     ----------
     chains
-        Of each robot: lower factors (t, 3, 3), gains (t, 3, 3), and couplings (t, 3, c + 2 m).
+        For each robot: lower factors (t, 3, 3), gains (t, 3, 3), and couplings (t, 3, c + 2 m).
     covariance
-        Joint covariance of the last poses of all robots, their calibration and all lines (3 n + c + 2 m, the same).
+        Joint covariance of the last poses and calibrations of all robots and of all lines, square, with 3 n + c + 2 m
+        rows.
     """
 
     chains: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
@@ -153,7 +156,7 @@ class Factored:
 
     @property
     def lines(self) -> FloatArray:
-        """Joint covariance (2 m, 2 m) of all lines; ``first_line`` is where they begin."""
+        """Joint covariance (2 m, 2 m) of all lines; ``first_line`` is the index of its first row."""
         return self.covariance[self.first_line :, self.first_line :]
 
     first_line: int
@@ -161,18 +164,18 @@ class Factored:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """An optimum.
+    """An optimum of the least-squares problem.
 
     Attributes
     ----------
     state
-        Where it is.
+        Poses, lines and calibration at the optimum.
     weights
-        (k,), 1 for each reading that was used, 0 for those of no line and those that graze their line.
+        Weights (k,): 1 for each reading that was used, 0 for readings without a line and for grazing readings.
     chi_square
-        Sum of the squared residuals of wheels, readings and calibration, in standard deviations.
+        Sum of the squared residuals of wheels, readings and calibration, each divided by its variance.
     factored
-        For covariances.
+        The factored equations, from which covariances are computed.
     """
 
     state: State
@@ -190,22 +193,22 @@ def make_problem(
     usable: BoolArray | None = None,
     prior: CalibrationPrior | None = None,
 ) -> Problem:
-    """The problem of a run.
+    """Collect the measurements of a run.
 
     Parameters
     ----------
     robot, noise
-        Body and beams of each of the n robots, and what its builder knows of its noise. The standard deviation of
-        ranges is taken to be 5 mm or more.
+        Body and beams of each of the n robots, and the specified noise. The standard deviation of ranges is taken to be
+        at least 5 mm.
     starts
         Known poses (n, 3), m and rad.
     wheels, ranges
-        (t, n, 2) and (t, n, n_beams), m: the observations; row 0 is the moment of the reset.
+        Observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset.
     usable
-        (t, n, n_beams), which readings may be used; None for all. Readings that show no wall or are old ones
-        that a slow sensor repeats are left out in any case.
+        Mask (t, n, n_beams) of the readings that may be used; None for all. Readings without a wall are always left
+        out. So are old readings that a slow sensor repeats.
     prior
-        Given where wheels, axle and bias are to be estimated.
+        Given if wheels, axle and bias are to be estimated.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
     stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
@@ -222,13 +225,13 @@ def make_problem(
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
-    """Those of the ranges (t, n, n_beams) that are kept, in the order of poses."""
+    """The ranges (t, n, n_beams) that are kept, in the order of poses."""
     number, step, beam = np.nonzero(np.moveaxis(kept, 0, 1))
     return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
 
 
 def state_from_poses(problem: Problem, poses: FloatArray) -> State:
-    """A state without lines at poses (t, n, 3), the first of which is the known start; headings may be wrapped."""
+    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped."""
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
     motions = np.empty_like(problem.wheels)
@@ -238,7 +241,7 @@ def state_from_poses(problem: Problem, poses: FloatArray) -> State:
 
 
 def state_from_motions(problem: Problem) -> State:
-    """The state without lines to which the reported wheel travel leads."""
+    """The state without lines that follows from the reported wheel travel."""
     nothing = np.zeros((0, 2))
     return moved(problem, problem.wheels, nothing, nothing, np.zeros((len(problem.wheels), CALIBRATED)))
 
@@ -246,7 +249,7 @@ def state_from_motions(problem: Problem) -> State:
 def moved(
     problem: Problem, motions: FloatArray, lines: FloatArray, anchors: FloatArray, calibration: FloatArray
 ) -> State:
-    """The state with motions (n, t - 1, 3), whose poses follow from them."""
+    """The state with motions (n, t - 1, 3), and with the poses that follow from these motions."""
     poses = np.empty((len(motions), problem.steps, 3))
     for number, chain in enumerate(poses):
         kernels.drive(problem.starts[number], motions[number], _axle(problem, calibration[number]), chain)
@@ -254,7 +257,7 @@ def moved(
 
 
 def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """About each reading, given the line of each (k,), or -1: rows (k, 7) as :mod:`.chain_kernels` lays them out."""
+    """One row (k, 7) for each reading, given its line (k,) or -1, laid out as in :mod:`.chain_kernels`."""
     rows = np.zeros((len(problem.readings), COLUMNS))
     kernels.expected_readings(
         state.flat_poses, problem.readings.places, problem.beams, labels, state.lines, state.anchors, rows
@@ -265,14 +268,15 @@ def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
 def solve(
     problem: Problem, state: State, labels: IntArray, *, iterations: int = 8, tolerance: float = 1e-4
 ) -> Solution:
-    """The optimum near a state, for readings whose lines are known.
+    """The optimum near a state, for readings with known lines.
 
     Parameters
     ----------
     labels
         Line (k,) of each reading, or -1 for readings that are not used.
     iterations, tolerance
-        At most so many Gauss-Newton steps; a step that moves no pose farther than the tolerance, m or rad, is the last.
+        Largest number of Gauss-Newton steps, and the tolerance, m or rad: iteration ends after a step that moves no
+        pose farther.
 
     Raises
     ------
@@ -288,7 +292,7 @@ def solve(
         step = equations.step()
         state, change = _descend(problem, state, step, labels, weights, equations.chi_square)
         if change < tolerance and iteration >= _CHOOSING - 1:
-            # The equations of this step are as good as those after it.
+            # The equations of this step are as accurate as those of the next step would be.
             break
     else:
         equations = _Equations(problem, state, labels, rows_of(problem, state, labels), weights)
@@ -296,7 +300,7 @@ def solve(
 
 
 def pose_covariances(solution: Solution) -> FloatArray:
-    """Marginal covariances (n, t, 3, 3) of all poses; zero for the known starts."""
+    """Marginal covariances (n, t, 3, 3) of all poses; the covariances of the known starts are zero."""
     state, factored = solution.state, solution.factored
     count = len(state.poses)
     covariances = np.zeros((*state.poses.shape, 3))
@@ -310,7 +314,7 @@ def pose_covariances(solution: Solution) -> FloatArray:
 
 
 def chi_square(problem: Problem, state: State, labels: IntArray, weights: FloatArray) -> float:
-    """Sum of the squared residuals of wheels, readings and calibration, in standard deviations."""
+    """Sum of the squared residuals of wheels, readings and calibration, each divided by its variance."""
     rows = rows_of(problem, state, labels)
     driven = _motion_residuals(problem, state)
     read = _range_residuals(problem, state, rows)
@@ -319,12 +323,12 @@ def chi_square(problem: Problem, state: State, labels: IntArray, weights: FloatA
 
 
 def wheel_chi_square(problem: Problem, state: State) -> float:
-    """That of the wheels alone."""
+    """Sum of the squared residuals of the wheels alone, each divided by its variance."""
     return float(np.sum(_motion_residuals(problem, state) ** 2))
 
 
 def calibration_chi_square(problem: Problem, state: State) -> float:
-    """That of the calibration, 0 where robots are as specified."""
+    """Squared Mahalanobis distance of the calibration from its prior mean; 0 where robots are as specified."""
     if problem.prior is None:
         return 0.0
     return float(np.einsum("ni,ij,nj->", state.calibration, problem.prior, state.calibration))
@@ -335,26 +339,26 @@ def _axle(problem: Problem, calibration: FloatArray) -> float:
 
 
 def _motion_residuals(problem: Problem, state: State) -> FloatArray:
-    """What wheels reported, by their true sizes, less what they did (n, t - 1, 3), in standard deviations."""
+    """Reported wheel travel, corrected by the calibration, minus true travel (n, t - 1, 3), in standard deviations."""
     sizes = np.ones((len(state.motions), 1, 3))
     sizes[:, 0, :2] += state.calibration[:, :2]
     return np.asarray((problem.wheels * sizes - state.motions) / problem.stds)
 
 
 def _range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
-    """What was read, less what should have been (k,), m."""
+    """Measured minus expected ranges (k,), m."""
     biases = state.calibration[problem.readings.places // problem.steps, 3]
     return np.asarray(problem.readings.distances - rows[:, RANGE] - biases)
 
 
 def _not_grazing(rows: FloatArray, labels: IntArray) -> FloatArray:
-    """1 for readings (k,) of a line in front of the beam that they do not graze."""
+    """Weights (k,): 1 for readings of a line in front of the beam that the beam does not graze, otherwise 0."""
     return ((labels >= 0) & (np.abs(rows[:, COSINE]) >= GRAZING) & (rows[:, RANGE] > 0.0)).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A step of Gauss and Newton: changes of motions, lines and calibration, and the largest change of a pose."""
+    """A Gauss-Newton step: changes of motions, lines and calibration, and the largest change of a pose."""
 
     motions: FloatArray
     lines: FloatArray
@@ -365,7 +369,7 @@ class _Step:
 def _descend(
     problem: Problem, state: State, step: _Step, labels: IntArray, weights: FloatArray, before: float
 ) -> tuple[State, float]:
-    """The state after a step, halved until the residuals do not grow; and how far poses moved."""
+    """The state after a step, which is halved until the residuals do not grow, and the largest pose change."""
     share = 1.0
     for _ in range(_MOST_HALVINGS):
         new = moved(
@@ -382,7 +386,7 @@ def _descend(
 
 
 class _Equations:
-    """The linearised problem about a state; chains of poses are eliminated when it is made."""
+    """The normal equations, linearised about a state. The constructor eliminates the chains of poses."""
 
     def __init__(self, problem: Problem, state: State, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
         self._problem, self._state = problem, state
@@ -400,7 +404,7 @@ class _Equations:
         self._eliminate(labels, rows, weights)
 
     def step(self) -> _Step:
-        """What solves the equations."""
+        """The solution of the equations."""
         solved = self._scale * cho_solve(self._cholesky, self._scale * self._dense_right)
         count = len(self._state.poses)
         shared, moves = solved[3 * count :], np.zeros(self._state.poses.shape)
@@ -416,7 +420,7 @@ class _Equations:
         return _Step(motions, shared[self._first_line :].reshape(-1, 2), calibration, float(np.abs(moves).max()))
 
     def factored(self) -> Factored:
-        """The factors, and the covariance of what was not eliminated."""
+        """The factors, and the covariance of the variables that were not eliminated."""
         whole = cho_solve(self._cholesky, np.eye(len(self._scale)))
         covariance = self._scale[:, None] * whole * self._scale
         return Factored(tuple(self._chains), covariance, 3 * len(self._state.poses) + self._first_line)
@@ -441,7 +445,7 @@ class _Equations:
             )  # fmt: skip
 
     def _by_calibration(self, number: int) -> FloatArray:
-        """Derivatives (t - 1, 3, c) of a robot's motions, less what its wheels reported, by all calibrations."""
+        """Derivatives (t - 1, 3, c) of a robot's motions minus its reported wheel travel, by all calibrations."""
         by_all = np.zeros((self._problem.steps - 1, 3, self._first_line))
         if self._first_line:
             first = CALIBRATED * number
@@ -473,7 +477,7 @@ class _Equations:
             self._shared_right[own] -= self._problem.prior @ calibration
 
     def _eliminate(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
-        """Eliminate all chains and factor what remains: the last poses, calibration and lines."""
+        """Eliminate all chains, and factorise the remaining system of last poses, calibration and lines."""
         problem, count = self._problem, len(self._state.poses)
         steps, size = problem.steps, len(self._shared)
         dense = np.zeros((3 * count + size, 3 * count + size))

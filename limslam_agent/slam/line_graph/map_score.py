@@ -1,4 +1,4 @@
-"""What a solution is worth without knowing the truth: what it explains, less what it claims and what contradicts it."""
+"""The score of a solution without ground truth: likelihood of the measurements, minus a price for each line."""
 
 from dataclasses import dataclass
 
@@ -16,18 +16,18 @@ _THROUGH_SIGMAS, _THROUGH_SLACK = 3.0, 0.05
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """What beams say about each line, by bins of 5 cm along it.
+    """Counts of the beams that confirm or contradict each line, in bins of 5 cm along the line.
 
     Attributes
     ----------
     low
-        First bin (m,) of each line.
+        Index of the first bin of each line (m,).
     hits, misses
-        How many beams ended in each bin, and how many went through it, (m, b).
+        Numbers (m, b) of beams that ended in each bin, and of beams that passed through it.
     against
-        How many beams went through a wall of each line (m,).
+        Number (m,) of beams that passed through a wall of each line.
     contradictions
-        How many beams went through any wall.
+        Number of beams that passed through any wall.
     """
 
     low: IntArray
@@ -58,17 +58,17 @@ def tally(problem: Problem, found: Association) -> Tally:
 
 @dataclass(frozen=True)
 class Score:
-    """The parts of a score, all of them costs.
+    """The parts of a score. Every part is a cost.
 
     Attributes
     ----------
     wheels, looks
-        Half the sums of squared residuals, in variances: of wheels and calibration, and of looks. A look counts for no
-        more than half the clip.
+        Half the sums of squared residuals, divided by variances: of wheels and calibration, and of looks. Each look
+        contributes at most half the clip.
     lines
-        How many lines there are.
+        Number of lines.
     total
-        The score: the greater, the better.
+        The score; a greater score is better.
     """
 
     wheels: float
@@ -78,10 +78,10 @@ class Score:
 
 
 def score(problem: Problem, found: Association, config: ScoreConfig) -> Score:
-    """The score of a solution: the log-likelihood of all wheels and looks, less a price for each line.
+    """The score of a solution: the log-likelihood of all wheels and looks, minus a price for each line.
 
-    A look ends at the first wall that its beam meets. A look that no wall predicts, or that goes through a wall, costs
-    as much as ``clip`` says. So a second line close to a wall explains nothing more, whatever the noise.
+    A beam is expected to end at the first wall that it meets. A look that no wall predicts, or that passes through a
+    wall, costs ``clip``. A second line close to a wall therefore does not raise the likelihood, whatever the noise.
     """
     misfits, _ = explained_looks(problem, found)
     wheels = 0.5 * (wheel_chi_square(problem, found.state) + calibration_chi_square(problem, found.state))
@@ -91,7 +91,7 @@ def score(problem: Problem, found: Association, config: ScoreConfig) -> Score:
 
 
 def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
-    """How far each look is from the wall that its beam should meet (k,), in standard deviations, and the line (k,)."""
+    """The residual (k,) of each look to its expected wall, in standard deviations, and the line (k,)."""
     looks, state, counted = problem.looks, found.state, tally(problem, found)
     misfits, best = np.empty(len(looks)), np.empty(len(looks), dtype=np.int64)
     biases = state.calibration[looks.places // problem.steps, 3]
@@ -103,17 +103,17 @@ def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, I
 
 
 def line_values(problem: Problem, found: Association, config: ScoreConfig) -> FloatArray:
-    """By how much each line (m,) raises the score, before its price, if no other line explains its looks."""
+    """The amount by which each line (m,) raises the score, before its price, if no other line explains its looks."""
     misfits, best = explained_looks(problem, found)
     gains = 0.5 * (config.clip - np.minimum(misfits**2, config.clip))
-    # A look that went through a wall would have cost nothing without that wall.
+    # Without the wall, a look that passed through it would have cost nothing.
     gains[(misfits**2 >= config.clip) & ~problem.is_hit] = -0.5 * config.clip
     known = best >= 0
     return np.bincount(best[known], weights=gains[known], minlength=len(found.state.lines)).astype(float)
 
 
 def explained_readings(problem: Problem, found: Association, beyond: float = 0.10) -> FloatArray:
-    """How far each reading is from the nearest line that its beam meets (k,), in standard deviations."""
+    """The residual (k,) of each reading to the nearest line that its beam meets, in standard deviations."""
     ends = ends_of(problem, found.state, found.labels)
     return np.asarray(best_lines(problem, found.state, ends, beyond)[1][:, 0])
 

@@ -1,7 +1,7 @@
-"""Wrong matches that re-association alone cannot undo: lines are cut, dropped and founded anew.
+"""Correction of wrong associations that re-association alone cannot correct: lines are cut, dropped and created anew.
 
-Each move changes the associations of the best solution so far and settles the rest anew. The result is kept when its
-score, which needs no truth, is better.
+Each move changes the associations of the best solution so far, and then re-associates and solves. The result is kept if
+its score is higher. The score needs no ground truth.
 """
 
 from collections.abc import Iterator
@@ -30,14 +30,14 @@ _RUN_GAP = 0.15  # m of driving without a reading that ends a run
 _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 
 MOVES = ("anew", "cut", "drop", "reborn")
-"""``anew``: nothing but straight pieces, on the path that the wheels tell. ``cut``: lines cut where they were not read
-for a while. ``drop``: the same without the lines that beams contradict. ``reborn``: with new lines through readings
-that no line explains, which every other move tries, too."""
+"""``anew``: only straight wall segments, found along the path of the wheel odometry. ``cut``: lines cut where they were
+not read for a while. ``drop``: as ``cut``, without the lines that beams contradict. ``reborn``: with new lines through
+readings that no line explains. Every other move is also tried together with ``reborn``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A solution, what it is worth, and the move that led to it."""
+    """A solution, its score, and the move that led to it."""
 
     association: Association
     score: Score
@@ -45,10 +45,10 @@ class Candidate:
 
 
 def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
-    """The solutions that were kept one after another, the best one last; the first is the one to begin from.
+    """The accepted solutions in order, from the initial solution to the best solution.
 
-    A round ends with the first move after which beams do not contradict the map any more. From then on only lines that
-    are missing are looked for.
+    A round ends with the first move after which beams no longer contradict the map. From then on, only missing lines
+    are added.
     """
     kept = [Candidate(found, score(problem, found, config.score), "start")]
     for number in range(config.mending.rounds):
@@ -63,12 +63,12 @@ def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[C
 
 
 def is_contradicted(problem: Problem, found: Association, config: SmootherConfig) -> bool:
-    """Whether more beams go through walls than in a healthy map."""
+    """Whether more beams pass through walls than in a correct map."""
     return tally(problem, found).contradictions > config.mending.contradicted * len(problem.looks)
 
 
 def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], config: SmootherConfig) -> Candidate:
-    """The best solution that moves lead to, or the one to begin from."""
+    """The best solution that the moves lead to, or the solution at the beginning of the round."""
     best, mender = begin, _Mender(problem, begin, config)
     for move in moves:
         for candidate in mender.tried(move):
@@ -80,7 +80,7 @@ def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], c
 
 
 class _Mender:
-    """The moves from one solution."""
+    """The moves that start from one solution."""
 
     def __init__(self, problem: Problem, begin: Candidate, config: SmootherConfig) -> None:
         self._problem, self._begin, self._config = problem, begin, config
@@ -90,13 +90,13 @@ class _Mender:
         )
 
     def tried(self, move: str) -> Iterator[Candidate]:
-        """What a move leads to, and what it leads to with new lines for readings that nothing explains."""
+        """The results of a move, and the results with new lines for unexplained readings."""
         try:
             state, labels = self._begun(move)
             settled = self._settled(state, labels, self._config.reassociation.rounds)
             first = list(self._both(settled, move))
             yield from first
-            # What is worse by far, missing lines do not make better.
+            # Missing lines cannot repair a solution whose score is much lower.
             if move != "reborn" and max(each.score.total for each in first) > self._begin.score.total:
                 again = self._settled(settled.state, self._reborn(settled), self._config.mending.last_rounds)
                 yield from self._both(again, f"{move}, reborn")
@@ -104,7 +104,7 @@ class _Mender:
             return
 
     def _begun(self, move: str) -> tuple[State, IntArray]:
-        """The poses and the associations that a move begins from."""
+        """The initial poses and associations of a move."""
         begin, gap = self._begin.association, self._config.mending.cut
         if move == "anew":
             return state_from_motions(self._problem), self._anew()
@@ -115,13 +115,13 @@ class _Mender:
         return begin.state, self._reborn(begin)
 
     def _is_dropped(self) -> BoolArray:
-        """Which readings (k,) are of lines that beams contradict too often."""
+        """Mask (k,) of the readings whose lines are contradicted by too many beams."""
         mending, counted = self._config.mending, tally(self._problem, self._begin.association)
         least = np.maximum(mending.dropped_least, mending.dropped_share * counted.hits.sum(axis=1))
         return np.isin(self._begin.association.labels, np.flatnonzero(counted.against > least))
 
     def _both(self, found: Association, move: str) -> Iterator[Candidate]:
-        """A solution, and the same without lines that are not needed."""
+        """A solution, and the same solution without unnecessary lines."""
         yield self._candidate(found, move)
         yield self._candidate(self._pruned(found), f"{move}, pruned")
 
@@ -135,7 +135,7 @@ class _Mender:
         return reassociate_from(self._problem, merged, reassociation, rounds)
 
     def _pruned(self, found: Association) -> Association:
-        """The solution without doubled lines, and without lines that are not worth their price."""
+        """The solution without doubled lines, and without lines that raise the score by less than their price."""
         doubled = doubled_lines(self._problem, found, self._config.mending)
         labels = np.where(found.labels >= 0, doubled[found.labels], -1)
         worthless = line_values(self._problem, found, self._config.score) < self._config.score.line
@@ -144,7 +144,7 @@ class _Mender:
         return reassociate_from(self._problem, begin, self._config.reassociation, 2)
 
     def _anew(self) -> IntArray:
-        """Associations of nothing but straight pieces, by the shape of the path that the wheels tell."""
+        """Associations with only straight wall segments, found along the path of the wheel odometry."""
         reported = state_from_motions(self._problem)
         everything = np.ones(len(self._problem.readings), dtype=bool)
         return straight_runs(self._problem, reported, everything, self._config.reassociation.fewest)
@@ -158,10 +158,10 @@ class _Mender:
 
 
 def doubled_lines(problem: Problem, found: Association, config: MendingConfig) -> IntArray:
-    """For each line (m,) the line with more readings that it runs along, or itself.
+    """For each line (m,), the line with more readings that runs along it, or the line itself.
 
-    Readings go to the nearer one of two lines that run along each other. This pulls the two apart, so that their
-    covariances never let them merge.
+    Each reading belongs to the nearer of two lines that run along each other. This separates the two lines, so that
+    their covariances never allow a merge.
     """
     state, labels = found.state, found.labels
     apart = max(config.doubled_sigmas * problem.range_std, config.doubled_offset)
@@ -177,7 +177,7 @@ def doubled_lines(problem: Problem, found: Association, config: MendingConfig) -
 
 
 def split(problem: Problem, labels: IntArray, gap: float) -> IntArray:
-    """Labels cut where a line was not read for ``gap`` (m) of a robot's drive."""
+    """Labels that are cut wherever a line was not read for ``gap`` (m) of a robot's path."""
     driven = driven_at(problem)
     order = np.lexsort((np.arange(len(labels)), labels))
     order = order[labels[order] >= 0]
@@ -191,16 +191,16 @@ def split(problem: Problem, labels: IntArray, gap: float) -> IntArray:
 
 
 def driven_at(problem: Problem) -> FloatArray:
-    """How far each robot's wheels have driven until each pose (n t,), m."""
+    """Distance driven by each robot up to each pose (n t,), by its wheels, m."""
     travel = np.abs(problem.wheels[..., :2]).mean(axis=2)
     start = np.zeros((len(travel), 1))
     return np.concatenate((start, np.cumsum(travel, axis=1)), axis=1).ravel()
 
 
 def straight_runs(problem: Problem, state: State, chosen: BoolArray, fewest: int) -> IntArray:
-    """Straight pieces of wall among chosen readings: for each reading the number of its piece (k,), or -1.
+    """Straight wall segments among chosen readings: the number of the segment of each reading (k,), or -1.
 
-    The readings of one beam that follow each other are cut at gaps, and where they bend.
+    The successive readings of one beam are divided at gaps and at bends.
     """
     readings, driven = problem.readings, driven_at(problem)
     order = np.lexsort((readings.places, readings.beams, readings.places // problem.steps))
@@ -218,7 +218,7 @@ def straight_runs(problem: Problem, state: State, chosen: BoolArray, fewest: int
 
 
 def _unbent(points: FloatArray, run: IntArray, tolerance: float, fewest: int) -> list[IntArray]:
-    """The pieces of a run whose points lie within a tolerance (m) of a line; split-and-merge without the merge."""
+    """The parts of a run whose points lie within a tolerance (m) of a line: split-and-merge without the merge step."""
     if len(run) < fewest:
         return []
     off = points[run] - points[run].mean(axis=0)

@@ -1,6 +1,6 @@
-"""Which line each reading belongs to, decided anew when all poses are known better: no match is final.
+"""Association of all readings with lines, repeated after each improvement of the poses. No association is final.
 
-Rounds of merging lines that are one wall, giving each reading to the line that predicts it best, and solving.
+Each round merges lines that are one wall, assigns each reading to the line that predicts it best, and solves.
 """
 
 from dataclasses import dataclass, replace
@@ -14,12 +14,12 @@ from limslam_agent.slam.line_graph.line_smoother import Problem, Solution, State
 from limslam_env.geometry import FloatArray, IntArray
 
 _MOST_MERGES = 30
-_MOST_MOVED = (0.10, 0.05)  # m and rad, of a line by merging others, before linearising again
-_LOOSE, _EXACT = 1e-3, 1e-4  # m or rad, at which a solution counts as found: between moves, and at the end
+_MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
+_LOOSE, _EXACT = 1e-3, 1e-4  # m or rad: convergence tolerances between moves and at the end
 
 
 class OneWall(NamedTuple):
-    """When two lines are one wall: chi-square below, offset (m) and angle (rad) below, and overlap above (m)."""
+    """Criteria that two lines are one wall: upper bounds of chi-square, offset (m), angle (rad); least overlap (m)."""
 
     gate: float
     max_offset: float
@@ -29,7 +29,7 @@ class OneWall(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """A solution, and the line (k,) of each reading that it was found with, -1 for those that were not used."""
+    """A solution, and the line (k,) of each reading in this solution; -1 for readings that were not used."""
 
     solution: Solution
     labels: IntArray
@@ -41,14 +41,14 @@ class Association:
 
 
 def reassociate(problem: Problem, state: State, labels: IntArray, config: ReassociationConfig) -> Association:
-    """Poses, lines and associations, from poses that are about right and the first associations of some readings.
+    """Poses, lines and associations, from approximate poses and the first associations of some readings.
 
     Parameters
     ----------
     state
-        Poses to begin from; its lines are not used.
+        Initial poses; the lines of the state are not used.
     labels
-        For each reading the line that it was given to, in any numbering, or -1.
+        The initial line of each reading, in any numbering, or -1.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def reassociate(problem: Problem, state: State, labels: IntArray, config: Reasso
 
 
 def reassociate_from(problem: Problem, found: Association, config: ReassociationConfig, rounds: int) -> Association:
-    """At most so many rounds of merging lines, giving readings to them anew and solving, from a solution."""
+    """Merge lines, re-associate readings and solve, for at most ``rounds`` rounds from a solution."""
     limits = OneWall(config.one_wall_gate, config.max_offset, config.max_angle, config.min_overlap)
     for _ in range(rounds):
         before = found.state.poses
@@ -72,9 +72,9 @@ def reassociate_from(problem: Problem, found: Association, config: Reassociation
 
 
 def solve_labels(problem: Problem, state: State, labels: IntArray, fewest: int, iterations: int = 8) -> Association:
-    """The optimum for given associations, with lines that are fitted to their readings at the poses of a state.
+    """The optimum for given associations. The lines are first fitted to their readings at the poses of a state.
 
-    Lines with less than ``fewest`` readings are left out.
+    Lines with fewer than ``fewest`` readings are left out.
     """
     labels, _ = renumbered(labels, fewest)
     lines, anchors = fitted_lines(problem, state, labels)
@@ -92,7 +92,10 @@ def solve_again(
 
 
 def renumbered(labels: IntArray, fewest: int) -> tuple[IntArray, IntArray]:
-    """Lines by the order of their first reading, without those of less than ``fewest``; and the old numbers (m,)."""
+    """Labels of the lines in the order of first readings, and the old numbers (m,).
+
+    Lines with fewer than ``fewest`` readings are left out.
+    """
     known, firsts, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     is_line = (known >= 0) & (counts >= fewest)
     order = np.argsort(np.where(is_line, firsts, len(labels)), kind="stable")[: int(is_line.sum())]
@@ -114,7 +117,7 @@ def fitted_lines(problem: Problem, state: State, labels: IntArray) -> tuple[Floa
 
 
 def hit_points(problem: Problem, state: State, chosen: IntArray) -> FloatArray:
-    """Where chosen readings end, and the directions of their beams: rows x, y, angle (k, 3), m and rad."""
+    """The end points of chosen readings and the directions of their beams: rows x, y, angle (k, 3), m and rad."""
     readings, points = problem.readings, np.empty((len(chosen), 4))
     places, distances = readings.places[chosen], readings.distances[chosen]
     kernels.hit_points(state.flat_poses, places, problem.beams[chosen], distances, points)
@@ -131,7 +134,7 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
 
 
 def ends_of(problem: Problem, state: State, labels: IntArray, spared: int = 1) -> FloatArray:
-    """From where to where each line is read (m, 2), m, without the outermost reading or readings on each side."""
+    """The ends of each line's readings (m, 2), m, without the outermost ``spared`` readings on each side."""
     along = places_along(problem, state, labels)
     order = np.lexsort((along, labels))
     order = order[labels[order] >= 0]
@@ -144,14 +147,14 @@ def ends_of(problem: Problem, state: State, labels: IntArray, spared: int = 1) -
 
 
 def assigned(problem: Problem, state: State, ends: FloatArray, config: ReassociationConfig) -> IntArray:
-    """For each reading the line that predicts it, or -1 where none does or two do."""
+    """For each reading, the line that predicts it, or -1 if no line or two lines predict it."""
     best, misfits = best_lines(problem, state, ends, config.beyond)
     is_clear = (misfits[:, 0] < config.gate) & (misfits[:, 1] - misfits[:, 0] > config.margin)
     return np.where(is_clear, best, -1)
 
 
 def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) -> tuple[IntArray, FloatArray]:
-    """For each reading the best line (k,), or -1, and its misfit and that of the second line (k, 2), in deviations."""
+    """The best line (k,) of each reading, or -1, and the misfits of the best and second line (k, 2), in deviations."""
     readings = problem.readings
     best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
     biases = state.calibration[readings.places // problem.steps, 3]
@@ -165,10 +168,10 @@ def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) 
 def merge(
     problem: Problem, found: Association, limits: OneWall, fewest: int, tolerance: float = _LOOSE
 ) -> tuple[Association, bool]:
-    """The lines that may be one wall merged, and whether there were such lines.
+    """Merge the lines that may be one wall, and return whether there were such lines.
 
-    Lines merge with all others held by their joint covariance. Poses and lines are solved for again when a line has
-    moved far, until nothing is left to merge.
+    Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
+    moved far. This repeats until no pair can merge.
     """
     has_merged = False
     for _ in range(_MOST_MERGES):
@@ -188,7 +191,7 @@ def merge(
 
 
 def rooted(merged_into: IntArray) -> IntArray:
-    """For each line the one that it became in the end (m,), from the one that each was merged into."""
+    """The final line (m,) of each line, by following the merges in ``merged_into``."""
     while True:
         further = merged_into[merged_into]
         if np.array_equal(further, merged_into):

@@ -1,4 +1,4 @@
-"""The map of a solution: walls as they are drawn, cut at doors and holes, and landmarks with covariances."""
+"""The map of a solution: wall segments that are cut at doors and holes, and landmarks with covariances."""
 
 import numpy as np
 
@@ -38,13 +38,13 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     blocks = joint[own[:, None, None] + np.arange(2)[:, None], own[:, None, None] + np.arange(2)]
     jacobians = np.tile(np.eye(2), (len(lines), 1, 1))
     jacobians[:, 0, 1] = lever
-    # Turning the normal round to make r positive changes the sign of what r and theta have in common.
+    # Reversing the normal to make r positive changes the sign of the covariance between r and theta.
     jacobians[lines[:, 0] < 0.0, 0] *= -1.0
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
 def smoothed_segments(problem: Problem, found: Association, config: SmootherConfig) -> FloatArray:
-    """The walls (k, 4) of a solution, m: where beams ended along its lines, and none went through."""
+    """The wall segments (k, 4) of a solution, m: where beams ended along the lines and no beam passed through."""
     counted, state = tally(problem, found), found.state
     along, used = places_along(problem, state, found.labels), found.labels >= 0
     bins = np.floor(along[used] / BIN).astype(np.int64) - counted.low[found.labels[used]]
@@ -63,7 +63,7 @@ def smoothed_segments(problem: Problem, found: Association, config: SmootherConf
 
 
 def _points(state: State, index: int, along: FloatArray) -> FloatArray:
-    """Points (..., 2) of the world at places (...) along a line."""
+    """Points (..., 2) in the world frame at places (...) along a line."""
     line = state.lines[index]
     foot = state.anchors[index] + line[0] * normal(line)
     return np.asarray(foot + along[..., None] * direction(line))

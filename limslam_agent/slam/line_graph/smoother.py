@@ -1,4 +1,4 @@
-"""Smoothing a finished run: from what was observed and what the filter made of it to all poses at once, and the map."""
+"""Smoothing of a finished run: all poses and the map, from the observations and the filter's estimates."""
 
 import math
 from collections.abc import Iterable
@@ -28,20 +28,20 @@ from limslam_env.interface import NominalNoise, RobotSpec
 
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
-    """A run of n robots in t steps: what was observed, and what the filter made of it.
+    """A run of n robots in t steps: the observations and the filter's estimates.
 
     Attributes
     ----------
     robot, noise
-        Body and beams of each robot, and what its builder knows of its noise.
+        Body and beams of each robot, and the specified noise.
     wheels, ranges
-        (t, n, 2) and (t, n, n_beams), m: the observations; row 0 is the moment of the reset.
+        Observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset.
     usable
-        (t, n, n_beams), which readings are of walls, not perhaps of other robots.
+        Mask (t, n, n_beams) of the readings that are of walls, without readings that may be of other robots.
     poses, covariances
-        What the filter believed at each step (t, n, 3) and (t, n, 3, 3); the first poses are the known starts.
+        The filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first poses are the known starts.
     associations, closures
-        What became of observed lines, and which landmarks were merged, in order.
+        The associations of the observed lines, and the merged landmarks, in order.
     """
 
     robot: RobotSpec
@@ -57,19 +57,19 @@ class FilteredRun:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedRun:
-    """What is known of a run at its end.
+    """The smoothed estimate of a run.
 
     Attributes
     ----------
     poses, covariances
-        (t, n, 3), m and rad, and (t, n, 3, 3).
+        Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3).
     landmarks, segments
-        The lines with covariances, and the walls (k, 4) as they are drawn, m.
+        The lines as landmarks with covariances, and the wall segments (k, 4) of the map, m.
     calibration
-        (n, 4), the shares by which left wheel, right wheel and axle are larger than specified, and what all ranges read
-        too much, m; None where the robots are taken to be as specified.
+        Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
+        bias of all ranges, m. None where the robots are taken to be as specified.
     moves
-        By which moves the associations were mended; empty where that was not needed, or did not help.
+        The moves that corrected the associations; empty if no move was necessary or none raised the score.
     """
 
     poses: FloatArray
@@ -81,11 +81,11 @@ class SmoothedRun:
 
 
 def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun:
-    """All poses and lines of a run by all that was known at its end.
+    """Estimate all poses and lines of a run from all its measurements.
 
-    The filter's associations are where the smoother begins; none of them is final. Where beams contradict the result,
-    or where the filter's heading was unsure, wrong associations are looked for, too. Where there is nothing to smooth,
-    because the robots did not move or no wall was seen often enough, the filter's poses are given back.
+    The filter's associations are the initial associations, and every association can change. Wrong associations are
+    searched for where beams contradict the result, or where the filter's heading was uncertain. If the robots did not
+    move, or no wall was seen often enough, there is nothing to smooth and the filter's poses are returned.
     """
     config = config or SmootherConfig()
     prior = config.calibration if config.calibrate == "always" else None
@@ -105,20 +105,20 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
 
 @dataclass(frozen=True, eq=False)
 class _Settled:
-    """A solution with its problem, and the moves by which it was mended."""
+    """A solution, its problem, and the moves that corrected its associations."""
 
     problem: Problem
     association: Association
     moves: tuple[str, ...]
 
     def worth(self, config: SmootherConfig) -> float:
-        """The score, less what a calibration has to gain to be believed."""
+        """The score, minus the gain that is required to accept a calibration."""
         price = 0.0 if self.problem.prior is None else config.calibration_price
         return score(self.problem, self.association, config.score).total - price
 
 
 def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> _Settled:
-    """The solution for a problem, mended where that is needed."""
+    """The solution of a problem, with corrected associations where a correction is needed."""
     found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
     if not needs_mending(problem, found, run.covariances, config):
         return _Settled(problem, found, ())
@@ -127,9 +127,9 @@ def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: Smoot
 
 
 def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
-    """Whether beams contradict a solution, or its wheels and ranges fit better by far with other sizes.
+    """Whether beams contradict a solution, or another calibration fits the wheels and ranges much better.
 
-    The second is Wald's test: the calibration that is estimated with the same associations, in standard deviations.
+    The second criterion is Wald's test of the calibration that is estimated with the same associations.
     """
     if is_contradicted(found.problem, found.association, config):
         return True
@@ -141,7 +141,7 @@ def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
 
 
 def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure]) -> IntArray:
-    """For each reading of a problem the landmark that the filter took it for at last (k,), or -1."""
+    """For each reading (k,), the landmark of the filter's final association, or -1."""
     count, steps = len(problem.starts), problem.steps
     table = np.full((count * steps, len(problem.robot.beams)), -1)
     united = {closure.younger: closure.older for closure in closures}
@@ -154,7 +154,7 @@ def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], c
 
 
 def needs_mending(problem: Problem, found: Association, covariances: FloatArray, config: SmootherConfig) -> bool:
-    """Whether beams contradict a solution, or the filter was once unsure of its heading."""
+    """Whether beams contradict a solution, or the filter's heading was uncertain at any step."""
     heading_std = math.sqrt(max(float(covariances[..., 2, 2].max()), 0.0))
     return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
 

@@ -1,8 +1,8 @@
-"""Whether a map and what is seen contradict each other, without the truth: the share of beams that go through walls.
+"""A consistency check without ground truth: the share of beams that pass through walls of the map.
 
-A beam that should end at a wall, well inside the wall's ends, and reads much more than that contradicts the map. In a
-healthy map nearly no beam does. The share of such beams over the last metres rises soon after an estimate has gone
-wrong.
+Consider a beam that should end at a wall, well inside the ends of the wall. If its reading is much longer than
+expected, the beam contradicts the map. In a correct map nearly no beam does so. The share of such beams over the last
+metres rises soon after an estimate has become wrong.
 """
 
 from dataclasses import dataclass
@@ -14,11 +14,12 @@ from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 INSET = 0.10
-"""Only walls that a beam crosses this far inside their ends count, m."""
+"""A wall counts only if the beam crosses it at least this far inside its ends, m."""
 SLACK = 0.10
-"""A beam has gone through when it reads farther than expected by this, m, and three standard deviations."""
+"""A beam has passed through a wall if its reading exceeds the expected range by this, m, plus three standard
+deviations."""
 WINDOW, FEWEST = 5.0, 30
-"""Beams of the last metres, m of driving, and how many of them at least a share says something from."""
+"""Length of the window, m of driving, and the fewest beams in the window that give a share."""
 
 _SIGMAS = 3.0
 _LEAST_COSINE = 0.35
@@ -27,14 +28,14 @@ _PARALLEL = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What the beams of one step say about the walls that are drawn.
+    """The comparison of the beams of one step with the walls of the map.
 
     Attributes
     ----------
     expected
-        How many beams should have ended at a wall.
+        Number of beams that should have ended at a wall.
     through
-        How many of them went through it.
+        Number of these beams that passed through the wall.
     """
 
     expected: int
@@ -50,14 +51,14 @@ def compare_with_walls(
     segments: FloatArray,
     range_std: float,
 ) -> Looks:
-    """Compare the readings of one step with the walls that are drawn.
+    """Compare the readings of one step with the walls of the map.
 
     Parameters
     ----------
     pose, covariance
-        Believed pose (3,), m and rad, and its covariance (3, 3).
+        Estimated pose (3,), m and rad, and its covariance (3, 3).
     ranges, measured
-        Readings (n_beams,), m, and which of them are new.
+        Readings (n_beams,), m, and a mask of the new readings.
     segments
         Walls (k, 4), m.
     range_std
@@ -77,14 +78,14 @@ def compare_with_walls(
 
 
 def through_share(looks: list[Looks], driven: FloatArray, window: float = WINDOW) -> float:
-    """Share of the beams that went through walls over the last metres; 0 where too few beams say anything.
+    """Share of the beams that passed through walls over the last metres; 0 where there are too few beams.
 
     Parameters
     ----------
     looks
-        Of each step.
+        The comparison of each step.
     driven
-        How far the robot has driven until each step (n,), m.
+        Distance driven by the robot up to each step (n,), m.
     """
     first = int(np.searchsorted(driven, driven[-1] - window))
     expected = sum(each.expected for each in looks[first:])
@@ -94,7 +95,10 @@ def through_share(looks: list[Looks], driven: FloatArray, window: float = WINDOW
 def _first_walls(
     robot: RobotSpec, pose: FloatArray, beams: IntArray, segments: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far each beam (k,) goes to the first wall that it crosses inside its ends, m, or infinity; and the cosine."""
+    """For each beam (k,), the distance to the first wall that it crosses inside the wall's ends, m, and the cosine.
+
+    The distance is infinite if there is no such wall.
+    """
     origins = transform_points(pose, robot.beam_origins[beams])
     headings = pose[2] + robot.beam_angles[beams]
     towards = np.column_stack((np.cos(headings), np.sin(headings)))
