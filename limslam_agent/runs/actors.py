@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from limslam_agent.agent import LimSlamAgent
+from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import preset
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -56,7 +57,7 @@ def driver_of(
 ) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
-    A policy becomes the policy of a `LimSlamAgent` of the preset ``consistent`` for ``robot`` and ``noise``.
+    A policy becomes the policy of a `LimSlamAgent` of the default preset for ``robot`` and ``noise``.
 
     Raises
     ------
@@ -135,7 +136,7 @@ class _PolicyDriver:
     can_stop = True
 
     def __init__(self, policy: Any, robot: RobotSpec, noise: NominalNoise | None) -> None:
-        self._policy, self._robot, self._config = policy, robot, preset("consistent", noise)
+        self._policy, self._robot, self._config = policy, robot, preset(DEFAULT_PRESET, noise)
         self.snapshot_source = LimSlamAgent(robot, self._config, policy)
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:

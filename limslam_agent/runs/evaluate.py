@@ -42,7 +42,7 @@ def evaluate(
     ----------
     actor
         A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). It becomes the
-        policy of a `LimSlamAgent` of the preset ``consistent``, which is told ``robot`` and a plain ``sensor_noise``.
+        policy of a `LimSlamAgent` of the default preset, which is told ``robot`` and a plain ``sensor_noise``.
         Each episode begins with a new copy of the policy. An **actor** is anything with ``act(observation)``, a model
         of Stable-Baselines3 or another object with ``predict(observation, deterministic=True) -> (action, state)``, or
         a callable. If the actor has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel

@@ -96,14 +96,22 @@ def along(
     return wheels
 
 
-def slam_after(
+def recorded(
     observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT
 ) -> tuple[LineSlam, list[AssociationRecord]]:
-    """The mapping half after a drive, and what became of each observed line."""
+    """The mapping half during a drive, and what became of each observed line."""
     slam, records = LineSlam(robot, config, start), list[AssociationRecord]()
     slam.on_association = records.append
     for observation in observations:
         slam.step(observation)
+    return slam, records
+
+
+def slam_after(
+    observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT
+) -> tuple[LineSlam, list[AssociationRecord]]:
+    """As :func:`recorded`, with the readings used that were still pending at the end of the drive."""
+    slam, records = recorded(observations, config, start, robot)
     slam.finish()
     return slam, records
 

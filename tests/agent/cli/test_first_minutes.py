@@ -1,7 +1,6 @@
 """What a new user meets first: a floor plan by its seed, progress by coverage, and ``limslam warmup``."""
 
 import os
-import signal
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -11,28 +10,12 @@ import numpy as np
 import pytest
 
 import limslam_env  # noqa: F401 (registers the environments)
-from limslam_agent.cli import main as cli
 from limslam_agent.cli import run as run_module
 from limslam_agent.cli import warmup as warmup_module
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import WorldError
-
-
-@pytest.fixture
-def limslam(monkeypatch, capsys):
-    """The command line in this process: its exit code, and what it says."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["limslam", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        said = capsys.readouterr()
-        return end.value.code, said.out, said.err
-
-    return call
 
 
 def test_a_floor_plan_has_the_name_of_its_seed():

@@ -1,13 +1,11 @@
 """``limslam worlds`` and ``limslam play``: tables, checks, conversions, and refusals in one line."""
 
-import signal
 import sys
 
 import cv2
 import numpy as np
 import pytest
 
-from limslam_agent.cli import main as cli
 from limslam_env.envs import play as play_module
 from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 from limslam_env.worlds.regions import start_region
@@ -20,21 +18,6 @@ walls = [[0, 0, 2.0, 0], [2.0, 0, 2.0, 1.5], [2.0, 1.5, 0, 1.5], [0, 1.5, 0, 0]]
 obstacles = [[[0.9, 0.6], [1.1, 0.6], [1.1, 0.8]]]
 starts = [[0.4, 0.4, 0.0]]
 """
-
-
-@pytest.fixture
-def limslam(monkeypatch, capsys):
-    """The command line in this process: its exit code, and what it says."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["limslam", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        said = capsys.readouterr()
-        return end.value.code, said.out, said.err
-
-    return call
 
 
 @pytest.fixture

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.drives import recorded
 
 from limslam_agent.config.presets import AgentConfig, HoughConfig, preset
 from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
-from limslam_agent.slam.slam import AssociationRecord, LineSlam
+from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import along, distance, nearest_form, through
 from limslam_env.geometry.se2 import arc, compose, transform_points, wheels_to_arc, wrap_angle
@@ -82,17 +83,6 @@ def run(observations: list[Observation], config: AgentConfig, start: FloatArray,
     for observation in observations:
         slam.step(observation)
     return slam
-
-
-def recorded(
-    observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT
-) -> tuple[LineSlam, list[AssociationRecord]]:
-    """As :func:`run`, and what became of each observed line."""
-    slam, records = LineSlam(robot, config, start), list[AssociationRecord]()
-    slam.on_association = records.append
-    for observation in observations:
-        slam.step(observation)
-    return slam, records
 
 
 def with_wheels(observations: list[Observation], factors: tuple[float, float]) -> list[Observation]:

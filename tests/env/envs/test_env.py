@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from support.noises import EVERYTHING
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
@@ -36,13 +37,6 @@ IDS = {
     "LimSlam-Random-v0": {},
 }
 AHEAD = np.array([1.0, 1.0], dtype=np.float32)
-EVERYTHING = NoiseConfig.sharp(
-    encoder_resolution=0.001,
-    wheel_mismatch=0.01,
-    axle_mismatch=(-0.05, 0.05),
-    slip_rate=2.0,
-    slip_share=(0.1, 0.9),
-)
 
 
 def table(section: str, of: type = LimSlamEnv) -> list[dict[str, str]]:
@@ -530,7 +524,8 @@ def test_a_seed_gives_the_same_episode_again():
 
 
 def test_an_episode_is_the_same_in_another_process_to_the_last_bit():
-    code = "import test_env; print(*(test_env.episode_digest(name, 6) for name in test_env.IDS))"
+    code = "import sys; sys.path.append('../..')\n"
+    code += "import test_env; print(*(test_env.episode_digest(name, 6) for name in test_env.IDS))"
     command = [sys.executable, "-c", code]
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
     here = [episode_digest(name, 6) for name in IDS]

@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 import pettingzoo
 import pytest
+from support.noises import EVERYTHING
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
@@ -42,13 +43,6 @@ IDS = {
 AHEAD = np.array([1.0, 1.0], dtype=np.float32)
 STOP = np.zeros(2, dtype=np.float32)
 FRONT = RobotSpec(beams=beams_on_rim((0.0, 90.0, -90.0), 0.10))
-EVERYTHING = NoiseConfig.sharp(
-    encoder_resolution=0.001,
-    wheel_mismatch=0.01,
-    axle_mismatch=(-0.05, 0.05),
-    slip_rate=2.0,
-    slip_share=(0.1, 0.9),
-)
 # What an observation of several parts cannot be.
 DICT_WARNINGS = (
     "ignore:Observation is not a NumPy array:UserWarning",
@@ -226,7 +220,8 @@ def test_the_same_seed_gives_the_same_thousand_steps_to_the_last_bit(robots):
 
 
 def test_another_process_gives_the_same_bits_too():
-    code = "import test_parallel_env as t; print(t.episode_digest(3, 5, 1000), t.episode_digest(3, 5, 100, 'random'))"
+    code = "import sys; sys.path.append('../..')\n"
+    code += "import test_parallel_env as t; print(t.episode_digest(3, 5, 1000), t.episode_digest(3, 5, 100, 'random'))"
     command = [sys.executable, "-c", code]
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
     assert there.stdout.split() == [episode_digest(3, 5, 1000), episode_digest(3, 5, 100, "random")]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from scipy import stats
+from support.noises import EVERYTHING
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
@@ -21,13 +22,6 @@ from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 from limslam_env.worlds.world import WorldError
 
 QUIET = NoiseConfig(wheel_variance=0.0)
-EVERYTHING = NoiseConfig.sharp(
-    encoder_resolution=0.001,
-    wheel_mismatch=0.01,
-    axle_mismatch=(-0.05, 0.05),
-    slip_rate=2.0,
-    slip_share=(0.1, 0.9),
-)
 SMALL = FloorPlanConfig(width=4.0, height=4.0)
 
 
