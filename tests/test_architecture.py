@@ -110,7 +110,8 @@ MOST_MODULES, LONGEST_FILE = 15, 520
 def modules_of(top: str) -> dict[str, Path]:
     """The files of a package by their dotted names: of a checkout, or of a wheel, which has no benchmarks."""
     spec = find_spec(top)
-    if spec is None and top == "benchmarks":
+    # Without benchmarks/ in the path, the folder tests/benchmarks answers to that name; it has no __init__.py.
+    if top == "benchmarks" and (spec is None or spec.origin is None):
         return {}
     folder = Path(next(iter(spec.submodule_search_locations)))
     found = {}
@@ -143,8 +144,10 @@ def imports(path: Path) -> set[str]:
 
 def place_of(name: str) -> str:
     """The package that a module or a name in it belongs to; of modules beside the packages, the module itself."""
+    asked = name
     while name not in MODULES:
-        name = name.rpartition(".")[0]
+        name, dot, _ = name.rpartition(".")
+        assert dot, f"{asked} is neither a module of the project nor a name in one"
     if name in PACKAGES or name.count(".") == 1:
         return name
     return name.rpartition(".")[0]
