@@ -148,6 +148,7 @@ class Given:
         if base.preset != preset_in_file:
             table.pop("estimator", None)
             table.pop("smoothing", None)
+            table.pop("line_smoothing", None)
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
     def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":

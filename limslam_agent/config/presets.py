@@ -9,6 +9,7 @@ from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfi
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
+from limslam_agent.config.smoother import SmootherConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
 
@@ -38,7 +39,7 @@ ESTIMATORS: dict[str, EstimatorConfig] = {
     "odometry": PublishedConfig(filter=FilterConfig(correct=False)),
     "graph": ConsistentConfig(),
 }
-"""The estimator's settings in each preset. The preset ``graph`` also smooths a log of poses after its end."""
+"""The estimator's settings in each preset. The preset ``graph`` also smooths a run or a log after its end."""
 
 PRESETS = tuple(ESTIMATORS)
 
@@ -69,6 +70,9 @@ class AgentConfig(Bounded):
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
+    line_smoothing
+        The line smoother that smooths a run, or a recorded log of wheel travel, after its end. None leaves it as the
+        filter saw it. Only the associations of the consistent estimator can be smoothed.
     """
 
     preset: str = DEFAULT_PRESET
@@ -80,6 +84,7 @@ class AgentConfig(Bounded):
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
+    line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
 
     @property
     def range_std(self) -> float:
@@ -94,8 +99,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     ----------
     name
         One of ``PRESETS``: ``consistent``, ``paper`` (the published method), ``odometry`` (the published method
-        without corrections) or ``graph`` (like ``consistent``, and a recorded log of poses is smoothed after its
-        end).
+        without corrections) or ``graph`` (like ``consistent``, and a run or a log is smoothed after its end).
     noise
         Nominal noise of the robot; that of ideal ranges when None.
 
@@ -106,8 +110,14 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     """
     if name not in ESTIMATORS:
         raise ValueError(f"no preset is called {described(name)}; there are {', '.join(PRESETS)}")
-    smoothing = GraphConfig() if name == "graph" else None
-    return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise(), smoothing=smoothing)
+    smooths = name == "graph"
+    return AgentConfig(
+        preset=name,
+        estimator=ESTIMATORS[name],
+        noise=noise or NominalNoise(),
+        smoothing=GraphConfig() if smooths else None,
+        line_smoothing=SmootherConfig() if smooths else None,
+    )
 
 
 def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:

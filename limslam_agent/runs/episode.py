@@ -18,7 +18,7 @@ from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
-from limslam_agent.runs.smoothing import smooth_episode
+from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
@@ -199,8 +199,13 @@ class Episode:
 
     @cached_property
     def smoothed(self) -> "SmoothedRun | None":
-        """All poses and walls by what was known at the end; None if the estimator's run cannot be smoothed."""
+        """All poses and walls by what was known at the end; None if the run was not smoothed."""
         return smooth_episode(self)
+
+    @cached_property
+    def final_map(self) -> FinalMap:
+        """The map by what was known at the end. It is drawn from the smoothed poses if the run was smoothed."""
+        return final_map(self)
 
 
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
