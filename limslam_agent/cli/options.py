@@ -13,7 +13,7 @@ from limslam_agent.cli.settings import ReplayOptions, RunOptions
 
 _RUN, _REPLAY = RunOptions(), ReplayOptions()
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
-_LOG, _ODOMETRY, _SCORE = "Log", "Odometry", "Score"
+_LOG, _TABLE, _ODOMETRY, _SCORE = "Log", "Tables (.csv)", "Odometry", "Score"
 _PRESETS = (
     "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
     "or graph (consistent, and a recorded log is smoothed at its end)."
@@ -75,7 +75,30 @@ Log = Annotated[
     typer.Argument(help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run.", show_default=False),
 ]
 Beams = Annotated[str | None, _option(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")]
-MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.", "3.0")]
+MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")]
+RecordingRobot = Annotated[
+    str | None,
+    _option(
+        _TABLE,
+        "Robot that recorded a table: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.",
+        None,
+        "--robot",
+    ),
+]
+MetresPerTick = Annotated[
+    float | None, _option(_TABLE, "Wheel travel for each 1 in left and right, m.", f"{_REPLAY.metres_per_tick:g}")
+]
+Accumulated = Annotated[
+    bool | None,
+    _option(
+        _TABLE,
+        "The columns left and right count from the start, not from the row before.",
+        None,
+        "--accumulated/--no-accumulated",
+    ),
+]
+RangeUnit = Annotated[str | None, _option(_TABLE, "Unit of the ranges: m, cm or mm.", _REPLAY.range_unit)]
+TimeUnit = Annotated[str | None, _option(_TABLE, "Unit of the times: s, ms or us.", _REPLAY.time_unit)]
 ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
 RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
 OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]

@@ -16,12 +16,18 @@ if TYPE_CHECKING:
     from limslam_agent.logs.relations import Relations
     from limslam_agent.replay.options import Calibration, CalibrationRun
     from limslam_agent.replay.replay import Replay
+    from limslam_env.interface import RobotSpec
 
 
 def replay(
     log: take.Log = None,
     beams: take.Beams = None,
     max_range: take.MaxRange = None,
+    robot: take.RecordingRobot = None,
+    metres_per_tick: take.MetresPerTick = None,
+    accumulated: take.Accumulated = None,
+    range_unit: take.RangeUnit = None,
+    time_unit: take.TimeUnit = None,
     noise: take.AssumedNoise = None,
     preset: take.ReplayPreset = None,
     odometry_noise: take.OdometryNoise = None,
@@ -44,8 +50,8 @@ def replay(
     """Draw a map from a recorded log."""
     arguments = locals()
     given = Given.read(arguments.pop("config"), arguments)
-    options = given.merged(ReplayOptions(), ("agent",))
-    carry_out(options, replay_agent(given, options))
+    options = given.merged(ReplayOptions(), ("agent", "robot"))
+    carry_out(options, replay_agent(given, options), given.replay_robot())
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +79,8 @@ class _Job:
     source: dict[str, str | None]
 
 
-def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
-    """Replay a log, write its folder, and print its summary.
+def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None" = None) -> None:
+    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table.
 
     Raises
     ------
@@ -89,7 +95,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
-    job = _job(options.log, options, agent)
+    job = _job(options.log, options, agent, robot)
     target = options.out or Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}"
     count = len(job.log)
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
@@ -98,17 +104,18 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig") -> None:
         scores = _scores(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
         content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
-        write_replay_settings(folder.beside, options, agent)
+        write_replay_settings(folder.beside, options, agent, robot)
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
     for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
     typer.echo(printable(f"results     {folder.target}"))
 
 
-def _job(log: Path, options: ReplayOptions, agent: "AgentConfig") -> _Job:
+def _job(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> _Job:
     from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
+    from limslam_agent.logs.table_options import TableOptions
     from limslam_agent.replay.options import CalibrationRun, chosen_topics, numbers
 
     calibration_run = CalibrationRun(options.calibrate, options.calibrate_until, options.calibrate_log)
@@ -118,9 +125,10 @@ def _job(log: Path, options: ReplayOptions, agent: "AgentConfig") -> _Job:
     known = read_relations(options.relations, limits) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
+    table = TableOptions(robot, options.metres_per_tick, options.accumulated, options.range_unit, options.time_unit)
 
     def opened(path: Path) -> "RecordedLog":
-        return read_log(path, angles, options.max_range, topics, limits)
+        return read_log(path, angles, options.max_range, topics, limits, table)
 
     recorded = opened(log)
     if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):

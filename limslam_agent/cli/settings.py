@@ -53,6 +53,10 @@ class ReplayOptions(Bounded):
     log: Path | None = None
     beams: str | None = None
     max_range: float | None = None
+    metres_per_tick: float = 1.0
+    accumulated: bool = False
+    range_unit: str = "m"
+    time_unit: str = "s"
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     odometry_noise: str | None = None
@@ -114,8 +118,9 @@ class Given:
             If an option has an impossible value, or the file has an unknown key beside options and ``tables``.
         """
         in_file = self.of_file(defaults, tables)
+        known = {field.name for field in fields(defaults)}
         try:
-            return replace(in_file, **self.options)
+            return replace(in_file, **{name: value for name, value in self.options.items() if name in known})
         except ValueError as error:
             name, words = str(error).split(" ", 1)
             raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
@@ -159,6 +164,23 @@ class Given:
         """The robot with the changes in the file's table ``robot``."""
         return updated(base, self.table.get("robot", {}), f"{self.path}: robot")
 
+    def replay_robot(self) -> "RobotSpec | None":
+        """The robot of ``--robot``, else that of the file's table ``robot``. None where neither is given.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such robot, or its settings cannot be used.
+        """
+        from limslam_env.interface import RobotSpec
+
+        named = self.options.get("robot")
+        if named is not None:
+            return robot_named(named)
+        if "robot" not in self.table:
+            return None
+        return self.robot(RobotSpec())
+
     def blamed(self, error: ValueError) -> ValueError:
         """An error about a value, with the file and the key where the value is from the file."""
         told = {name: value for name, value in self.table.items() if name not in self.options}
@@ -178,6 +200,59 @@ class Given:
                 for part, each in inner.items()
             },
         }
+
+
+@dataclass(frozen=True)
+class _RimBeams:
+    """Beams that start on the rim of the body and point straight out, as a robot's file may describe them."""
+
+    beams_deg: tuple[float, ...] = ()
+    min_range: float = 0.05
+    max_range: float = 1.5
+
+
+def robot_named(named: str) -> "RobotSpec":
+    """A robot that ships with the package by its name, or the robot in a TOML file.
+
+    The file has the settings of `RobotSpec`. Its beams are tables of `SensorSpec`, or ``beams_deg``, ``min_range`` and
+    ``max_range`` for beams that start on the rim of the body.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such robot, or its settings cannot be used.
+    """
+    from limslam_env.robots import ROBOTS
+
+    if named.replace("_", "-") in ROBOTS:
+        return ROBOTS[named.replace("_", "-")]()
+    if not named.endswith(".toml"):
+        raise SettingsError(f"--robot: no robot is called {named!r}; there are {', '.join(ROBOTS)}, or a .toml file")
+    try:
+        return _robot_in(read_toml(Path(named)), named)
+    except SettingsError as error:
+        raise SettingsError(f"--robot: {error}") from error
+
+
+def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
+    """The robot of a file's table."""
+    from limslam_env.interface import RobotSpec, beams_on_rim
+
+    rim = {name: table.pop(name) for name in ("beams_deg", "min_range", "max_range") if name in table}
+    robot = updated(RobotSpec(), table, where)
+    if not rim:
+        return robot
+    if "beams_deg" not in rim or "beams" in table:
+        wrong = (
+            f"beams and {min(rim)} both describe the beams" if "beams" in table else f"{min(rim)} goes with beams_deg"
+        )
+        raise SettingsError(f"{where}: {wrong}")
+    on_rim = updated(_RimBeams(), rim, where)
+    try:
+        beams = beams_on_rim(on_rim.beams_deg, robot.radius, min_range=on_rim.min_range, max_range=on_rim.max_range)
+        return replace(robot, beams=beams)
+    except ValueError as error:
+        raise SettingsError(f"{where}: {error}") from error
 
 
 def run_options(given: Given) -> RunOptions:
@@ -258,11 +333,15 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     return agent
 
 
-def write_replay_settings(folder: Path, options: ReplayOptions, agent: "AgentConfig") -> None:
+def write_replay_settings(
+    folder: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None" = None
+) -> None:
     """Write the file that repeats a replay: all settings as they were in effect, before the calibration."""
     in_agent = ("odometry_noise", "odometry_bias", "self_calibrate")
     table = {name: value for name, value in _option_table(options).items() if name not in in_agent}
     table["agent"] = _agent_table(agent, options.noise)
+    if robot is not None:
+        table["robot"] = table_of(robot)
     write_toml(folder / FILE, table, f"All settings of a replay: limslam replay --config {FILE} repeats it.")
 
 

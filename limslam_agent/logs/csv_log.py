@@ -6,29 +6,50 @@
     0.0,0.000,0.000,0.00,1.20,,1.19
     0.1,0.031,0.000,0.01,1.21,nan,1.18
 
-``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. An empty field
-and ``nan`` mean that there is no reading, and ``inf`` means that the beam saw nothing (`limslam_agent.readings`).
-Columns may also be separated by semicolons or spaces. The header may be a comment with a remark in brackets.
+``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. A table of
+wheel travel has ``left`` and ``right`` instead of ``x``, ``y`` and ``theta``. Other units, and the robot on which the
+beams sit, are `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and ``inf``
+means that the beam saw nothing (`limslam_agent.readings`). Columns may also be separated by semicolons or spaces. The
+header may be a comment with a remark in brackets.
 """
 
 import math
 import re
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 from os import fspath
 
 import numpy as np
 
 from limslam_agent.logs.directions import direction_of
 from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
-from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, beam, check_max_range, choose_beams, pose_log
+from limslam_agent.logs.pose_log import (
+    DEFAULT_MAX_RANGE,
+    LARGEST_STEP_BACK,
+    WORST_BEAM_MISMATCH_DEG,
+    beam,
+    check_max_range,
+    choose_beams,
+    median_spacing,
+    pose_log,
+)
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
-from limslam_env.interface import SensorSpec
+from limslam_agent.logs.table_options import TableOptions, check_travel
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec, SensorSpec
 
 NO_SCAN = b"-"
 """Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
 
-_LEADING = ({"t", "time", "stamp"}, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
+_TIME = {"t", "time", "stamp"}
+_POSE = (_TIME, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
+_WHEELS = tuple(
+    _TIME if side is None else {side, f"{side}_wheel", f"wheel_{side}", f"{side}_ticks", f"ticks_{side}"}
+    for side in (None, "left", "right")
+)
+_FORMS = "t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..."
 _RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
 _MOST_BEAMS = 4096
 _HEADER_WITHIN = 1000  # lines
@@ -47,14 +68,18 @@ def is_csv(path: FilePath) -> bool:
             break
         names = _names(line)[0]
         if names and not _is_remark(line, names):
-            return _begins_well(names)
+            return _leading(names) > 0
     return False
 
 
 def read_csv(
-    path: FilePath, beams_deg: Sequence[float] | None, max_range: float, limits: Limits = DEFAULT_LIMITS
+    path: FilePath,
+    beams_deg: Sequence[float] | None,
+    max_range: float | None,
+    limits: Limits = DEFAULT_LIMITS,
+    options: TableOptions | None = None,
 ) -> RecordedLog:
-    """Read a text file with the header ``t,x,y,theta,r_<deg>,...``, plain or gzip.
+    """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
 
     Parameters
     ----------
@@ -63,9 +88,12 @@ def read_csv(
     beams_deg
         Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
     max_range
-        Longest reading that is used, m; a longer one counts as "nothing seen".
+        Longest reading that is used, m; a longer one counts as "nothing seen". By default it is the maximum of the
+        robot's beams, or 3 m where the options name no robot.
     limits
         Largest log that is read.
+    options
+        The robot, and the units of the columns. By default there is no robot, and the units are m and s.
 
     Returns
     -------
@@ -76,9 +104,11 @@ def read_csv(
     ------
     LogError
         If the file is larger than the limits, cannot be read, is cut short, has another header, has a row whose columns
-        do not match the header or that holds something other than numbers, or has no row with ranges.
+        do not match the header or that holds something other than numbers, or has no row with ranges; if a table of
+        wheel travel comes without a robot, the robot has no beam in a direction of the header, or a wheel travels
+        farther than the robot can drive.
     """
-    rows = _Rows(beams_deg, max_range, limits)
+    rows = _Rows(beams_deg, max_range, limits, options or TableOptions())
     for number, line in numbered_lines(path, limits):
         cut = not line.endswith(b"\n")
         try:
@@ -94,8 +124,11 @@ def read_csv(
 class _Rows:
     """The header, and the numbers of the rows read so far, in packed arrays."""
 
-    def __init__(self, beams_deg: Sequence[float] | None, max_range: float, limits: Limits) -> None:
-        self.beams_deg, self.max_range, self.limits = beams_deg, max_range, limits
+    def __init__(
+        self, beams_deg: Sequence[float] | None, max_range: float | None, limits: Limits, options: TableOptions
+    ) -> None:
+        self.beams_deg, self.max_range, self.limits, self.options = beams_deg, max_range, limits, options
+        self.leading = len(_POSE)
         self.beams: list[SensorSpec] = []
         self.columns: list[int] = []
         self.separator: bytes | None = None
@@ -115,37 +148,82 @@ class _Rows:
 
     def _add_header(self, names: list[str]) -> None:
         # Only the chosen columns are stored: a header may name thousands.
-        self.limits.check_beams(len(names) - len(_LEADING))
-        self.directions = _directions(names)
-        check_max_range(self.max_range)
-        beams = [beam(math.radians(degrees), self.max_range) for degrees in self.directions]
+        self.leading, self.directions = _leading(names), _directions(names)
+        self.limits.check_beams(len(names) - self.leading)
+        if self.max_range is not None:
+            check_max_range(self.max_range)
+        if self.options.robot is not None:
+            beams = [_mounted(self.options.robot, degrees, self.max_range) for degrees in self.directions]
+        elif self.leading == len(_WHEELS):
+            raise ValueError("a table of wheel travel needs --robot FILE, with the robot's axle, radius and beams")
+        else:
+            reach = DEFAULT_MAX_RANGE if self.max_range is None else self.max_range
+            beams = [beam(math.radians(degrees), reach) for degrees in self.directions]
         self.columns = choose_beams(beams, self.beams_deg)
         self.beams = [beams[index] for index in self.columns]
 
     def _add_row(self, fields: list[bytes]) -> None:
-        count = len(_LEADING) + len(self.directions)
-        readings = fields[len(_LEADING) :]
+        count = self.leading + len(self.directions)
+        readings = fields[self.leading :]
         silent = bool(readings) and all(field == NO_SCAN for field in readings)
         if len(fields) != count and not (silent and len(readings) == 1):
             raise ValueError(f"{len(fields)} columns where the header names {count}")
-        move = [parse_number(field, name) for field, name in zip(fields, ("t", "x", "y", "theta"), strict=False)]
-        if self.moves and move[0] < self.moves[-4] - LARGEST_STEP_BACK:
-            raise ValueError(f"the time steps back by {self.moves[-4] - move[0]:.1f} s")
+        names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
+        move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
+        move[0] *= self.options.seconds
+        if self.moves and move[0] < self.moves[-self.leading] - LARGEST_STEP_BACK:
+            raise ValueError(f"the time steps back by {self.moves[-self.leading] - move[0]:.1f} s")
         values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
-        self.ranges.extend(values[column] for column in self.columns)
+        self.ranges.extend(self.options.metres * values[column] for column in self.columns)
         self.moves.extend(move)
         self.has_scan.append(not silent)
 
     def log(self) -> RecordedLog:
         """The rows as a log."""
         if not self.directions:
-            raise ValueError("is empty: it has no header t,x,y,theta,r_<deg>,...")
+            raise ValueError(f"is empty: it has no header {_FORMS}")
         if not any(self.has_scan):
             raise ValueError("has no row with ranges")
-        moves = np.array(self.moves).reshape(-1, len(_LEADING))
+        moves = np.array(self.moves).reshape(-1, self.leading)
         ranges = np.array(self.ranges).reshape(len(moves), -1)
         has_scan = np.frombuffer(self.has_scan, dtype=np.bool_)
-        return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan)
+        robot = self.options.robot
+        if robot is None or self.leading == len(_POSE):
+            return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan, robot)
+        return self._wheel_log(robot, moves, ranges, has_scan)
+
+    def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
+        robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
+        wheels = self.options.wheel_travel(moves[:, 1:])
+        check_travel(wheels, moves[:, 0], robot)
+        return RecordedLog(
+            robot=robot,
+            time=moves[:, 0],
+            ranges=np.where(has_scan[:, None], ranges, robot.max_ranges).astype(np.float32),
+            has_scan=has_scan,
+            start_pose=np.zeros(3),
+            wheels=wheels,
+        )
+
+
+def _mounted(robot: RobotSpec, degrees: float, max_range: float | None) -> SensorSpec:
+    """The robot's beam that points in a direction of the header. A reading of a table is a new measurement in each row.
+
+    Raises
+    ------
+    ValueError
+        If the robot has no such beam.
+    """
+    apart = np.abs(np.degrees(wrap_angle(robot.beam_angles - math.radians(degrees))))
+    nearest = int(np.argmin(apart))
+    if apart[nearest] > WORST_BEAM_MISMATCH_DEG + 1e-9:
+        known = ", ".join(f"{angle:g}" for angle in np.round(np.degrees(robot.beam_angles), 1))
+        raise ValueError(f"the header names a beam at {degrees:g} deg, but the robot's beams are at {known} deg")
+    found = robot.beams[nearest]
+    reach = found.max_range if max_range is None else min(found.max_range, max_range)
+    if reach <= found.min_range:
+        raise ValueError(f"the largest range must be above the beam's shortest of {found.min_range:g} m, not {reach:g}")
+    return replace(found, max_range=reach, period=1)
 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
@@ -157,26 +235,29 @@ def _names(line: bytes) -> tuple[list[str], bytes | None]:
 
 
 def _is_remark(line: bytes, names: list[str]) -> bool:
-    return line.startswith(b"#") and not _begins_well(names)
+    return line.startswith(b"#") and not _leading(names)
 
 
-def _begins_well(names: list[str]) -> bool:
-    return len(names) >= len(_LEADING) and all(map(set.__contains__, _LEADING, names))
+def _leading(names: list[str]) -> int:
+    """How many columns stand before the ranges: 4 of a table of poses, 3 of wheel travel, 0 of another header."""
+    known = (form for form in (_POSE, _WHEELS) if len(names) >= len(form) and all(map(set.__contains__, form, names)))
+    return len(next(known, ()))
 
 
 def _directions(names: list[str]) -> list[float]:
     """Directions of the range columns, deg."""
-    if not _begins_well(names):
-        raise ValueError(f"the header must be t,x,y,theta,r_<deg>,..., not {','.join(names)[:60]!r}")
+    leading = _leading(names)
+    if not leading:
+        raise ValueError(f"the header must be {_FORMS}, not {','.join(names)[:60]!r}")
     directions: list[float] = []
-    columns = names[len(_LEADING) :]
+    columns = names[leading:]
     for place, name in enumerate(columns):
         if name == "...":
             directions += _between(directions, columns[place + 1 :])
         else:
             directions.append(_direction(name))
     if not directions:
-        raise ValueError("the header names no ranges: r_<deg>,... must follow theta")
+        raise ValueError(f"the header names no ranges: r_<deg>,... must follow {names[leading - 1]}")
     turns = [degrees % 360.0 for degrees in directions]
     if len(set(turns)) < len(turns):
         twice = next(degrees for degrees, turn in zip(directions, turns, strict=True) if turns.count(turn) > 1)

@@ -12,6 +12,7 @@ from limslam_agent.logs.recorded_log import ZIP_MAGIC, FilePath, LogError, Recor
 from limslam_agent.logs.ros_bag import is_bag
 from limslam_agent.logs.ros_log import read_ros
 from limslam_agent.logs.ros_topics import Topics
+from limslam_agent.logs.table_options import TableOptions
 
 _TEXT_ENDINGS = (".csv", ".csv.gz")
 
@@ -22,6 +23,7 @@ def read_log(
     max_range: float | None = None,
     topics: Topics | None = None,
     limits: Limits = DEFAULT_LIMITS,
+    table: TableOptions | None = None,
 ) -> RecordedLog:
     """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a CARMEN log.
 
@@ -33,11 +35,14 @@ def read_log(
         Directions of the beams to keep, deg. None keeps six beams of a CARMEN log. Of other logs None keeps all beams
         if there are at most 16. The beams of a ``log.npz`` are fixed.
     max_range
-        Longest reading that is used, m. 3 m by default. The ranges of a ``log.npz`` are fixed.
+        Longest reading that is used, m. 3 m by default, or the beams' own maximum where ``table`` names a robot. The
+        ranges of a ``log.npz`` are fixed.
     topics
         Topics of a bag, if they cannot be found by their types.
     limits
         Largest log that is read.
+    table
+        The robot that recorded a table, and the units of its columns. Other logs take no such options.
 
     Returns
     -------
@@ -51,6 +56,7 @@ def read_log(
     """
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
     if is_bag(path):
+        _refuse_options(path, table)
         return read_ros(path, beams_deg, reach, topics, limits)
     if topics:
         raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
@@ -58,7 +64,14 @@ def read_log(
         if beams_deg is not None or max_range is not None:
             chosen = "beams" if beams_deg is not None else "largest range"
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
+        _refuse_options(path, table)
         return read_npz(path, limits)
     if fspath(path).endswith(_TEXT_ENDINGS) or is_csv(path):
-        return read_csv(path, beams_deg, reach, limits)
+        return read_csv(path, beams_deg, max_range, limits, table)
+    _refuse_options(path, table)
     return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach, limits)
+
+
+def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
+    if table is not None and table != TableOptions():
+        raise LogError(f"{fspath(path)}: is not a table, so its robot and its units cannot be chosen")

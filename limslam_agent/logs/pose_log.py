@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -85,7 +86,12 @@ def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
 
 
 def pose_log(
-    beams: Sequence[SensorSpec], time: FloatArray, odometry: FloatArray, ranges: FloatArray, has_scan: BoolArray
+    beams: Sequence[SensorSpec],
+    time: FloatArray,
+    odometry: FloatArray,
+    ranges: FloatArray,
+    has_scan: BoolArray,
+    robot: RobotSpec | None = None,
 ) -> RecordedLog:
     """The log of a robot that recorded poses.
 
@@ -101,6 +107,8 @@ def pose_log(
         Whatever the sensors report (n, n_beams), m. `limslam_agent.readings` defines what it means.
     has_scan
         Whether ranges were measured (n,).
+    robot
+        The robot without its beams. By default only a radius of 0.2 m is assumed.
 
     Returns
     -------
@@ -115,7 +123,8 @@ def pose_log(
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
         raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
-    robot = RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=tuple(beams))
+    body = robot or RobotSpec(radius=BODY_RADIUS)
+    robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     return RecordedLog(
         robot=robot,
         time=time,

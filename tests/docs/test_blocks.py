@@ -11,7 +11,10 @@ import typer
 from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, pages
 
 from limslam_agent.cli.main import app as limslam_app
+from limslam_agent.cli.settings import robot_named
 from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.table_options import TableOptions
+from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.worlds.formats.loading import load_world
 
 # Blocks that no program reads, by the words that they begin with.
@@ -219,6 +222,9 @@ def test_a_toml_block_is_read_by_its_reader(block):
         Path("mine.toml").write_text(block.text, encoding="utf-8")
         limslam_app(["run", "--config", "mine.toml", "--max-time", "1"], standalone_mode=False)
         assert len(list(Path("runs").glob("*/run.toml"))) == 1
+    elif "axle" in keys:
+        Path("robot.toml").write_text(block.text, encoding="utf-8")
+        assert robot_named("robot.toml").radius == 0.06
     else:
         pytest.fail(f"{block.name}: no reader is known for a table with {sorted(keys)}")
 
@@ -226,4 +232,6 @@ def test_a_toml_block_is_read_by_its_reader(block):
 @pytest.mark.parametrize("block", all_blocks("csv"), ids=lambda block: block.name)
 def test_a_table_is_read_as_a_log(block, tmp_path):
     (tmp_path / "log.csv").write_text(block.text, encoding="utf-8")
-    assert len(read_log(tmp_path / "log.csv")) == len(block.text.strip().splitlines()) - 1
+    rim = beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.06)
+    options = TableOptions(RobotSpec(beams=rim)) if "left" in block.text else None
+    assert len(read_log(tmp_path / "log.csv", table=options)) == len(block.text.strip().splitlines()) - 1

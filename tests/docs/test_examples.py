@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import call
+from support.markdown import blocks, commands
 
+from limslam_agent.cli.main import main
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.replay.replay import replay_log
 
@@ -59,6 +62,23 @@ def test_its_log_can_be_replayed(live_run):
     from limslam_env.interface import NominalNoise
 
     assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
+
+
+def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path):
+    if not EXAMPLE.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    page = EXAMPLES.parent / "docs" / "logs.md"
+    command = next(words for block in blocks(page) for words in commands(block.text) if "wheel_log.csv" in str(words))
+    finished = call(main, *command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
+    assert (finished.returncode, finished.stderr) == (0, "")
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["config"]["robot"]["axle"] == 0.115
+    assert result["record"]["driven_m"] == pytest.approx(5.7, abs=0.1)
+    # An apartment of two parts with a triangular pillar and a door.
+    assert 7 <= result["metrics"]["landmarks"] <= 11
+    smoothed = np.loadtxt(tmp_path / "out" / "trajectory_smoothed.tum")
+    # The drive was simulated. Its true end in the frame of its start is known.
+    np.testing.assert_allclose(smoothed[-1, 1:3], [3.386, 1.206], atol=0.05)
 
 
 def test_the_live_loop_imports_only_the_agent_and_the_interface():

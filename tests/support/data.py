@@ -19,10 +19,10 @@ def data_folder() -> Path:
     return folder
 
 
-def refusal(path: Path, *arguments: object) -> str:
+def refusal(path: Path, *arguments: object, **options: object) -> str:
     """Why a log is refused: one line that begins with its name."""
     with pytest.raises(LogError) as caught:
-        read_log(path, *arguments)
+        read_log(path, *arguments, **options)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert "\n" not in message

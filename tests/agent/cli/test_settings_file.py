@@ -5,13 +5,23 @@ import os
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from limslam_agent.cli.main import THREAD_VARIABLES, app
-from limslam_agent.cli.settings import Given, ReplayOptions, RunOptions, replay_agent, run_config, run_options
+from limslam_agent.cli.settings import (
+    Given,
+    ReplayOptions,
+    RunOptions,
+    replay_agent,
+    robot_named,
+    run_config,
+    run_options,
+)
+from limslam_agent.config.tables import SettingsError
 
 SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}
 
@@ -88,6 +98,56 @@ def test_the_file_of_a_replay_repeats_it(tmp_path):
     assert_same(first, second, SAME - {"log.npz"})
     one, other = (json.loads((folder / "result.json").read_text()) for folder in (first, second))
     assert (one["metrics"], one["config"]) == (other["metrics"], other["config"])
+
+
+def wheel_table(folder):
+    """A log of a drive along two walls, by ticks of 1 mm, and the file of its robot."""
+    rows = [f"{100 * step},{25 * step},{25 * step},800,8190" for step in range(120)]
+    (folder / "wheels.csv").write_text("\n".join(["t,left,right,r_-90,r_90", *rows]) + "\n")
+    (folder / "robot.toml").write_text("radius = 0.06\naxle = 0.115\nbeams_deg = [90, -90]\nmax_range = 2.0\n")
+    units = ("--metres-per-tick", "0.001", "--accumulated", "--range-unit", "mm", "--time-unit", "ms")
+    return folder / "wheels.csv", folder / "robot.toml", units
+
+
+def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
+    log, robot, units = wheel_table(tmp_path)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert limslam("replay", log, "--robot", robot, *units, "--out", first).exit_code == 0
+    assert limslam("replay", "--config", first / "run.toml", "--out", second).exit_code == 0
+    assert_same(first, second, SAME - {"log.npz"})
+    one = json.loads((first / "result.json").read_text())
+    assert one["record"]["driven_m"] == pytest.approx(0.025 * 119)
+    assert one["config"]["robot"]["axle"] == 0.115
+    beams = one["config"]["robot"]["beams"]
+    assert [(beam["y"], beam["max_range"]) for beam in beams] == [(-0.06, 2.0), (0.06, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("robot", "words"),
+    [
+        ("axle = -1.0", "--robot: robot.toml: a robot's axle must be positive, not -1"),
+        ("axel = 0.1", "--robot: robot.toml: axel: there is no such setting"),
+        ("beams_deg = []", "--robot: robot.toml: a robot needs at least one beam"),
+        ("beams_deg = 90", "--robot: robot.toml: beams_deg: must be a list, not 90"),
+        ("max_range = 0.01\nbeams_deg = [90]", "--robot: robot.toml: a beam needs 0 <= min_range < max_range"),
+        ("max_range = 2.0", "--robot: robot.toml: max_range goes with beams_deg"),
+        ("beams_deg = [0]\nbeams = [{x = 0.0, y = 0.0, angle = 0.0}]", "beams and beams_deg both describe the beams"),
+        ("axle =", "--robot: robot.toml: is not TOML"),
+    ],
+)
+def test_a_robots_file_that_cannot_be_used_is_refused(tmp_path, monkeypatch, robot, words):
+    monkeypatch.chdir(tmp_path)
+    Path("robot.toml").write_text(robot)
+    with pytest.raises(SettingsError) as refused:
+        robot_named("robot.toml")
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_robot_that_ships_with_the_package_has_a_name():
+    assert robot_named("e-puck") == robot_named("e_puck")
+    with pytest.raises(SettingsError, match="--robot: no robot is called 'r2d2'; there are paper, e-puck"):
+        robot_named("r2d2")
 
 
 def test_a_file_sets_options_and_options_win_over_it(tmp_path):

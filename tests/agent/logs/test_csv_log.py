@@ -169,7 +169,7 @@ def test_a_bad_row_is_refused_with_its_line(write, row, words):
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        ("t,x,y,r_0", "line 1: the header must be t,x,y,theta,r_<deg>,..., not 't,x,y,r_0'"),
+        ("t,x,y,r_0", "line 1: the header must be t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not"),
         ("0,0,0,0,1,1,1", "line 1: the header must be"),
         ("t,x,y,theta", "line 1: the header names no ranges"),
         ("t,x,y,theta,r_0,battery", "line 1: the column 'battery' is not a range"),

@@ -1,0 +1,118 @@
+"""Tables of wheel travel: units, the robot that recorded them, and one line for every fault."""
+
+import math
+
+import numpy as np
+import pytest
+from support.data import refusal
+
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.table_options import TableOptions
+from limslam_env.interface import RobotSpec, beams_on_rim
+
+ROBOT = RobotSpec(radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0))
+HEAD = "t,left,right,r_90,r_54,r_-90\n"
+METRES = "0.0,0.5,0.5,1.0,1.5,2.5\n0.1,0.01,0.02,1.1,inf,0.6\n0.2,0.03,0.01,1.2,nan,0.7\n"
+# The same drive by counters of 0.001 m a tick.
+TICKS = "0,400,500,1000,1500,2500\n100,410,520,1100,8190,600\n200,440,530,1200,nan,700\n"
+TICK_OPTIONS = TableOptions(ROBOT, 0.001, accumulated=True, range_unit="mm", time_unit="ms")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text, name="wheels.csv"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return _write
+
+
+def test_a_row_is_the_travel_since_the_row_before(write):
+    log = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
+    np.testing.assert_allclose(log.wheels, [[0.0, 0.0], [0.01, 0.02], [0.03, 0.01]])
+    assert log.odometry is None
+    np.testing.assert_array_equal(log.ranges, np.float32([[1.0, 1.5, 2.0], [1.1, 2.0, 0.6], [1.2, math.nan, 0.7]]))
+    assert (log.robot.axle, log.robot.radius) == (0.115, 0.06)
+    assert log.robot.control_period == pytest.approx(0.1)
+
+
+def test_beams_are_those_of_the_robot_in_the_order_of_the_header(write):
+    log = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
+    assert log.robot.beams == (ROBOT.beams[0], ROBOT.beams[1], ROBOT.beams[3])
+
+
+def test_ticks_millimetres_and_milliseconds_give_the_same_log(write):
+    metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
+    ticks = read_log(write(HEAD + TICKS, "ticks.csv"), table=TICK_OPTIONS)
+    np.testing.assert_allclose(ticks.wheels, metres.wheels)
+    np.testing.assert_allclose(ticks.time, metres.time)
+    np.testing.assert_array_equal(ticks.ranges, metres.ranges)
+
+
+@pytest.mark.parametrize("names", ["t,left,right", "time,left_wheel,right_wheel", "stamp,wheel_left,wheel_right"])
+def test_the_columns_have_several_names(write, names):
+    path = write(f"{names},r_90\n" + "0,0,0,1\n0.1,0.01,0.01,1\n", "named.txt")
+    assert len(read_log(path, table=TableOptions(ROBOT))) == 2
+
+
+def test_a_row_may_have_no_scan(write):
+    log = read_log(write(HEAD + "0,0,0,1,1,1\n0.1,0.01,0.01,-\n"), table=TableOptions(ROBOT))
+    np.testing.assert_array_equal(log.has_scan, [True, False])
+
+
+def test_the_largest_range_is_the_robots_unless_a_shorter_one_is_chosen(write):
+    path = write(HEAD + METRES)
+    assert read_log(path, None, 1.05, table=TableOptions(ROBOT)).robot.max_ranges.tolist() == [1.05] * 3
+    assert read_log(path, None, 9.0, table=TableOptions(ROBOT)).robot.max_ranges.tolist() == [2.0] * 3
+
+
+def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
+    path = write("t,x,y,theta,r_90,r_-54\n0,0,0,0,1000,1500\n100,0.1,0,0,1000,1500\n")
+    log = read_log(path, table=TableOptions(ROBOT, range_unit="mm", time_unit="ms"))
+    assert log.robot.beams == (ROBOT.beams[0], ROBOT.beams[2])
+    assert log.robot.radius == 0.06
+    np.testing.assert_allclose(log.ranges[0], [1.0, 1.5])
+    np.testing.assert_allclose(log.time, [0.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "words"),
+    [
+        (HEAD + METRES, None, "line 1: a table of wheel travel needs --robot FILE"),
+        ("t,left,right,r_0\n0,0,0,1\n", TableOptions(ROBOT), "at 0 deg, but the robot's beams are at 90, 54, -54, -90"),
+        ("t,left,right\n0,0,0\n", TableOptions(ROBOT), "the header names no ranges: r_<deg>,... must follow right"),
+        ("t,left,r_0\n0,0,1\n", TableOptions(ROBOT), "or t,left,right,r_<deg>,..., not 't,left,r_0'"),
+        (HEAD + "0,0,far,1,1,1\n", TableOptions(ROBOT), "line 2: right is not a number: 'far'"),
+        (HEAD + "0,0,inf,1,1,1\n", TableOptions(ROBOT), "line 2: right is inf"),
+        (HEAD + "0,0,0,1,1\n", TableOptions(ROBOT), "line 2: 5 columns where the header names 6"),
+        (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s"),
+        (HEAD + METRES, TableOptions(ROBOT, 100.0), "a wheel travels 2 m in 0.1 s at time 0.1 s"),
+        (HEAD + TICKS, TableOptions(ROBOT, 0.001, time_unit="ms"), "--accumulated says that they count from the start"),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_refused_in_one_line(write, text, options, words):
+    assert words in refusal(write(text), table=options)
+
+
+def test_a_gap_in_the_log_allows_a_longer_travel(write):
+    rows = "".join(f"{0.1 * step:.1f},0.02,0.02,1,1,1\n" for step in range(5)) + "9.0,1.5,1.5,1,1,1\n"
+    assert read_log(write(HEAD + rows), table=TableOptions(ROBOT)).wheels[-1, 0] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"metres_per_tick": 0.0}, "--metres-per-tick must be a number above 0, not 0"),
+        ({"metres_per_tick": math.nan}, "--metres-per-tick must be a number above 0, not nan"),
+        ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, not 'inch'"),
+        ({"time_unit": "min"}, "--time-unit must be one of s, ms, us, not 'min'"),
+    ],
+)
+def test_impossible_units_are_refused(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        TableOptions(**wrong)
+
+
+def test_other_logs_take_no_such_options(write):
+    assert "is not a table" in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)
