@@ -81,7 +81,8 @@ AGENT = {
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.replay": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip
