@@ -89,6 +89,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     """
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, replay_summary
+    from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
     from limslam_env.messages import printable
@@ -98,6 +99,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     job = _job(options.log, options, agent, robot)
     target = options.out or Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}"
     count = len(job.log)
+    _warn(log_warnings(job.log))
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
         with progress_bar("replaying", count) as advance:
             result = replay_log(job.log, job.config, lambda done: advance(done, f"{done} of {count} events"))
@@ -108,7 +110,13 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
     for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
+    _warn(map_warnings(result))
     typer.echo(printable(f"results     {folder.target}"))
+
+
+def _warn(warnings: list[str]) -> None:
+    for warning in warnings:
+        typer.echo(f"limslam: warning: {warning}", err=True)
 
 
 def _job(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> _Job:

@@ -1,0 +1,99 @@
+"""Warnings about logs in other units, sensors that see less far than was told, and maps without walls."""
+
+import numpy as np
+import pytest
+from support.command_line import call
+
+from limslam_agent.cli.main import main
+from limslam_agent.config.presets import preset
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.replay.plausibility import log_warnings, map_warnings
+from limslam_agent.replay.replay import replay_log
+
+
+def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60, beams=(-90, 90)):
+    """A log of a straight drive between two walls, with the readings as text."""
+    rows = [f"{period * row:.9g},{step * row:.4f},0,0,{right},{left}" for row in range(count)]
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join([f"t,x,y,theta,r_{beams[0]},r_{beams[1]}", *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_a_plausible_log_gives_no_warning(tmp_path):
+    log = read_log(written(tmp_path))
+    assert log_warnings(log) == []
+    assert map_warnings(replay_log(log, preset("consistent"))) == []
+
+
+def test_ranges_in_millimetres_are_noticed(tmp_path):
+    (warning,) = log_warnings(read_log(written(tmp_path, "800", "2900")))
+    assert warning.startswith("100.0% of the readings saw nothing up to 3 m: are the ranges in metres?")
+
+
+def test_half_of_the_readings_may_see_nothing(tmp_path):
+    assert log_warnings(read_log(written(tmp_path, "2.9", "inf"))) == []
+
+
+def test_readings_that_do_not_exist_say_nothing_about_units(tmp_path):
+    assert log_warnings(read_log(written(tmp_path, "nan", "nan"))) == []
+
+
+@pytest.mark.parametrize(("period", "said"), [(100.0, "100"), (0.0005, "0.0005")])
+def test_times_in_another_unit_are_noticed(tmp_path, period, said):
+    (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
+    assert warning.startswith(f"the median time between two events is {said} s: are the times in seconds?")
+
+
+@pytest.mark.parametrize("period", [0.002, 9.0])
+def test_slow_and_fast_logs_are_plausible(tmp_path, period):
+    assert log_warnings(read_log(written(tmp_path, period=period))) == []
+
+
+def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(tmp_path):
+    path = written(tmp_path, "1.93", "inf")
+    (warning,) = log_warnings(read_log(path))
+    assert "the longest range is 3 m, but the largest reading of a wall is 1.93 m" in warning
+    assert "--max-range 2 sets another longest range" in warning
+    assert log_warnings(read_log(path, None, 2.0)) == []
+
+
+def test_without_readings_of_nothing_the_longest_range_does_not_matter(tmp_path):
+    assert log_warnings(read_log(written(tmp_path, "0.5", "0.6"))) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"right": "800", "left": "900"}, "almost no reading saw anything"),
+        ({"step": 0.00002}, "drove only 0.00 m by odometry. Is the odometry in metres?"),
+        ({"beams": (0, 180)}, "no beam looks to the left or the right"),
+        ({"right": "nan", "left": "nan"}, "the log has no readings"),
+    ],
+)
+def test_a_map_without_walls_is_explained(tmp_path, changes, words):
+    (warning,) = map_warnings(replay_log(read_log(written(tmp_path, **changes)), preset("consistent")))
+    assert warning.startswith("the map has 0 walls: ")
+    assert words in warning
+
+
+def test_readings_off_every_line_are_explained_by_units_and_directions(tmp_path):
+    path = written(tmp_path)
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    scattered = np.random.default_rng(0).uniform(0.3, 2.9, (len(rows), 2))
+    fields = [row.split(",")[:4] for row in rows]
+    lines = [
+        ",".join([*row, f"{one:.3f}", f"{other:.3f}"]) for row, (one, other) in zip(fields, scattered, strict=True)
+    ]
+    path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    (warning,) = map_warnings(replay_log(read_log(path), preset("consistent")))
+    assert "the readings do not lie on lines" in warning
+
+
+def test_the_command_warns_on_standard_error_and_succeeds(tmp_path):
+    finished = call(main, "replay", written(tmp_path, "800", "2900"), "--out", tmp_path / "out")
+    assert finished.returncode == 0
+    warnings = finished.stderr.splitlines()
+    assert [line.startswith("limslam: warning: ") for line in warnings] == [True, True]
+    assert "are the ranges in metres?" in warnings[0]
+    assert "the map has 0 walls" in warnings[1]
+    assert (tmp_path / "out" / "result.json").is_file()
