@@ -15,8 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from limslam_agent import LimSlamAgent, preset
-from limslam_agent.output.export import write_map
+from limslam_agent import LimSlamAgent, preset, save_map
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
 # Measure your robot: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.
@@ -39,7 +38,7 @@ class Robot(Protocol):
         """Left and right wheel travel since the last call, m (ticks times metres per tick)."""
 
     def read_ranges(self) -> list[float]:
-        """The reading of each beam of ``SPEC``, m; NaN or infinity where it sees nothing."""
+        """The reading of each beam of ``SPEC``, m; infinity where it saw nothing, and NaN where there is no reading."""
 
     def send_wheel_speeds(self, left: float, right: float) -> None:
         """Set the wheel speeds, m/s, until the next call."""
@@ -95,19 +94,18 @@ class FakeRobot:
         time.sleep(self._pace)
 
 
-def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = None) -> int:
-    """Drive until the agent is done, or for ``steps`` steps. Returns the number of steps driven.
+def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = None) -> np.ndarray:
+    """Drive until the agent is done, or for ``steps`` steps. Returns the estimated pose after each step (n, 3), m, rad.
 
     ``log`` is a text file to write, which ``limslam replay`` can read.
     """
     rows = ["t,x,y,theta," + ",".join(f"r_{math.degrees(beam.angle):g}" for beam in SPEC.beams)]
-    step = 0
+    step, path = 0, []
     try:
         while step < steps and not agent.done:
             wheels, ranges = robot.read_wheels(), robot.read_ranges()
-            # The agent expects the longest range of a beam that saw nothing.
-            readings = np.nan_to_num(ranges, nan=np.inf).clip(0.0, SPEC.max_ranges)
-            action = agent.act({"wheels": np.array(wheels), "ranges": readings})
+            action = agent.act({"wheels": np.array(wheels), "ranges": np.array(ranges)})
+            path.append(agent.slam.pose)
             # A log holds the pose by odometry, and ranges from the robot's centre. These beams start on its rim.
             row = (step * SPEC.control_period, *agent.mapper.odometry[0], *(reading + RADIUS for reading in ranges))
             rows.append(",".join(f"{value:.6g}" for value in row))
@@ -120,11 +118,11 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
         if log is not None:
             log.write_text("\n".join(rows) + "\n", encoding="utf-8")
     agent.finish()
-    return step
+    return np.array(path)
 
 
 def main() -> None:
-    """Explore, then write ``map.json``, ``map.pgm`` with ``map.yaml``, and ``log.csv``."""
+    """Explore, then write ``map.json``, ``map.pgm`` with ``map.yaml``, ``map.png`` and ``log.csv``."""
     parser = argparse.ArgumentParser(description="Explore with a live robot.")
     parser.add_argument("--out", type=Path, default=Path("live_robot"), help="folder for the map and the log")
     parser.add_argument("--steps", type=int, default=6000, help="longest run")
@@ -134,10 +132,11 @@ def main() -> None:
 
     agent = LimSlamAgent(SPEC, preset("consistent", NominalNoise(RANGE_STD, WHEEL_VARIANCE)))
     robot = FakeRobot(in_real_time=options.real_time)
-    steps = explore(robot, agent, options.steps, options.out / "log.csv")
-    belief = agent.snapshot()
-    write_map(options.out, belief)
-    print(f"{steps} steps: {agent.stop_reason or 'time is up'}; {len(belief.segments)} walls in {options.out}/map.json")
+    path = explore(robot, agent, options.steps, options.out / "log.csv")
+    found = agent.snapshot()
+    save_map(options.out, found, path, "live robot")
+    walls = f"{len(found.segments)} walls in {options.out}/map.json and map.png"
+    print(f"{len(path)} steps: {agent.stop_reason or 'time is up'}; {walls}")
 
 
 if __name__ == "__main__":

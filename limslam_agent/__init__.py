@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from limslam_agent.belief import Belief
     from limslam_agent.config.presets import AgentConfig, preset
     from limslam_agent.logs.log_reader import read_log
-    from limslam_agent.mapper import Mapper
+    from limslam_agent.mapper import Mapper, MapSnapshot
+    from limslam_agent.output.live_map import save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy
     from limslam_agent.policies.learned.learned import LearnedPolicy
     from limslam_agent.policies.policy import Policy
@@ -37,6 +38,7 @@ __all__ = [
     "LimSlamAgent",
     "LimSlamTeam",
     "LineSlam",
+    "MapSnapshot",
     "Mapper",
     "Policy",
     "RandomPolicy",
@@ -48,6 +50,7 @@ __all__ = [
     "preset",
     "read_log",
     "replay_log",
+    "save_map",
 ]
 
 _MODULES = {
@@ -60,6 +63,7 @@ _MODULES = {
     "LimSlamAgent": "agent",
     "LimSlamTeam": "team",
     "LineSlam": "slam.slam",
+    "MapSnapshot": "mapper",
     "Mapper": "mapper",
     "Policy": "policies.policy",
     "RandomPolicy": "policies.simple_policies",
@@ -71,6 +75,7 @@ _MODULES = {
     "preset": "config.presets",
     "read_log": "logs.log_reader",
     "replay_log": "replay.replay",
+    "save_map": "output.live_map",
 }
 
 

@@ -1,6 +1,8 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
 
+import math
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,11 +10,53 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
+
+TOO_FAST = 30.0
+"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapSnapshot:
+    """The map and the poses at one moment. Later steps do not change a snapshot.
+
+    Attributes
+    ----------
+    poses
+        Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
+    covariances
+        Covariance of each estimated pose (n, 3, 3).
+    odometry
+        Pose of each robot by odometry alone (n, 3).
+    landmarks
+        The walls of the map as lines with covariances.
+    segments
+        The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
+    grid
+        Occupancy grid.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+
+    @property
+    def pose(self) -> FloatArray:
+        """Pose of the first robot (3,)."""
+        return np.asarray(self.poses[0])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the first robot's pose (3, 3)."""
+        return np.asarray(self.covariances[0])
 
 
 class Mapper:
@@ -37,6 +81,9 @@ class Mapper:
     odometry
         Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings. Read-only; each
         step makes a new array.
+    longest_travel
+        Longest travel of a wheel in one step that is accepted, m: 30 times what the robot's largest wheel speed allows
+        in a control period. Set it higher if observations may be farther apart than 30 control periods.
     slam_ms
         Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
 
@@ -50,6 +97,7 @@ class Mapper:
         self, robot: RobotSpec, config: AgentConfig | None = None, start_pose: FloatArray | None = None
     ) -> None:
         self.robot, self.config = robot, config or preset(DEFAULT_PRESET)
+        self.longest_travel = TOO_FAST * robot.max_wheel_speed * robot.control_period
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
     def reset(self, start_pose: FloatArray) -> None:
@@ -76,10 +124,15 @@ class Mapper:
 
         Raises
         ------
+        TypeError
+            If an observation is not a dictionary.
         ValueError
-            If there is not one observation for each robot, an observation has the wrong shape or reports no motion,
-            or the map grows beyond all bounds.
+            If there is not one observation for each robot, an observation has the wrong shape or reports no motion, a
+            wheel travels farther than ``longest_travel``, or the map grows beyond all bounds.
         """
+        for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
+            front.check(observation)
+            self._check_travel(observation)
         begin = time.perf_counter()
         self.slam.step(*observations)
         self.slam_ms = 1e3 * (time.perf_counter() - begin)
@@ -116,6 +169,23 @@ class Mapper:
         values = view.values.copy()
         values.setflags(write=False)
         return GridView(view.low, view.cell, values)
+
+    def snapshot(self) -> MapSnapshot:
+        """The map and the poses now. Later steps do not change the snapshot."""
+        slam = self.slam
+        return MapSnapshot(slam.poses, slam.covariances, self.odometry, slam.landmarks, slam.segments, self.grid)
+
+    def _check_travel(self, observation: Observation) -> None:
+        """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
+        if "wheels" not in observation:
+            return
+        farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
+        if math.isfinite(farthest) and farthest > self.longest_travel:
+            limit = f"{self.robot.max_wheel_speed:g} m/s for {self.robot.control_period:g} s"
+            raise ValueError(
+                f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
+                "metres since the last observation, not ticks or millimetres"
+            )
 
     def _moved(self, pose: FloatArray, observation: Observation) -> FloatArray:
         """The pose (3,) after the motion that an observation reports."""

@@ -7,54 +7,25 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapper import Mapper, MapSnapshot
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
-from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
+class Snapshot(MapSnapshot):
     """Everything that a team believes at one moment. Later steps do not change a snapshot.
 
     Attributes
     ----------
-    poses
-        Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
-    covariances
-        Covariance of each estimated pose (n, 3, 3).
-    odometry
-        Pose of each robot by odometry alone (n, 3).
-    landmarks
-        The walls of the map as lines with covariances.
-    segments
-        The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
-    grid
-        Occupancy grid.
     plans
         The path (k, 2), m, that each robot intends to drive.
     """
 
-    poses: FloatArray
-    covariances: FloatArray
-    odometry: FloatArray
-    landmarks: list[Landmark]
-    segments: FloatArray
-    grid: GridView
     plans: list[FloatArray]
-
-    @property
-    def pose(self) -> FloatArray:
-        """Pose of the first robot (3,)."""
-        return np.asarray(self.poses[0])
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the first robot's pose (3, 3)."""
-        return np.asarray(self.covariances[0])
 
     @property
     def plan(self) -> FloatArray:
@@ -185,11 +156,8 @@ class LimSlamTeam:
         ValueError
             If the plan of a policy is not an array (k, 2) of finite points.
         """
-        slam, mapper = self.slam, self.mapper
         plans = [checked_plan(policy) for policy in self.policies]
-        return Snapshot(
-            slam.poses, slam.covariances, mapper.odometry, slam.landmarks, slam.segments, mapper.grid, plans
-        )
+        return Snapshot(**vars(self.mapper.snapshot()), plans=plans)
 
     def _new_policy(self, number: int) -> Policy:
         return FrontierPolicy(self.robot, self.config.policy, number)

@@ -25,6 +25,18 @@ LARGEST_SIDE_ANGLE = math.radians(160.0)
 _ROUNDING = 1e-6
 
 
+LARGEST_BODY = 5.0
+"""Largest radius of a robot, and largest coordinate of a beam on it, m. A larger number is in another unit."""
+
+LARGEST_RANGE = 1000.0
+"""Longest range of a beam, m. A larger number is in another unit."""
+
+_LARGEST = {"radius": LARGEST_BODY, "axle": 2.0 * LARGEST_BODY, "max_wheel_speed": 100.0}
+
+# Directions in degrees that are written in radians are this close to a whole number of degrees.
+_NEAR_WHOLE = 0.05
+
+
 class Observation(TypedDict):
     """One step's readings, float32 as the environments give them.
 
@@ -80,6 +92,11 @@ class SensorSpec:
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.x, self.y, self.angle, self.min_range, self.max_range))):
             raise ValueError("a beam's place, angle and ranges must be finite")
+        if max(map(abs, (self.x, self.y))) > LARGEST_BODY or self.max_range > LARGEST_RANGE:
+            raise ValueError(
+                f"a beam's place and max_range must be metres, within {LARGEST_BODY:g} m of the robot's centre and at "
+                f"most {LARGEST_RANGE:g} m, not x {self.x:g}, y {self.y:g} and max_range {self.max_range:g}"
+            )
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"a beam needs 0 <= min_range < max_range, not {self.min_range} and {self.max_range}")
         if self.side is None:
@@ -93,7 +110,16 @@ class SensorSpec:
 def beams_on_rim(
     degrees: tuple[float, ...], radius: float, *, min_range: float = 0.05, max_range: float = 1.5
 ) -> tuple[SensorSpec, ...]:
-    """Beams that start on a circle of ``radius`` (m) and point straight out, at the given angles (deg)."""
+    """Beams that start on a circle of ``radius`` (m) and point straight out, at the given angles in degrees.
+
+    Raises
+    ------
+    ValueError
+        If the angles are in radians: all lie between -2 pi and 2 pi, and all are whole numbers of degrees in radians.
+    """
+    given = [math.degrees(degree) for degree in degrees if degree]
+    if given and all(abs(turn) <= 360.1 and abs(turn - round(turn)) < _NEAR_WHOLE for turn in given):
+        raise ValueError(f"the angles of beams_on_rim are degrees, but {tuple(degrees)} look like radians")
     angles = [math.radians(degree) for degree in degrees]
     return tuple(SensorSpec(radius * math.cos(a), radius * math.sin(a), a, min_range, max_range) for a in angles)
 
@@ -131,9 +157,17 @@ class RobotSpec:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"a robot's {name} must be positive, not {value}")
+        for name, largest in _LARGEST.items():
+            if getattr(self, name) > largest:
+                unit = "m/s" if name == "max_wheel_speed" else "m"
+                raise ValueError(
+                    f"a robot's {name} is at most {largest:g} {unit}, not {getattr(self, name):g}: is it in {unit}?"
+                )
         object.__setattr__(self, "beams", tuple(self.beams))
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
+        for beam in self.beams:
+            _check_beam(beam)
 
     @cached_property
     def beam_origins(self) -> FloatArray:
@@ -211,6 +245,12 @@ class RobotSpec:
             return cls(**values, beams=beams)
         except (TypeError, KeyError, AttributeError, json.JSONDecodeError) as error:
             raise ValueError(f"not a robot: {error}") from error
+
+
+def _check_beam(beam: object) -> None:
+    if not isinstance(beam, SensorSpec):
+        kind = type(beam).__name__
+        raise TypeError(f"each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type {kind}")
 
 
 def _read_only(values: list[Any]) -> FloatArray:

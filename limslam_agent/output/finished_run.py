@@ -101,7 +101,9 @@ def read_run(folder: Path) -> FinishedRun:
     if not folder.is_dir():
         raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
     if not (folder / RESULT).is_file():
-        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}")
+        has_map = (folder / MAP).is_file() and (folder / PICTURE).is_file()
+        picture = f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
+        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}{picture}")
     result = _read_json(folder / RESULT)
     segments = _segments(folder / MAP)
     estimated = _trajectories(folder, "est")

@@ -124,6 +124,7 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         Called after each event with the number of events that are done.
     """
     mapper = Mapper(log.robot, config, log.start_pose)
+    mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
     slam, count, associations = mapper.slam, len(log), list[AssociationRecord]()
     slam.on_association = associations.append
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))

@@ -1,12 +1,13 @@
 """Mapper: SLAM, occupancy grid and odometry without a policy, for one robot and for several."""
 
+import json
 from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 import pytest
 
-from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
+from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset, save_map
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
@@ -197,6 +198,7 @@ def test_a_bad_start_pose_is_refused_in_one_line(start, message):
         [{"wheels": np.array([np.nan, 0.0])}],
         [{"ranges": np.ones(6)}],
         [{"ranges": np.ones(4), "wheels": np.array([0.1, 0.1])}],
+        [{"wheels": np.array([78.0, 144.0]), "ranges": np.ones(6)}],
     ],
 )
 def test_a_refused_observation_changes_nothing(observations, drive):
@@ -209,3 +211,54 @@ def test_a_refused_observation_changes_nothing(observations, drive):
     np.testing.assert_array_equal(mapper.odometry, odometry)
     np.testing.assert_array_equal(mapper.belief.pose, before.pose)
     assert_same_grid(mapper.belief.grid, before.grid)
+
+
+@pytest.mark.parametrize("wrong", [(np.zeros(2), np.ones(6)), np.zeros(8), None, [0.0, 0.0]])
+def test_an_observation_that_is_no_dictionary_is_refused_in_one_line(wrong):
+    mapper = Mapper(ROBOT, CONFIG)
+    with pytest.raises(TypeError, match="an observation must be a dictionary with 'wheels' and 'ranges'"):
+        mapper.step(wrong)
+    with pytest.raises(TypeError, match="an observation must be a dictionary"):
+        LineSlam(ROBOT, CONFIG).step(wrong)
+
+
+@pytest.mark.parametrize("travel", [[78, 144], [0.01, -14.0]])
+def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(travel):
+    mapper = Mapper(ROBOT, CONFIG)
+    words = rf"travels {max(map(abs, travel)):g} m in one step, .* 0.3 m/s for 0.1 s: wheels must be metres"
+    with pytest.raises(ValueError, match=words):
+        mapper.step({"wheels": np.array(travel), "ranges": np.ones(6)})
+    np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
+
+
+def test_the_longest_travel_of_a_step_can_be_raised():
+    mapper = Mapper(ROBOT, CONFIG)
+    assert mapper.longest_travel == pytest.approx(0.9)
+    mapper.longest_travel = 2.0
+    mapper.step({"wheels": np.array([1.5, 1.5])})
+    assert mapper.belief.pose[0] == pytest.approx(1.5)
+
+
+def test_a_snapshot_keeps_its_moment_and_is_saved_as_a_map(drive, tmp_path):
+    start, steps = first_robot(drive)
+    mapper = mapped(start, steps[:150])
+    snapshot, walls = mapper.snapshot(), mapper.slam.segments
+    np.testing.assert_array_equal(snapshot.pose, mapper.belief.pose)
+    np.testing.assert_array_equal(snapshot.covariance, mapper.belief.covariance)
+    for observations in steps[150:]:
+        mapper.step(*observations)
+    np.testing.assert_array_equal(snapshot.segments, walls)
+    save_map(tmp_path / "a" / "map", snapshot)
+    folder = tmp_path / "a" / "map"
+    assert {path.name for path in folder.iterdir()} == {"map.json", "map.pgm", "map.yaml", "map.png"}
+    np.testing.assert_array_equal(json.loads((folder / "map.json").read_text())["segments"], walls)
+
+
+def test_a_saved_map_shows_the_path_and_can_be_replaced(tmp_path):
+    snapshot = Mapper(ROBOT, CONFIG).snapshot()
+    save_map(tmp_path, snapshot)
+    short = (tmp_path / "map.png").read_bytes()
+    save_map(tmp_path, snapshot, np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.1], [2.0, 0.0, 0.2]]), "a walk")
+    assert (tmp_path / "map.png").read_bytes() != short
+    with pytest.raises(ValueError, match="2 paths do not go with 1 robots"):
+        save_map(tmp_path, snapshot, [np.zeros((2, 2)), np.zeros((2, 2))])

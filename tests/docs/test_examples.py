@@ -46,7 +46,7 @@ def test_the_live_loop_maps_without_a_simulator(live_run):
     folder, (said, loaded) = live_run
     assert 150 < int(said.partition(" steps: ")[0]) <= 230
     assert loaded == "[]"
-    assert {path.name for path in folder.iterdir()} == {"map.json", "map.pgm", "map.yaml", "log.csv"}
+    assert {path.name for path in folder.iterdir()} == {"map.json", "map.pgm", "map.yaml", "map.png", "log.csv"}
     segments = np.array(json.loads((folder / "map.json").read_text())["segments"])
     lengths = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
     # A room of 3 x 2 m.

@@ -1,6 +1,7 @@
 """The robot's description: beams find their sides, arrays stay as they are, and nonsense is refused."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -70,3 +71,47 @@ def test_the_arrays_of_a_robot_cannot_be_written_to(name):
     with pytest.raises(ValueError, match="read-only"):
         array[0] = 7.0
     np.testing.assert_array_equal(getattr(robot, name), before)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"radius": 60.0}, "a robot's radius is at most 5 m, not 60: is it in m?"),
+        ({"axle": 115.0}, "a robot's axle is at most 10 m, not 115: is it in m?"),
+        ({"max_wheel_speed": 300.0}, "a robot's max_wheel_speed is at most 100 m/s, not 300: is it in m/s?"),
+    ],
+)
+def test_a_robot_in_millimetres_is_refused(wrong, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        RobotSpec(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"max_range": 2000.0}, {"x": 60.0}, {"y": -30.0}])
+def test_a_beam_in_millimetres_is_refused(wrong):
+    with pytest.raises(ValueError, match="a beam's place and max_range must be metres"):
+        SensorSpec(**{"x": 0.0, "y": 0.0, "angle": 0.0, **wrong})
+
+
+def test_the_largest_robots_and_beams_are_accepted():
+    beams = (SensorSpec(5.0, -5.0, 0.0, max_range=1000.0),)
+    assert RobotSpec(radius=5.0, axle=10.0, max_wheel_speed=100.0, beams=beams).reach > 1000.0
+
+
+@pytest.mark.parametrize("wrong", [[90.0, -90.0], ["left"], [{"x": 0.0}], [None]])
+def test_beams_that_are_no_sensors_are_refused(wrong):
+    with pytest.raises(TypeError, match="each beam of a robot must be a SensorSpec, as beams_on_rim makes them"):
+        RobotSpec(beams=wrong)
+
+
+@pytest.mark.parametrize(
+    "degrees",
+    [(math.pi / 2, 0.0, -math.pi / 2), (1.57, 0.785, -1.57), (math.radians(54.0),), (2.0 * math.pi, math.pi)],
+)
+def test_radians_where_degrees_are_expected_are_refused(degrees):
+    with pytest.raises(ValueError, match=r"the angles of beams_on_rim are degrees, but .* look like radians"):
+        beams_on_rim(degrees, 0.1)
+
+
+@pytest.mark.parametrize("degrees", [(0.0,), (1, -1), (5.0, 0.0, -5.0), (2.5, -2.5), (6, 0), (1.57, 90.0), ()])
+def test_small_angles_in_degrees_are_accepted(degrees):
+    assert len(beams_on_rim(degrees, 0.1)) == len(degrees)

@@ -1,5 +1,7 @@
 """Front end of one robot: checks its readings, counts the steps, and drops beams that may have hit other robots."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from limslam_agent.readings import as_readings
@@ -41,9 +43,12 @@ class FrontEnd:
 
         Raises
         ------
+        TypeError
+            If it is not a dictionary.
         ValueError
             If its ranges have the wrong shape.
         """
+        _check_kind(observation)
         if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
             shape = np.shape(observation["ranges"])
             raise ValueError(f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}")
@@ -70,3 +75,9 @@ class FrontEnd:
         """New readings (n_beams,) that show a wall: not at the sensor's limits."""
         near_enough = self.ranges < self._robot.too_far
         return np.asarray(self.measured & (self.ranges > self._robot.too_near) & near_enough)
+
+
+def _check_kind(observation: object) -> None:
+    if not isinstance(observation, Mapping):
+        kind = type(observation).__name__
+        raise TypeError(f"an observation must be a dictionary with 'wheels' and 'ranges', not of type {kind}")

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image as Pictures
 from typer.testing import CliRunner
 
+from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.output.export import write_json, write_tum
@@ -18,6 +19,7 @@ from limslam_agent.output.finished_run import FolderError, heading_error, positi
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
+from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 
 app = typer.Typer()
@@ -321,3 +323,12 @@ def test_numbers_of_another_version_do_no_harm(tmp_path):
     content["seed"], content["config"] = None, "none"
     write_json(folder / "result.json", content)
     assert "stopped" in run_show(folder)
+
+
+def test_a_folder_with_the_map_of_a_live_robot_names_its_picture(limslam, tmp_path):
+    save_map(tmp_path / "room", Mapper(RobotSpec()).snapshot())
+    code, _, said = limslam("show", tmp_path / "room")
+    assert code == 2
+    assert said.rstrip().endswith(
+        "there is no result.json; it holds the map of a live robot, which is drawn in map.png"
+    )
