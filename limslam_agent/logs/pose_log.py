@@ -9,7 +9,7 @@ import numpy as np
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray, se2
-from limslam_env.interface import RobotSpec, SensorSpec
+from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
 
 MIN_RANGE = 0.02
 """Shorter readings (m) mean "no reading" or dirt on the window of a laser."""
@@ -138,7 +138,7 @@ def pose_log(
 
 
 def check_max_range(max_range: float) -> None:
-    """Refuse a largest range that is not a length above ``MIN_RANGE``.
+    """Refuse a largest range that is not a length above ``MIN_RANGE`` and up to ``LARGEST_RANGE``.
 
     Raises
     ------
@@ -147,6 +147,8 @@ def check_max_range(max_range: float) -> None:
     """
     if not (math.isfinite(max_range) and max_range > MIN_RANGE):
         raise ValueError(f"the largest range must be above {MIN_RANGE} m, not {max_range}")
+    if max_range > LARGEST_RANGE:
+        raise ValueError(f"the largest range is at most {LARGEST_RANGE:g} m, not {max_range:g}: is it in metres?")
 
 
 def _nearest(angles: FloatArray, wanted: float) -> int:

@@ -88,7 +88,7 @@ def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
     if isinstance(config.estimator, ConsistentConfig):
         return self_calibrating(config, enabled=enabled)
     if enabled:
-        raise ValueError("--self-calibrate goes with --preset consistent")
+        raise ValueError(f"--self-calibrate goes with the presets graph and consistent, not with {config.preset}")
     return config
 
 
@@ -148,7 +148,8 @@ class Calibration:
         bias = self.bias
         turn = f"{math.degrees(bias.turn_per_metre):.3f} +- {math.degrees(bias.turn_std):.3f} deg/m"
         scale = f"scale {bias.distance_scale:.4f} +- {bias.scale_std:.4f}"
-        return f"{turn}, {scale}, from {bias.relations} relations over {bias.driven:.1f} m"
+        relations = f"{bias.relations} relation{'' if bias.relations == 1 else 's'}"
+        return f"{turn}, {scale}, from {relations} over {bias.driven:.1f} m"
 
 
 @dataclass(frozen=True)
