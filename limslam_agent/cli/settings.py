@@ -36,6 +36,7 @@ class RunOptions(Bounded):
     seed: CountOrNone = 0
     max_time: _Time = 1800.0
     policy: str = "frontier"
+    until: str = "walls"
     laps: CountOrNone = 0
     robots: Annotated[int, Bounds(1, 8)] = 1
     ablation: str | None = None
@@ -145,6 +146,8 @@ class Given:
         ``--noise`` sets the noise that the agent assumes.
         """
         table = self._table_without("agent", {"noise": "range_std"} if "noise" in self.options else {})
+        if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
+            raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
         if base.preset != preset_in_file:
             table.pop("estimator", None)
             table.pop("smoothing", None)
@@ -212,7 +215,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(RobotSpec()), options.robots, options.ablation, options.policy, options.limit,
-            agent, given.true_noise(NoiseConfig()),
+            agent, given.true_noise(NoiseConfig()), options.until,
         )  # fmt: skip
     except SettingsError:
         raise
@@ -273,7 +276,7 @@ def _option_table(options: RunOptions | ReplayOptions) -> dict[str, Any]:
 def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:
     """The agent's settings without those that follow from the options."""
     table = table_of(agent)
-    del table["preset"]
+    del table["preset"], table["policy"]["until"]
     if agent.noise.range_std == noise:
         del table["noise"]["range_std"]
     return table

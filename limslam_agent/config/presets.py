@@ -27,6 +27,7 @@ __all__ = [
     "TeamConfig",
     "preset",
     "self_calibrating",
+    "with_until",
 ]
 
 EstimatorConfig = PublishedConfig | ConsistentConfig
@@ -108,6 +109,17 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
         raise ValueError(f"no preset is called {described(name)}; there are {', '.join(PRESETS)}")
     smoothing = GraphConfig() if name == "graph" else None
     return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise(), smoothing=smoothing)
+
+
+def with_until(config: AgentConfig, until: str) -> AgentConfig:
+    """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
+
+    Raises
+    ------
+    ValueError
+        If ``until`` is neither.
+    """
+    return replace(config, policy=replace(config.policy, until=until))
 
 
 def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:
