@@ -203,7 +203,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     ValueError
         If it cannot be run.
     """
-    from limslam_agent.config.presets import preset
+    from limslam_agent.config.presets import preset, with_until
     from limslam_agent.runs.episode import RunConfig
     from limslam_env.config import NoiseConfig
     from limslam_env.interface import NominalNoise, RobotSpec
@@ -211,11 +211,12 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
 
     try:
         in_file = given.table.get("preset", options.preset)
-        agent = given.agent(preset(options.preset, NominalNoise(options.noise)), in_file)
+        # The file's table comes after, because its values win over those that go with whole walls.
+        agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(RobotSpec()), options.robots, options.ablation, options.policy, options.limit,
-            agent, given.true_noise(NoiseConfig()), options.until,
+            agent, given.true_noise(NoiseConfig()),
         )  # fmt: skip
     except SettingsError:
         raise

@@ -76,8 +76,8 @@ class RunConfig:
     settings
         The agent's settings before the ablation. The preset's settings by default.
     until
-        When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``, as
-        :attr:`PolicyConfig.until` describes them. None leaves this to the settings, whose default is ``seen``.
+        When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
+        (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
