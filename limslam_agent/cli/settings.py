@@ -211,7 +211,6 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
 
     try:
         in_file = given.table.get("preset", options.preset)
-        # The file's table comes after, because its values win over those that go with whole walls.
         agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,

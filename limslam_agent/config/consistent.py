@@ -15,12 +15,6 @@ from limslam_env.geometry import FloatArray
 
 _NOISY_STD = 0.01  # m, standard deviation of a range
 
-# Least length of a side of an obstacle that counts in a map, and of the readings on it without those at its ends, m.
-_SHORT_SIDE, _ON_SHORT_SIDE = 0.16, 0.12
-# Least number of readings of a new landmark for each metre of the ranges' standard deviation, where the robot looks at
-# every wall: a few readings on both sides of a corner may lie on a line by chance.
-_MANY_READINGS = 700.0
-
 _StdShare = Annotated[float, Bounds(0.0, 0.999)]
 
 
@@ -282,15 +276,6 @@ class ConsistentConfig:
     extents: ExtentConfig = field(default_factory=ExtentConfig)
     merging: MergingConfig = field(default_factory=MergingConfig)
     self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
-
-    def for_short_walls(self) -> Self:
-        """These settings with walls down to 0.2 m, for a robot that looks at every wall from near."""
-        return replace(
-            self,
-            hough=replace(self.hough, min_length=_ON_SHORT_SIDE),
-            creation=replace(self.creation, min_length_complete=_SHORT_SIDE, readings_per_std=_MANY_READINGS),
-            extents=replace(self.extents, min_length=_SHORT_SIDE),
-        )
 
     def for_ranges(self, std: float) -> Self:
         """These settings with the least length of a new landmark for ranges of a standard deviation (m)."""

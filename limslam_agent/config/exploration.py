@@ -61,7 +61,7 @@ class PolicyConfig(Bounded):
     until
         When exploration is over: when everything was ``seen``, so that there is no frontier left, or when the
         ``walls`` are whole, so that the robot has also looked at every stretch where free ground ends and the map has
-        no wall. :func:`~limslam_agent.config.presets.with_until` sets it together with what it needs elsewhere.
+        no wall.
     speed
         Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
     lap_speed

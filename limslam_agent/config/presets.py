@@ -114,17 +114,12 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
 def with_until(config: AgentConfig, until: str) -> AgentConfig:
     """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
 
-    For whole walls, the consistent estimator also makes landmarks of short walls.
-
     Raises
     ------
     ValueError
         If ``until`` is neither.
     """
-    estimator = config.estimator
-    if until == "walls" and isinstance(estimator, ConsistentConfig):
-        estimator = estimator.for_short_walls()
-    return replace(config, estimator=estimator, policy=replace(config.policy, until=until))
+    return replace(config, policy=replace(config.policy, until=until))
 
 
 def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:

@@ -103,14 +103,11 @@ def test_what_neither_sets_has_its_default(tmp_path):
 
 def test_a_run_looks_at_walls_unless_the_file_or_an_option_says_otherwise(tmp_path):
     def until(text="", **options):
-        agent = config_of(given(tmp_path, text, **options)).agent
-        return agent.policy.until, agent.estimator.creation.min_length_complete
+        return config_of(given(tmp_path, text, **options)).agent.policy.until
 
-    assert until() == ("walls", 0.16)
-    assert until('until = "seen"') == until(until="seen") == until('until = "walls"', until="seen") == ("seen", 0.25)
-    assert until('until = "seen"', until="walls") == ("walls", 0.16)
-    # What the file says of the estimator wins over what goes with whole walls.
-    assert until("[agent.estimator.creation]\nmin_length_complete = 0.3\n") == ("walls", 0.3)
+    assert until() == "walls"
+    assert until('until = "seen"') == until(until="seen") == until('until = "walls"', until="seen") == "seen"
+    assert until('until = "seen"', until="walls") == "walls"
 
 
 def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
