@@ -10,17 +10,12 @@ from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, Policy
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
-from limslam_agent.policies.wall_views import LookMemory, View, next_view
+from limslam_agent.policies.wall_views import LookMemory, next_view
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 # Looking at walls takes at most as many steps as exploring frontiers has taken so far, and this number more.
 _FREE_STEPS = 600
-# A frontier is far away if the path to it is longer than this, m. Before the robot leaves for such a frontier, the
-# robot looks at walls that cost less than this share of the path.
-_FAR, _DETOUR = 2.0, 0.5
-# Goals closer than this distance (m) are one goal.
-_SAME_GOAL = 0.5
 
 
 def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
@@ -41,10 +36,10 @@ def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
 class WallPolicy:
     """Explores frontiers, and looks at every stretch where free ground ends and the map has no wall.
 
-    A :class:`FrontierPolicy` explores the frontiers. Before it leaves for a frontier far away, and after it has
-    stopped, the robot drives to the nearest place from which a stretch without a wall is visible. There the robot turns
-    slowly, so that beams sweep along the stretch. Each stretch is looked at a limited number of times, each time from
-    another place, and the time for all looks is limited, so exploration always ends.
+    A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the nearest place from
+    which a stretch without a wall is visible. There the robot turns slowly, so that beams sweep along the stretch. A
+    frontier that appears meanwhile is explored first. Each stretch is looked at a limited number of times, each time
+    from another place, and the time for all looks is limited, so exploration always ends.
 
     Parameters
     ----------
@@ -73,7 +68,6 @@ class WallPolicy:
         self.plan: FloatArray = NO_PLAN
         self._look: Look | None = None
         self._exploring = self._looking = self._backing = 0
-        self._last_goal: FloatArray | None = None
 
     @property
     def goal(self) -> FloatArray | None:
@@ -90,38 +84,24 @@ class WallPolicy:
         return wheels
 
     def _wheels(self, belief: Belief) -> FloatArray:
+        wheels = self._frontier_wheels(belief) if self._frontiers.stop_reason is None else None
+        if wheels is not None:
+            return wheels
         if self._look is None and self._backing == 0:
-            wheels = self._frontier_wheels(belief) if self._frontiers.stop_reason is None else None
-            if wheels is not None:
-                return wheels
-            if self._look is None:
-                self._choose(belief)
+            self._choose(belief)
         return self._collision_guard.limit_speed(belief.pose, self._look_wheels(belief))
 
     def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
-        """Wheel speeds (2,) to the next frontier. None if there is no frontier left, or a wall is looked at first."""
+        """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
         self._exploring += 1
         wheels = self._frontiers.act(belief)
         reason = self._frontiers.stop_reason
         if reason is None:
-            self._turn_aside(belief)
-            return wheels if self._look is None else None
+            return wheels
         if reason.endswith(NOT_EXPLORED):
             self.stop_reason = reason
             return wheels
         return None
-
-    def _turn_aside(self, belief: Belief) -> None:
-        """Begin a look at a wall nearby, if the robot is about to leave for a frontier far away."""
-        goal, old = self._frontiers.goal, self._last_goal
-        self._last_goal = goal
-        if goal is None or (old is not None and np.hypot(*(goal - old)) < _SAME_GOAL) or self._is_late:
-            return
-        length = float(np.hypot(*np.diff(self._frontiers.plan, axis=0).T).sum())
-        view = next_view(belief, self._memory, self._robot, self._config, looks=1) if length > _FAR else None
-        if view is not None and view.cost < _DETOUR * length:
-            self._begin(view)
-            self._last_goal = None
 
     @property
     def _is_late(self) -> bool:
@@ -134,13 +114,10 @@ class WallPolicy:
             return
         view = None if self._is_late else next_view(belief, self._memory, self._robot, self._config)
         if view is not None:
-            self._begin(view)
+            self._look = Look(view, self._robot, self._config, self._std)
             return
         end = "the time for looking at walls is over" if self._is_late else "all walls were looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
-
-    def _begin(self, view: View) -> None:
-        self._look = Look(view, self._robot, self._config, self._std)
 
     def _look_wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of the present look, before the collision guard limits them."""

@@ -53,8 +53,6 @@ class View:
         The place to look from (2,), m.
     path
         Path to that place (k, 2), m.
-    cost
-        Cost of that path, of the distance from the part, and of the slant, m.
     cell
         Length of a face, m.
     """
@@ -62,7 +60,6 @@ class View:
     faces: Faces
     stand: FloatArray
     path: FloatArray
-    cost: float
     cell: float
 
     @property
@@ -123,28 +120,14 @@ def is_unfinished(belief: Belief, view: View, config: PolicyConfig) -> bool:
     return bool(_same(view.faces, unfinished_border(belief, config)).any())
 
 
-def next_view(
-    belief: Belief, memory: LookMemory, robot: RobotSpec, config: PolicyConfig, looks: int | None = None
-) -> View | None:
-    """The cheapest view of a part of the border that was looked at least often. None if there is no part left.
-
-    Parameters
-    ----------
-    belief
-        What the robot believes.
-    memory
-        The looks so far.
-    robot, config
-        Body and settings.
-    looks
-        Largest number of looks at one part; that of the settings by default.
-    """
+def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: PolicyConfig) -> View | None:
+    """The cheapest view of a part of the border that was looked at least often. None if there is no part left."""
     border = unfinished_border(belief, config)
     tries = memory.tries(border)
     if not len(border):
         return None
     ways = _ways(belief, robot, config)
-    for number in range(looks or config.looks):
+    for number in range(config.looks):
         open_border = border.select(tries <= number)
         # A second look at a short stretch shows no more than the first one.
         least = config.min_stretch if number == 0 else config.min_stretch_again
@@ -182,7 +165,7 @@ def _cheapest(
     cells = np.argwhere(np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius + _ROOM))
     stands = grid.centres(cells)
     separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals)
-    pairs, price = _priced(stands, (ways.cost + separation)[cells[:, 0], cells[:, 1]], faces, robot)
+    pairs = _by_price(stands, (ways.cost + separation)[cells[:, 0], cells[:, 1]], faces, robot)
     views_of = np.zeros(len(faces), dtype=np.int64)
     for first in range(0, len(pairs), _BATCH):
         places, numbers = pairs[first : first + _BATCH].T
@@ -192,14 +175,14 @@ def _cheapest(
             if views_of[numbers[index]] == _MOST_VIEWS:
                 continue
             views_of[numbers[index]] += 1
-            view = _view(grid, ways, cells[places[index]], faces, int(numbers[index]), float(price[first + index]))
+            view = _view(grid, ways, cells[places[index]], faces, int(numbers[index]))
             if view.length >= least:
                 return view
     return None
 
 
-def _priced(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSpec) -> tuple[IntArray, FloatArray]:
-    """Pairs (k, 2) of a place and a face that may be looked at from there, and what they cost (k,), cheapest first.
+def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSpec) -> IntArray:
+    """Pairs (k, 2) of a place and a face that may be looked at from there, cheapest first.
 
     Parameters
     ----------
@@ -220,8 +203,7 @@ def _priced(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSpec
         + _OFF_DISTANCE * np.abs(away[place, face] - best_distance(robot))
         + _SLANT * (1.0 - steepness[place, face])
     )
-    order = np.argsort(price, kind="stable")
-    return pairs[order], price[order]
+    return np.asarray(pairs[np.argsort(price, kind="stable")])
 
 
 def best_distance(robot: RobotSpec) -> float:
@@ -229,7 +211,7 @@ def best_distance(robot: RobotSpec) -> float:
     return robot.radius + min(0.35, 0.4 * robot.reach)
 
 
-def _view(grid: GridView, ways: Routes, cell: IntArray, faces: Faces, face: int, cost: float) -> View:
+def _view(grid: GridView, ways: Routes, cell: IntArray, faces: Faces, face: int) -> View:
     """The view from a cell (2,) of a face and of those around it that are visible from there."""
     path = grid.centres(ways.path_to((int(cell[0]), int(cell[1]))))
     stand = path[-1]
@@ -238,7 +220,7 @@ def _view(grid: GridView, ways: Routes, cell: IntArray, faces: Faces, face: int,
     near = np.hypot(*(faces.middles - faces.middles[face]).T) <= _PART
     part = steep & near & _in_sight(grid, np.broadcast_to(stand, faces.middles.shape), faces)
     part[face] = True
-    return View(faces.select(part), stand, path, cost, grid.cell)
+    return View(faces.select(part), stand, path, grid.cell)
 
 
 def _in_sight(grid: GridView, stands: FloatArray, faces: Faces) -> BoolArray:
