@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.belief import Belief
-    from limslam_agent.config.presets import AgentConfig, preset
+    from limslam_agent.config.presets import AgentConfig, preset, with_until
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.mapper import Mapper, MapSnapshot
     from limslam_agent.output.live_map import save_map
@@ -51,6 +51,7 @@ __all__ = [
     "read_log",
     "replay_log",
     "save_map",
+    "with_until",
 ]
 
 _MODULES = {
@@ -76,6 +77,7 @@ _MODULES = {
     "read_log": "logs.log_reader",
     "replay_log": "replay.replay",
     "save_map": "output.live_map",
+    "with_until": "config.presets",
 }
 
 

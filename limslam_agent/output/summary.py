@@ -94,7 +94,8 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _errors(metrics)
     trajectories = {
-        "smoothed_": "smoothed, at the end", "": "filter, while driving", "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
+        "smoothed_": "smoothed, at the end", "": "filter, while driving", "odometry_": "odometry, corrected",
+        "raw_odometry_": "odometry, raw",
     }  # fmt: skip
     for prefix, words in trajectories.items():
         if _has(metrics, f"{prefix}relation_error_m", f"{prefix}relation_error_deg"):

@@ -6,14 +6,17 @@ import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, pages
 
 from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.cli.settings import robot_named
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.replay.options import CalibrationRun
 from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.worlds.formats.loading import load_world
 
@@ -22,6 +25,7 @@ DIAGRAMS = {
     "action -> physics": "the stages of one step of the loop",
     "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
     "geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
+    "# t1   t2": "relations of a tape; a test below reads them",
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
@@ -235,3 +239,19 @@ def test_a_table_is_read_as_a_log(block, tmp_path):
     rim = beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.06)
     options = TableOptions(RobotSpec(beams=rim)) if "left" in block.text else None
     assert len(read_log(tmp_path / "log.csv", table=options)) == len(block.text.strip().splitlines()) - 1
+
+
+def test_the_tape_of_the_page_gives_the_numbers_of_the_page(tmp_path):
+    page = ROOT / "docs" / "logs.md"
+    (block,) = (block for block in blocks(page) if block.text.startswith("# t1   t2"))
+    (tape := tmp_path / "tape.relations").write_text(block.text, encoding="utf-8")
+    # Two straight drives of 5 m by odometry: from 2 to 24 s and from 31 to 53.5 s.
+    times = np.arange(0.0, 55.0, 0.1)
+    driven = np.interp(times, [2.0, 24.0, 31.0, 53.5], [0.0, 5.0, 5.0, 10.0])
+    rows = [f"{time:.1f},{x:.5f},0,0,1,1" for time, x in zip(times, driven, strict=True)]
+    (log := tmp_path / "straight.csv").write_text("\n".join(["t,x,y,theta,r_90,r_-90", *rows]), encoding="utf-8")
+    calibration = CalibrationRun(tape, None, None).estimate(read_log(log), OdometryConfig(), read_log)
+    assert f"calibrated  {calibration.words}" in page.read_text(encoding="utf-8")
+    turn, scale = calibration.bias.turn_per_metre, calibration.bias.distance_scale
+    for sign, size in ((-1.0, 0.9895), (1.0, 0.9859)):
+        assert scale + sign * 0.5 * 0.115 * turn == pytest.approx(size, abs=5e-4), (calibration.words, sign)

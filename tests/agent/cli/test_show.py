@@ -208,6 +208,7 @@ def test_a_summary_leaves_out_what_is_not_known():
     assert len(told) == 3
     assert "loops" in told[0]
     assert "loops" not in told[1]
+    assert told[0].startswith("relations   filter, while driving  0.500 m")
     assert replay_summary({}) == []
 
 

@@ -125,6 +125,11 @@ def test_the_largest_range_caps(write):
         assert "largest range must be above 0.02 m" in refusal(write(HEAD + "0,0,0,0,1,1,1\n"), None, wrong)
 
 
+def test_a_largest_range_in_millimetres_is_refused(write):
+    words = "the largest range is at most 1000 m, not 2000: is it in metres?"
+    assert words in refusal(write(HEAD + "0,0,0,0,1,1,1\n"), None, 2000.0)
+
+
 def test_gzip_is_told_by_its_bytes(write):
     packed = gzip.compress((HEAD + "0,0,0,0,1,1,1\n").encode())
     assert len(read_log(write(packed, "packed.csv.gz"))) == len(read_log(write(packed, "packed.txt"))) == 1

@@ -14,8 +14,8 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
-from limslam_agent.replay.calibration import LONGEST_DRIVE, estimate_bias, select, within
-from limslam_agent.replay.options import CalibrationRun, chosen_topics
+from limslam_agent.replay.calibration import LONGEST_DRIVE, OdometryBias, estimate_bias, select, within
+from limslam_agent.replay.options import Calibration, CalibrationRun, chosen_topics
 from limslam_agent.slam.core.motion import motion_from_odometry
 from limslam_env.geometry import se2
 from limslam_env.interface import RobotSpec, SensorSpec
@@ -275,3 +275,11 @@ def test_topics_are_read_with_their_directions():
 def test_topics_that_make_no_sense_are_refused(scan, ranges, words):
     with pytest.raises(ValueError, match=words):
         chosen_topics(scan, ranges, None)
+
+
+@pytest.mark.parametrize(
+    ("relations", "words"), [(1, "from 1 relation over 5.0 m"), (2, "from 2 relations over 5.0 m")]
+)
+def test_the_line_on_the_screen_counts_its_relations(relations, words):
+    calibration = Calibration(OdometryBias(0.01, 1.0, 0.001, 0.01, relations, 5.0), None, None)
+    assert calibration.words.endswith(words)

@@ -111,5 +111,5 @@ def test_replay_tells_what_it_found(tmp_path: Path) -> None:
 
 
 def test_replay_refuses_to_calibrate_by_the_published_method() -> None:
-    with pytest.raises(ValueError, match="--self-calibrate goes with --preset consistent"):
+    with pytest.raises(ValueError, match="--self-calibrate goes with the presets graph and consistent, not with paper"):
         with_self_calibration(preset("paper"), enabled=True)
