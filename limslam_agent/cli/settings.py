@@ -163,26 +163,18 @@ class Given:
         """The true noise of the simulator besides that of the option ``noise``."""
         return updated(base, self.table.get("true_noise", {}), f"{self.path}: true_noise", fixed={"sensor_noise"})
 
-    def robot(self, base: "RobotSpec") -> "RobotSpec":
-        """The robot with the changes in the file's table ``robot``."""
-        return updated(base, self.table.get("robot", {}), f"{self.path}: robot")
-
-    def replay_robot(self) -> "RobotSpec | None":
-        """The robot of ``--robot``, else that of the file's table ``robot``. None where neither is given.
-
-        Raises
-        ------
-        SettingsError
-            If there is no such robot, or its settings cannot be used.
-        """
+    def robot(self) -> "RobotSpec":
+        """The robot of ``--robot``, else the paper's robot with the changes in the file's table ``robot``."""
         from limslam_env.interface import RobotSpec
 
         named = self.options.get("robot")
         if named is not None:
             return robot_named(named)
-        if "robot" not in self.table:
-            return None
-        return self.robot(RobotSpec())
+        return updated(RobotSpec(), self.table.get("robot", {}), f"{self.path}: robot")
+
+    def replay_robot(self) -> "RobotSpec | None":
+        """The robot that recorded a table. None where neither ``--robot`` nor the file names one."""
+        return self.robot() if "robot" in self.options or "robot" in self.table else None
 
     def blamed(self, error: ValueError) -> ValueError:
         """An error about a value, with the file and the key where the value is from the file."""
@@ -282,7 +274,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     from limslam_agent.config.presets import preset, with_until
     from limslam_agent.runs.episode import RunConfig
     from limslam_env.config import NoiseConfig
-    from limslam_env.interface import NominalNoise, RobotSpec
+    from limslam_env.interface import NominalNoise
     from limslam_env.worlds.formats.loading import load_world
 
     try:
@@ -290,7 +282,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
-            given.robot(RobotSpec()), options.robots, options.ablation, options.policy, options.limit,
+            given.robot(), options.robots, options.ablation, options.policy, options.limit,
             agent, given.true_noise(NoiseConfig()),
         )  # fmt: skip
     except SettingsError:
