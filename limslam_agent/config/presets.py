@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from limslam_agent.config.bounds import Bounded, NonNegative
-from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.config.graph import GraphConfig
@@ -110,8 +110,8 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise(), smoothing=smoothing)
 
 
-def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:
-    """The same settings, with an estimator that does, or does not, estimate the constant errors of the odometry.
+def self_calibrating(config: AgentConfig, calibrate: WhenToCalibrate = "always") -> AgentConfig:
+    """The same settings, with an estimator that estimates the constant errors of the odometry then.
 
     Raises
     ------
@@ -120,5 +120,5 @@ def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfi
     """
     if not isinstance(config.estimator, ConsistentConfig):
         raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
-    calibration = replace(config.estimator.self_calibration, enabled=enabled)
+    calibration = replace(config.estimator.self_calibration, calibrate=calibrate)
     return replace(config, estimator=replace(config.estimator, self_calibration=calibration))

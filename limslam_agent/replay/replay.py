@@ -122,17 +122,19 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         Called after each event with the number of events that are done.
     """
     mapper = Mapper(log.robot, config, log.start_pose)
-    slam, count = mapper.slam, len(log)
+    count = len(log)
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
     begin = time.perf_counter()
     for number, observation in enumerate(log.observations()):
         mapper.step(observation)
         slam_ms[number] = mapper.slam_ms
+        slam = mapper.slam
         estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], slam.covariance
         if progress is not None:
             progress(number + 1)
     mapper.finish()
+    slam = mapper.slam
     replay = Replay(
         log=log,
         config=config,

@@ -33,8 +33,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         associations=episode.associations,
         closures=episode.closures,
     )
-    is_calibrated = agent.estimator.self_calibration.enabled
-    return smooth_run(run, SmootherConfig(calibrate="always" if is_calibrated else "if_needed"))
+    return smooth_run(run, SmootherConfig(calibrate=agent.estimator.self_calibration.calibrate))
 
 
 def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float | None]:
