@@ -188,3 +188,23 @@ def test_lines_keep_their_place_when_the_errors_become_part_of_the_state() -> No
     ekf.calibrate()
     np.testing.assert_allclose(nearest_form(ekf.lines, before), before, atol=1e-4)
     assert (ekf.num_lines, ekf.num_clones) == (2, clones)
+
+
+@pytest.mark.slow
+def test_over_many_robots_the_errors_that_are_found_are_as_uncertain_as_they_are_said_to_be() -> None:
+    prior, nees = SelfCalibrationConfig().covariance, []
+    for seed in range(8):
+        left, right, axle = np.random.default_rng(seed).multivariate_normal(np.zeros(3), prior)
+        log = laps_of_square(0.02, seed=seed)
+        mapper = Mapper(FOUR_BEAMS, preset("consistent", NOISE), log.poses[0])
+        for seen in log.observations:
+            mean, half = seen["wheels"].mean(), 0.5 * (1.0 + axle) * (seen["wheels"][1] - seen["wheels"][0])
+            wheels = np.array([mean - half, mean + half]) / (1.0 + np.array([left, right]))
+            mapper.step({**seen, "wheels": wheels.astype(np.float32)})
+        found = mapper.slam.odometry_calibration
+        if found is not None:
+            off = np.array(found[0]) - [left, right, axle]
+            nees.append(off @ np.linalg.solve(found[1], off))
+    assert len(nees) >= 6
+    # Robots whose errors are too small to be found are left out, so the mean is above 3.
+    assert 1.0 < np.mean(nees) < 9.0
