@@ -86,7 +86,7 @@ def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
         If the preset's estimator cannot calibrate by itself.
     """
     if isinstance(config.estimator, ConsistentConfig):
-        return self_calibrating(config, enabled=enabled)
+        return self_calibrating(config, "always" if enabled else "never")
     if enabled:
         raise ValueError("--self-calibrate goes with --preset consistent")
     return config
