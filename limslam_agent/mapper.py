@@ -1,14 +1,16 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
 
+import copy
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import motion_of
@@ -16,6 +18,9 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
+
+RESTART_WITHIN = 600
+"""Number of first steps within which a mapper starts again when the SLAM finds constant errors of the odometry."""
 
 TOO_FAST = 30.0
 """A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused."""
@@ -86,6 +91,8 @@ class Mapper:
         in a control period. Set it higher if observations may be farther apart than 30 control periods.
     slam_ms
         Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
+    on_restart
+        Called before all observations so far are processed again, if set. The SLAM is then another object.
 
     Raises
     ------
@@ -98,6 +105,7 @@ class Mapper:
     ) -> None:
         self.robot, self.config = robot, config or preset(DEFAULT_PRESET)
         self.longest_travel = TOO_FAST * robot.max_wheel_speed * robot.control_period
+        self.on_restart: Callable[[], None] | None = None
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
     def reset(self, start_pose: FloatArray) -> None:
@@ -115,6 +123,7 @@ class Mapper:
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
         self.slam = LineSlam(self.robot, self.config, starts)
         self._grid = OccupancyGrid(self.config.grid)
+        self._starts, self._early = starts, list[tuple[Observation, ...]]()
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -133,15 +142,18 @@ class Mapper:
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             front.check(observation)
             self._check_travel(observation)
-        begin = time.perf_counter()
+        begin, may_restart = time.perf_counter(), self.slam.may_calibrate
         self.slam.step(*observations)
         self.slam_ms = 1e3 * (time.perf_counter() - begin)
         self.odometry = np.array(
             [self._moved(pose, seen) for pose, seen in zip(self.odometry, observations, strict=True)]
         )
         self.odometry.setflags(write=False)
-        for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
-            self._grid.update(pose, self.robot, front.ranges, front.measured)
+        self._draw()
+        if may_restart and len(self._early) < RESTART_WITHIN:
+            self._early.append(tuple(copy.deepcopy(seen) for seen in observations))
+            if not self.slam.may_calibrate:
+                self._restart()
 
     def finish(self) -> None:
         """Use the readings that are still buffered. Call this after the last step."""
@@ -186,6 +198,28 @@ class Mapper:
                 f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
                 "metres since the last observation, not ticks or millimetres"
             )
+
+    def _draw(self) -> None:
+        """Update the grid from the latest poses and readings."""
+        for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
+            self._grid.update(pose, self.robot, front.ranges, front.measured)
+
+    def _restart(self) -> None:
+        """Process all observations again, by a filter that has estimated the odometry's calibration from the start.
+
+        The filter that has just found out that it needs a calibration has mapped the first metres with large errors of
+        the heading, and the linear correction of its state leaves errors of second order.
+        """
+        if self.on_restart is not None:
+            self.on_restart()
+        listener, early = self.slam.on_association, self._early
+        self.slam = LineSlam(self.robot, self_calibrating(self.config), self._starts)
+        self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
+        for observations in early:
+            begin = time.perf_counter()
+            self.slam.step(*observations)
+            self.slam_ms += 1e3 * (time.perf_counter() - begin)
+            self._draw()
 
     def _moved(self, pose: FloatArray, observation: Observation) -> FloatArray:
         """The pose (3,) after the motion that an observation reports."""

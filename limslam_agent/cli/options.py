@@ -13,6 +13,7 @@ from limslam_agent.cli.settings import ReplayOptions, RunOptions
 
 _RUN, _REPLAY = RunOptions(), ReplayOptions()
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
+_FAULTS = "Errors that the simulated robot has"
 _LOG, _TABLE, _ODOMETRY, _SCORE = "Log", "Tables (.csv)", "Odometry", "Score"
 _PRESETS = (
     "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
@@ -42,6 +43,47 @@ World = Annotated[
 Noise = Annotated[
     float | None,
     _option(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.", _RUN.noise),
+]
+Robot = Annotated[
+    str | None,
+    _option(_WORLD, "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.", "paper"),
+]
+TrueOdometryNoise = Annotated[
+    float | None,
+    _option(
+        _FAULTS,
+        "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.",
+        "0.0045",
+        "--odometry-noise",
+    ),
+]
+WheelMismatch = Annotated[
+    float | None,
+    _option(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0"),
+]
+AxleMismatch = Annotated[
+    float | None, _option(_FAULTS, "Share by which the wheels are farther apart than the agent is told.", "0")
+]
+SlipRate = Annotated[float | None, _option(_FAULTS, "How often a wheel slips in 1 m of travel.", "0")]
+SlipShare = Annotated[float | None, _option(_FAULTS, "Share of a step's travel that a slip loses.", "0.5")]
+Dropout = Annotated[float | None, _option(_FAULTS, "Probability that a beam misses what it should have seen.", "0")]
+Sharp = Annotated[
+    bool | None,
+    _option(
+        _FAULTS,
+        "Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, fold-back and a cone.",
+        None,
+        "--sharp",
+    ),
+]
+Calibration = Annotated[
+    bool | None,
+    _option(
+        _AGENT,
+        "Whether the filter estimates the sizes of wheels and axle where they differ from the robot's settings.",
+        "calibration",
+        "--calibration/--no-calibration",
+    ),
 ]
 Robots = Annotated[int | None, _option(_WORLD, "Number of robots that explore together, 1 to 8.", _RUN.robots)]
 Seed = Annotated[int | None, _option(_WORLD, "Random seed.", _RUN.seed)]
@@ -139,8 +181,8 @@ SelfCalibrate = Annotated[
     bool | None,
     _option(
         _ODOMETRY,
-        "Let the filter estimate the constant errors of the odometry (presets graph and consistent).",
-        None,
+        "Let the filter always, or never, estimate the constant errors of the odometry (presets graph and consistent).",
+        "where needed",
         "--self-calibrate/--no-self-calibrate",
     ),
 ]

@@ -20,10 +20,14 @@ FILE = "run.toml"
 """The file in a result's folder that repeats the command."""
 
 _Std = Annotated[float, Bounds(0.0, 1e3)]
+_MAX_WHEEL_STD = 1.0  # m, after 1 m
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
 # These say where results go, not how they are made.
 _OUTPUT = {"out", "force", "video", "film_speed"}
+
+# The true noise of wheels, which the kind of range sensors does not change.
+_WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ class ReplayOptions(Bounded):
     preset: str = DEFAULT_PRESET
     odometry_noise: str | None = None
     odometry_bias: str | None = None
-    self_calibrate: bool = False
+    self_calibrate: bool | None = None
     calibrate: Path | None = None
     calibrate_until: float | None = None
     calibrate_log: Path | None = None
@@ -159,9 +163,28 @@ class Given:
             table.pop("line_smoothing", None)
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
+    def run_agent(self, base: "AgentConfig", preset_in_file: str) -> "AgentConfig":
+        """The same for a run: ``--odometry-noise`` and ``--calibration`` win, too."""
+        agent, told = self.agent(base, preset_in_file), self.options
+        if "odometry_noise" in told:
+            variance = _wheel_variance(told["odometry_noise"])
+            agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
+        return _with_calibration(agent, enabled=told["calibration"]) if "calibration" in told else agent
+
     def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":
         """The true noise of the simulator besides that of the option ``noise``."""
-        return updated(base, self.table.get("true_noise", {}), f"{self.path}: true_noise", fixed={"sensor_noise"})
+        noise = updated(base, self.table.get("true_noise", {}), f"{self.path}: true_noise", fixed={"sensor_noise"})
+        told = {name: value for name, value in self.options.items() if name in vars(base)}
+        if self.options.get("sharp"):
+            noise = type(base).sharp(**{name: value for name, value in vars(noise).items() if name in _WHEELS})
+        if "odometry_noise" in self.options:
+            noise = replace(noise, wheel_variance=_wheel_variance(self.options["odometry_noise"]))
+        for name, value in told.items():
+            try:
+                noise = replace(noise, **{name: value})
+            except ValueError as error:
+                raise SettingsError(f"--{name.replace('_', '-')}: {error}") from error
+        return noise
 
     def robot(self) -> "RobotSpec":
         """The robot of ``--robot``, else the paper's robot with the changes in the file's table ``robot``."""
@@ -250,6 +273,30 @@ def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
         raise SettingsError(f"{where}: {error}") from error
 
 
+def _wheel_variance(std: float) -> float:
+    """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says.
+
+    Raises
+    ------
+    SettingsError
+        If the standard deviation is impossible.
+    """
+    if not 0.0 <= std <= _MAX_WHEEL_STD:
+        raise SettingsError(f"--odometry-noise must be a number from 0 to {_MAX_WHEEL_STD:g}, not {std:g}")
+    return std**2
+
+
+def _with_calibration(agent: "AgentConfig", *, enabled: bool) -> "AgentConfig":
+    """An agent that calibrates its odometry where that is needed, or never."""
+    from limslam_agent.config.presets import ConsistentConfig, self_calibrating
+
+    if isinstance(agent.estimator, ConsistentConfig):
+        return self_calibrating(agent, "if_needed" if enabled else "never")
+    if enabled:
+        raise SettingsError(f"--calibration: the preset {agent.preset} cannot calibrate odometry; graph does")
+    return agent
+
+
 def run_options(given: Given) -> RunOptions:
     """The options of a run; the path of a world in the file is relative to the file.
 
@@ -279,7 +326,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
 
     try:
         in_file = given.table.get("preset", options.preset)
-        agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
+        agent = given.run_agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(), options.robots, options.ablation, options.policy, options.limit,
@@ -317,15 +364,13 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     from limslam_agent.replay.options import odometry_config, replay_config, with_self_calibration
 
     in_file = given.table.get("preset", options.preset)
-    told = given.options
+    told, wanted = given.options, options.self_calibrate
     base = replay_config(options.preset, options.noise, options.odometry_noise, options.odometry_bias)
     agent = given.agent(base, in_file)
     # An option wins over the file's table of the same settings.
     odometry = odometry_config(told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry)
     agent = replace(agent, odometry=odometry)
-    if "self_calibrate" in told or options.self_calibrate:
-        return with_self_calibration(agent, enabled=options.self_calibrate)
-    return agent
+    return agent if wanted is None else with_self_calibration(agent, enabled=wanted)
 
 
 def write_replay_settings(

@@ -5,7 +5,7 @@ All values are choices of this project, tuned on seeds that are not reported. Le
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from limslam_env.geometry import FloatArray
 
 _NOISY_STD = 0.01  # m, standard deviation of a range
 
+WhenToCalibrate = Literal["always", "if_needed", "never"]
 _StdShare = Annotated[float, Bounds(0.0, 0.999)]
 
 
@@ -213,12 +214,15 @@ class MergingConfig(Bounded):
 
 @dataclass(frozen=True)
 class SelfCalibrationConfig(Bounded):
-    """The prior of the constant errors of the odometry, which the filter can estimate.
+    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the axle.
 
     Attributes
     ----------
-    enabled
-        Whether the sizes of the wheels and of the axle are part of the filter's state.
+    calibrate
+        When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``, which is from the
+        moment on at which the data show that the robot is not as specified.
+    gate
+        What shows it: twice the logarithm of the Bayes factor for wrong sizes against sizes as specified.
     size_std
         Standard deviation of the size of both wheels together, as a share.
     uneven_std
@@ -227,9 +231,10 @@ class SelfCalibrationConfig(Bounded):
         Standard deviation of the length of the axle, as a share.
     """
 
-    enabled: bool = False
-    size_std: _StdShare = 0.03
-    uneven_std: _StdShare = 0.01
+    calibrate: WhenToCalibrate = "if_needed"
+    gate: NonNegative = 8.0
+    size_std: _StdShare = 0.01
+    uneven_std: _StdShare = 0.02
     axle_std: _StdShare = 0.03
 
     @property

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from limslam_agent.config.bounds import Bounded, NonNegative
-from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.config.graph import GraphConfig
@@ -88,6 +88,16 @@ class AgentConfig(Bounded):
     line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
 
     @property
+    def run_smoothing(self) -> SmootherConfig | None:
+        """Settings of the line smoother for a run of this estimator. None if runs are not, or cannot be, smoothed.
+
+        The smoother estimates the errors of the odometry where the filter may do so.
+        """
+        if self.line_smoothing is None or not isinstance(self.estimator, ConsistentConfig):
+            return None
+        return replace(self.line_smoothing, calibrate=self.estimator.self_calibration.calibrate)
+
+    @property
     def range_std(self) -> float:
         """Standard deviation of a range that the estimator assumes, m."""
         return max(self.noise.range_std, self.min_range_std)
@@ -132,8 +142,8 @@ def with_until(config: AgentConfig, until: str) -> AgentConfig:
     return replace(config, policy=replace(config.policy, until=until))
 
 
-def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:
-    """The same settings, with an estimator that does, or does not, estimate the constant errors of the odometry.
+def self_calibrating(config: AgentConfig, calibrate: WhenToCalibrate = "always") -> AgentConfig:
+    """The same settings, with an estimator that estimates the constant errors of the odometry then.
 
     Raises
     ------
@@ -142,5 +152,5 @@ def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfi
     """
     if not isinstance(config.estimator, ConsistentConfig):
         raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
-    calibration = replace(config.estimator.self_calibration, enabled=enabled)
+    calibration = replace(config.estimator.self_calibration, calibrate=calibrate)
     return replace(config, estimator=replace(config.estimator, self_calibration=calibration))

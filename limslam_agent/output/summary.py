@@ -7,6 +7,14 @@ import numpy as np
 
 from limslam_env.geometry import FloatArray
 
+_SIZES = {"left": "left wheel", "right": "right wheel", "axle": "axle"}
+
+
+def calibration_record(calibration: Sequence[float], covariance: FloatArray) -> dict[str, float]:
+    """For a ``result.json``: relative errors of left wheel, right wheel and axle, and their standard deviations."""
+    pairs = zip(_SIZES, calibration, np.sqrt(np.diag(covariance)), strict=True)
+    return {name: number for part, error, std in pairs for name, number in ((part, error), (f"{part}_std", float(std)))}
+
 
 def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]) -> dict[str, Any]:
     """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
@@ -46,9 +54,21 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
         lasted = f"{record['steps']} steps, {record['duration_s']:.1f} s, {record['driven_m']:.1f} m driven"
         is_team = _has(config, "robots") and config["robots"] > 1
         lines.append(f"record      {lasted}{' by each robot' if is_team else ''}")
+    each = record.get("calibration")
+    lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
     if "log" in config and (end := _pose(record)) is not None:
         lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
+
+
+def _calibration_line(found: Any) -> str:
+    """A robot's odometry calibration, as :func:`calibration_record` has it."""
+    if not isinstance(found, dict) or not _has(found, *(f"{part}{end}" for part in _SIZES for end in ("", "_std"))):
+        return "calibrated  by unknown sizes"
+    sizes = [
+        f"{name} {100.0 * found[part]:+.2f} +- {100.0 * found[f'{part}_std']:.2f} %" for part, name in _SIZES.items()
+    ]
+    return f"calibrated  {', '.join(sizes)}"
 
 
 def _pose(record: Mapping[str, Any]) -> list[float] | None:

@@ -86,7 +86,7 @@ def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
         If the preset's estimator cannot calibrate by itself.
     """
     if isinstance(config.estimator, ConsistentConfig):
-        return self_calibrating(config, enabled=enabled)
+        return self_calibrating(config, "always" if enabled else "never")
     if enabled:
         raise ValueError(f"--self-calibrate goes with the presets graph and consistent, not with {config.preset}")
     return config

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -125,18 +124,20 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
     """
     mapper = Mapper(log.robot, config, log.start_pose)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
-    slam, count, associations = mapper.slam, len(log), list[AssociationRecord]()
-    slam.on_association = associations.append
+    count, associations = len(log), list[AssociationRecord]()
+    mapper.slam.on_association, mapper.on_restart = associations.append, associations.clear
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
     begin = time.perf_counter()
     for number, observation in enumerate(log.observations()):
         mapper.step(observation)
         slam_ms[number] = mapper.slam_ms
+        slam = mapper.slam
         estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], slam.covariance
         if progress is not None:
             progress(number + 1)
     mapper.finish()
+    slam = mapper.slam
     replay = Replay(
         log=log,
         config=config,
@@ -155,10 +156,10 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         from limslam_agent.replay.smoothing import smoothed_by_graph
 
         return smoothed_by_graph(replay, config.smoothing)
-    if log.wheels is not None and config.line_smoothing is not None and isinstance(config.estimator, ConsistentConfig):
+    if log.wheels is not None and config.run_smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_lines
 
-        return smoothed_by_lines(replay, associations, list(slam.closures), config.line_smoothing)
+        return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing)
     return replay
 
 

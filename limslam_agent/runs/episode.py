@@ -20,6 +20,7 @@ from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
+from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.bounds.offline_optimum import require_gtsam
@@ -169,6 +170,8 @@ class Episode:
         True coverage by all robots together (t,), and whether each robot touches something (t, n).
     associations, closures
         The association of each observed line, and the loops that were closed.
+    calibrations
+        Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed.
     snapshot
         What is believed at the end.
     coverage_grid
@@ -195,6 +198,7 @@ class Episode:
     contact: BoolArray
     associations: list[AssociationRecord]
     closures: list[Closure]
+    calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
     snapshot: Snapshot
     coverage_grid: CoverageGrid
     stop_reason: str
@@ -272,12 +276,14 @@ def run_episode(
         if on_association is not None:
             on_association(record)
 
+    team.mapper.on_restart = associations.clear
     rows = _drive(config, env, team, note_association, watch)
     return Episode(
         config=config,
         world=world,
         associations=associations,
         closures=list(team.slam.closures),
+        calibrations=team.slam.odometry_calibrations,
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=_stop_reason(config, world, team.stop_reason),

@@ -14,7 +14,7 @@ import numpy as np
 
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, map_content, write_json, write_map, write_tum
-from limslam_agent.output.summary import record_of
+from limslam_agent.output.summary import calibration_record, record_of
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
@@ -213,7 +213,8 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
 
 
 def _record(episode: Episode) -> dict[str, Any]:
-    return record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
+    record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
+    return {**record, "calibration": [found and calibration_record(*found) for found in episode.calibrations]}
 
 
 def _write_log(path: Path, episode: Episode) -> None:

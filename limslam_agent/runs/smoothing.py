@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
@@ -44,8 +43,8 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
 
     Only the associations of the consistent estimator can be smoothed.
     """
-    agent = episode.config.agent
-    if agent.line_smoothing is None or not isinstance(agent.estimator, ConsistentConfig):
+    agent, settings = episode.config.agent, episode.config.agent.run_smoothing
+    if settings is None:
         return None
     # The kernels of the smoother load numba, which takes time that other commands do not need.
     from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
@@ -61,7 +60,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         associations=episode.associations,
         closures=episode.closures,
     )
-    return smooth_run(run, agent.line_smoothing)
+    return smooth_run(run, settings)
 
 
 def online_map(episode: "Episode") -> FinalMap:

@@ -130,8 +130,18 @@ class LineSlam:
         return self._estimator.pending_points(self.robots)
 
     @property
+    def may_calibrate(self) -> bool:
+        """Whether the SLAM still waits for a reason to correct the odometry for constant errors."""
+        return self._estimator.odometry_calibration(0) is None and self._estimator.assumed_calibration(0) is not None
+
+    @property
+    def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
+        """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is not corrected."""
+        return [self._estimator.odometry_calibration(number) for number in range(len(self.robots))]
+
+    @property
     def odometry_calibration(self) -> tuple[OdometryCalibration, FloatArray] | None:
-        """The first robot's odometry calibration and its covariance (3, 3); None if it is not estimated."""
+        """The first robot's odometry calibration and its covariance; None while its odometry is not corrected."""
         return self._estimator.odometry_calibration(0)
 
     @property
@@ -151,8 +161,8 @@ class LineSlam:
 
     def _motion(self, number: int, observation: Observation) -> Motion:
         motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
-        known = self._estimator.odometry_calibration(number)
-        return calibrated(motion, self.robot.axle, known[0]) if known else motion
+        assumed = self._estimator.assumed_calibration(number)
+        return motion if assumed is None else calibrated(motion, self.robot.axle, assumed)
 
     def _drop_beams_on_robots(self) -> None:
         poses, covariance = self._estimator.poses, self._estimator.joint_covariance

@@ -77,7 +77,9 @@ class BatchSlam:
     """The consistent estimator for many independent robots, each with an occupancy grid.
 
     Each robot's estimates equal those of ``LineSlam`` and ``OccupancyGrid`` after the same observations, to 1e-6, as
-    long as nothing overflows its capacity. Threads share the robots; the result does not depend on their number.
+    long as nothing overflows its capacity and ``LineSlam`` finds no constant error of the odometry: a batch does not
+    calibrate odometry, even if the settings say ``if_needed``. Threads share the robots; the result does not depend on
+    their number.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ class BatchSlam:
     Raises
     ------
     ValueError
-        If the settings name another estimator or ask for self-calibration, or a number is too small.
+        If the settings name another estimator or always calibrate the odometry, or a number is too small.
     """
 
     def __init__(
@@ -114,7 +116,7 @@ class BatchSlam:
             threads = os.cpu_count() or 1
         if not isinstance(config.estimator, ConsistentConfig):
             raise ValueError(f"a batch needs the preset consistent, not {config.preset!r}")  # noqa: TRY004 (a setting)
-        if config.estimator.self_calibration.enabled:
+        if config.estimator.self_calibration.calibrate == "always":
             raise ValueError("a batch does not calibrate odometry by itself; LineSlam does")
         for name, value, least in (("num_envs", num_envs, 1), ("num_threads", threads, 1), ("size", size, 0)):
             if value < least:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg.blas import dgemm
 
 from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings, expected_ranges
+from limslam_agent.slam.consistent.separate_bias import SeparateBias
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
@@ -59,15 +60,13 @@ class CloneEKF(LineEKF):
         Start (3,), m, m, rad; of several robots (n, 3).
     calibration
         Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``; None if the odometry's calibration
-        is not estimated.
+        is not estimated. It becomes part of the state by :meth:`calibrate`, and until then the state takes the
+        odometry to be without constant errors.
     """
 
     def __init__(self, pose: FloatArray, calibration: FloatArray | None = None) -> None:
         super().__init__(pose)
-        if calibration is not None:
-            self._first = 2 * self._poses_end
-            self.x, self.dim_x = np.concatenate((self.x, np.zeros(self._poses_end))), self._first
-            self.P = np.kron(np.diag([0.0, 1.0]), np.kron(np.eye(self._poses_end // POSE), calibration))
+        self._bias = None if calibration is None else SeparateBias(self._poses_end, calibration)
         self._anchors = np.zeros((0, 2))
         self._memory = [np.empty(0), np.empty(0)]
         self._clones: list[int] = []
@@ -112,6 +111,28 @@ class CloneEKF(LineEKF):
         part = self._calibration_part(robot)
         return (np.array(self.x[part]), np.array(self.P[part, part])) if self._first > self._poses_end else None
 
+    @property
+    def calibration_evidence(self) -> float | None:
+        """:attr:`SeparateBias.evidence` for constant errors; None if they are not estimated, or part of the state."""
+        return None if self._bias is None else self._bias.evidence
+
+    def calibrate(self) -> None:
+        """Make the odometry's calibration a part of the state, with what all updates so far say of it."""
+        if self._bias is None:
+            return
+        bias, self._bias = self._bias, None
+        (errors, covariance), by_errors, size = bias.estimate, bias.by_errors, len(self.x)
+        added = np.arange(self._first, 2 * self._first)
+        old = np.concatenate((np.arange(self._first), np.arange(2 * self._first, size + self._first)))
+        P, joint = self._spare(size + len(added)), by_errors @ covariance
+        P[np.ix_(old, old)] = self.P + joint @ by_errors.T
+        P[np.ix_(old, added)], P[np.ix_(added, old)] = joint, joint.T
+        P[np.ix_(added, added)] = covariance
+        x, change = np.zeros(len(P)), np.zeros(len(P))
+        x[old], change[old], change[added] = self.x, by_errors @ errors, errors
+        self.x, self.P, self.dim_x, self._first = x, P, len(P), 2 * self._first
+        self._correct(change)
+
     def predict(
         self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_calibration: FloatArray | None = None
     ) -> None:
@@ -124,15 +145,20 @@ class CloneEKF(LineEKF):
         robot
             Which robot moves.
         by_calibration
-            Derivative (3, 3) of the increment by the odometry's calibration, where that is part of the state.
+            Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
         """
         if by_calibration is None:
             super().predict(increment, covariance, robot)
             return
         moved = slice(POSE * robot, POSE * robot + POSE)
         by_pose, by_increment = compose_jacobians(self.x[moved], increment)
-        F, columns = np.hstack((by_pose, by_increment @ by_calibration)), np.r_[moved, self._calibration_part(robot)]
-        self._move(moved, increment, F, by_increment @ covariance @ by_increment.T, columns)
+        by_errors, Q = by_increment @ by_calibration, by_increment @ covariance @ by_increment.T
+        if self._bias is None:
+            F, columns = np.hstack((by_pose, by_errors)), np.r_[moved, self._calibration_part(robot)]
+            self._move(moved, increment, F, Q, columns)
+            return
+        self._move(moved, increment, by_pose, Q, moved)
+        self._bias.predict(moved, by_pose, by_errors)
 
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""
@@ -143,6 +169,8 @@ class CloneEKF(LineEKF):
         P[:old, old:] = self.P[moved].T
         P[old:, old:] = self.P[moved, moved]
         self.x, self.P = np.concatenate((self.x, self.x[moved])), P
+        if self._bias is not None:
+            self._bias.insert(old, self._bias.by_errors[moved])
         self._clones.append(self._next_clone)
         self._next_clone += 1
         return self._clones[-1]
@@ -174,6 +202,8 @@ class CloneEKF(LineEKF):
         x[at + 1] = theta
         P[[at, at + 1], [at, at + 1]] = LINE_PRIOR
         self.x, self.P, self.dim_x = x, P, old + 2
+        if self._bias is not None:
+            self._bias.insert(at, np.zeros((2, self._poses_end)))
         self._anchors = np.vstack((self._anchors, anchor))
         return self.num_lines - 1
 
@@ -211,6 +241,8 @@ class CloneEKF(LineEKF):
         factor = np.linalg.cholesky(S)
         self._transport(moved)
         self._subtract_square(np.ascontiguousarray(solve_lower(factor, HP)))
+        if self._bias is not None:
+            self._bias.update(H, columns, off + H @ so_far[columns], S, HP)
         self._correct(change)
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
@@ -250,6 +282,8 @@ class CloneEKF(LineEKF):
         gain = np.linalg.solve(S, HP)
         factor = np.linalg.cholesky(S)
         self._subtract_square(solve_lower(factor, HP))
+        if self._bias is not None:
+            self._bias.update(H, columns, -off, S, HP)
         self._correct(-off @ gain)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
@@ -289,6 +323,8 @@ class CloneEKF(LineEKF):
 
     def _transport(self, moved: FloatArray) -> None:
         """Transform P, in place, when the derivative of :meth:`_error_transport` has changed by ``moved`` (n, 3)."""
+        if self._bias is not None:
+            self._bias.transport(moved)
         rows = self.P[:POSE].copy()
         dgemm(1.0, rows.T, moved.T, beta=1.0, c=self.P.T, overwrite_c=1)
         columns = np.ascontiguousarray(self.P[:, :POSE])
@@ -324,6 +360,8 @@ class CloneEKF(LineEKF):
         # Rounding makes P asymmetric over thousands of updates. P is copied here in any case.
         P[:] = 0.5 * (P + P.T)
         self.x, self.P, self.dim_x = self.x[places], P, len(places)
+        if self._bias is not None:
+            self._bias.keep(places)
 
     def _columns(self, clones: IntArray) -> IntArray:
         """Indices (n, 3) of clones (n,) in the state."""

@@ -22,7 +22,7 @@ from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Motion, OdometryCalibration
+from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
@@ -66,16 +66,25 @@ class ConsistentEstimator(Estimator):
 
     def __init__(self, robot: RobotSpec, config: ConsistentConfig, range_std: float, start: FloatArray) -> None:
         calibration, self._std = config.self_calibration, range_std
-        self._filter = CloneEKF(start, calibration.covariance if calibration.enabled else None)
+        self._filter = CloneEKF(start, calibration.covariance if calibration.calibrate != "never" else None)
+        if calibration.calibrate == "always":
+            self._filter.calibrate()
         self._settings = config.for_ranges(self._std)
         super().__init__(robot, self._filter)
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
-        """A robot's odometry calibration and its covariance (3, 3); None if it is not estimated."""
+        """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
         found = self._filter.calibration(robot)
         return (OdometryCalibration(*found[0].tolist()), found[1]) if found else None
+
+    def assumed_calibration(self, robot: int) -> OdometryCalibration | None:
+        """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
+        if self._filter.calibration_evidence is not None:
+            return AS_SPECIFIED
+        found = self.odometry_calibration(robot)
+        return found and found[0]
 
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""
@@ -93,6 +102,9 @@ class ConsistentEstimator(Estimator):
             has_ended = pending.has_ended(side, self._settings.pending.wall_end)
             if pending.fresh[side] >= self._settings.pending.batch or has_ended:
                 self._process(number, side, front.step, has_ended=has_ended)
+        evidence = self._filter.calibration_evidence
+        if evidence is not None and evidence > self._settings.self_calibration.gate:
+            self._filter.calibrate()
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
         """Process all pending readings."""

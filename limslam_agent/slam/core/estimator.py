@@ -73,7 +73,12 @@ class Estimator:
         raise NotImplementedError
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
-        """A robot's odometry calibration and its covariance (3, 3); None if it is not estimated."""
+        """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
+        del robot
+        return None
+
+    def assumed_calibration(self, robot: int) -> OdometryCalibration | None:
+        """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
         del robot
         return None
 

@@ -54,6 +54,10 @@ class OdometryCalibration(NamedTuple):
     axle: float
 
 
+AS_SPECIFIED = OdometryCalibration(0.0, 0.0, 0.0)
+"""The calibration of odometry without constant errors."""
+
+
 def motion_from_wheels(wheels: FloatArray, robot: RobotSpec, noise: NominalNoise) -> Motion:
     """Differential-drive kinematics: the arc of left and right wheel travel (2,), m.
 
@@ -98,18 +102,21 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
     x, y, turn = motion.increment.tolist()
     left, right = calibration.left, calibration.right
     size, uneven, wider = 1.0 + 0.5 * (left + right), right - left, 1.0 + calibration.axle
-    ahead = x * math.cos(0.5 * turn) + y * math.sin(0.5 * turn)
-    driven = math.copysign(math.hypot(x, y), ahead) / np.sinc(0.5 * turn / math.pi)
+    half = 0.5 * turn
+    ahead = x * math.cos(half) + y * math.sin(half)
+    driven = math.copysign(math.hypot(x, y), ahead) * (half / math.sin(half) if half else 1.0)
     lever, drift = 0.25 * axle * turn, driven / axle
     distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
-    # The motion of a log need not be an arc that wheels can drive.
-    aside = motion.increment - arc(driven, turn)
     is_sure = turn**2 > _SURE_TURN**2 * motion.covariance[2, 2]
     sure, sure_turned = (turn, turned) if is_sure else (0.0, uneven * drift / wider)
     by_calibration = arc_jacobian(distance, turned) @ np.array([
         [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
         [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
     ])  # fmt: skip
+    if calibration == AS_SPECIFIED:
+        return Motion(motion.increment, motion.covariance, by_calibration)
+    # The motion of a log need not be an arc that wheels can drive.
+    aside = motion.increment - arc(driven, turn)
     return Motion(arc(distance, turned) + aside, motion.covariance, by_calibration)
 
 

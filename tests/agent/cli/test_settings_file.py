@@ -1,10 +1,12 @@
 """The file of ``--config``: it repeats a run, options win over it, and what cannot be is refused by file and key."""
 
 import json
+import math
 import os
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,9 @@ from limslam_agent.cli.settings import (
     run_options,
 )
 from limslam_agent.config.tables import SettingsError
+from limslam_env.config import NoiseConfig
+from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.robots import ROBOTS
 
 SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}
 
@@ -197,11 +202,11 @@ def test_odometry_options_win_over_the_files_table(tmp_path):
 
 
 def test_self_calibration_can_be_switched_off_again(tmp_path):
-    text = 'preset = "consistent"\n[agent.estimator.self_calibration]\nenabled = true\n'
-    for options, enabled in (({}, True), ({"self_calibrate": False}, False)):
+    text = 'preset = "consistent"\n[agent.estimator.self_calibration]\ncalibrate = "always"\n'
+    for options, calibrate in (({}, "always"), ({"self_calibrate": False}, "never")):
         asked = given(tmp_path, text, **options)
         agent = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",)))
-        assert agent.estimator.self_calibration.enabled is enabled
+        assert agent.estimator.self_calibration.calibrate == calibrate
 
 
 def test_paths_of_a_file_are_relative_to_it(tmp_path):
@@ -279,3 +284,89 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise():
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
         )
         assert result.stdout.split()[2:] == words
+
+
+def test_a_run_takes_a_robot_by_its_name_or_from_its_file(tmp_path):
+    assert config_of(given(tmp_path, robot="e_puck")).robot == ROBOTS["e-puck"]()
+    (tmp_path / "robot.toml").write_text("axle = 0.2\n")
+    told = config_of(Given.read(None, {"robot": str(tmp_path / "robot.toml")})).robot
+    assert told == replace(RobotSpec(), axle=0.2)
+    by_table = Given(tmp_path / "run.toml", {"robot": {"axle": 0.3}}, {"robot": "ring"})
+    assert config_of(by_table).robot == ROBOTS["ring"]()
+
+
+def test_the_errors_of_the_simulated_robot_are_options_that_win_over_the_file(tmp_path):
+    text = "[true_noise]\nslip_rate = 0.2\ndropout = 0.1\nwheel_mismatch = 0.01\n"
+    faults = {"wheel_mismatch": 0.02, "axle_mismatch": -0.03, "slip_share": 0.3, "dropout": 0.02}
+    told = config_of(given(tmp_path, text, **faults))
+    assert told.true_noise == NoiseConfig(slip_rate=0.2, **faults)
+    assert told.agent.noise == NominalNoise(told.noise)  # the agent is not told
+
+
+def test_odometry_noise_is_true_and_assumed(tmp_path):
+    told = config_of(given(tmp_path, "[agent.noise]\nwheel_variance = 1e-3\n", odometry_noise=0.01))
+    assert told.true_noise.wheel_variance == told.agent.noise.wheel_variance == pytest.approx(1e-4)
+
+
+def test_sharp_sensors_leave_the_wheels_as_they_are(tmp_path):
+    told = config_of(given(tmp_path, "[true_noise]\nslip_rate = 0.2\n", sharp=True, dropout=0.05)).true_noise
+    assert told == NoiseConfig.sharp(slip_rate=0.2, dropout=0.05)
+
+
+def test_a_run_calibrates_where_needed_unless_it_is_told_not_to(tmp_path):
+    never = '[agent.estimator.self_calibration]\ncalibrate = "never"\n'
+    for text, options, calibrate in (
+        ("", {}, "if_needed"),
+        ("", {"calibration": False}, "never"),
+        (never, {}, "never"),
+        (never, {"calibration": True}, "if_needed"),
+    ):
+        agent = config_of(given(tmp_path, text, **options)).agent
+        assert agent.estimator.self_calibration.calibrate == calibrate
+    assert (
+        config_of(given(tmp_path, preset="paper", calibration=False)).agent
+        == config_of(given(tmp_path, preset="paper")).agent
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"robot": "magic"}, "--robot: no robot is called 'magic'; there are paper, e-puck, four-beam-drone, ring"),
+        ({"robot": "missing.toml"}, "--robot: missing.toml: cannot be read"),
+        ({"wheel_mismatch": 3.0}, "--wheel-mismatch: wheel_mismatch must be a number from -0.5 to 0.5"),
+        ({"slip_share": math.nan}, "--slip-share: slip_share must be a number from 0 to 1"),
+        ({"odometry_noise": -1.0}, "--odometry-noise must be a number from 0 to 1, not -1"),
+        ({"odometry_noise": math.nan}, "--odometry-noise must be a number from 0 to 1, not nan"),
+        ({"preset": "paper", "calibration": True}, "--calibration: the preset paper cannot calibrate odometry"),
+    ],
+)
+def test_an_option_of_the_simulated_robot_that_cannot_be_is_refused_by_its_name(options, words, tmp_path):
+    with pytest.raises(ValueError, match=r".") as error:
+        config_of(given(tmp_path, **options))
+    assert str(error.value).startswith(words)
+
+
+def test_a_robots_file_that_cannot_be_used_is_refused_by_option_file_and_key(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text("axel = 0.2\n")
+    with pytest.raises(ValueError, match=r"^--robot: .*robot\.toml: axel: there is no such setting; there are radius"):
+        config_of(given(tmp_path, robot=str(path)))
+
+
+def test_a_run_with_uneven_wheels_says_what_it_found_and_its_file_repeats_it(tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    shown = limslam("run", "--wheel-mismatch", "0.02", "--noise", "0.02", "--max-time", "25", "--out", first)
+    assert shown.exit_code == 0
+    assert "\ncalibrated  left wheel -" in shown.stdout
+    assert limslam("run", "--config", first / "run.toml", "--out", second).exit_code == 0
+    assert_same(first, second)
+    (found,) = json.loads((first / "result.json").read_text())["record"]["calibration"]
+    assert found["right"] - found["left"] == pytest.approx(0.04, abs=0.01)
+    assert 0.0 < found["left_std"] < 0.01
+    assert shown.stdout.count("calibrated") == limslam("show", first, "--out", tmp_path / "a.png").stdout.count(
+        "calibrated"
+    )
+    plain = limslam("run", "--noise", "0.02", "--max-time", "5", "--out", tmp_path / "plain")
+    assert "calibrated" not in plain.stdout
+    assert json.loads((tmp_path / "plain" / "result.json").read_text())["record"]["calibration"] == [None]

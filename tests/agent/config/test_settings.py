@@ -109,10 +109,11 @@ def test_the_consistent_estimator_has_one_of_the_ablations():
             ablated(config, ablation)
 
 
-def test_self_calibration_can_be_switched_on_and_off():
-    enabled = self_calibrating(preset("consistent"))
-    assert enabled.estimator.self_calibration.enabled
-    assert self_calibrating(enabled, enabled=False) == preset("consistent")
+def test_odometry_is_calibrated_where_that_is_needed_unless_the_settings_say_otherwise():
+    assert preset("consistent").estimator.self_calibration.calibrate == "if_needed"
+    always = self_calibrating(preset("consistent"))
+    assert always.estimator.self_calibration.calibrate == "always"
+    assert self_calibrating(always, "if_needed") == preset("consistent")
 
 
 def round_trip(settings, start, path):

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
+from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.consistent import ConsistentConfig
@@ -115,7 +115,8 @@ def followed(
 def test_loops_are_closed_alike() -> None:
     # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
     log = laps_of_square(0.0, 0, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
-    config = preset("consistent", NominalNoise(0.0, 2e-4))
+    # The curvature of so large errors looks like a constant error, for which a single robot would be calibrated.
+    config = self_calibrating(preset("consistent", NominalNoise(0.0, 2e-4)), "never")
     slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
 
@@ -228,6 +229,22 @@ def test_without_room_for_clones_the_oldest_are_given_up() -> None:
     assert clones.max() > 100
     assert batch.overflows[0] > 0
     assert np.isfinite(beliefs.pose).all()
+
+
+def test_a_batch_takes_the_odometry_as_specified_where_one_robot_alone_would_be_calibrated() -> None:
+    log = laps_of_square(0.02, seed=5)
+    config = preset("consistent", NominalNoise(0.02))
+    single = LineSlam(FOUR_BEAMS, config, log.poses[0])
+    never = LineSlam(FOUR_BEAMS, self_calibrating(config, "never"), log.poses[0])
+    batch = BatchSlam(FOUR_BEAMS, config, 1, num_threads=1, size=0)
+    batch.reset(log.poses[:1])
+    for seen in log.observations:
+        wheels = (np.array([1.02, 0.98]) * seen["wheels"]).astype(np.float32)
+        single.step({**seen, "wheels": wheels})
+        never.step({**seen, "wheels": wheels})
+        beliefs = batch.step(seen["ranges"][None], wheels[None])
+    assert single.odometry_calibration is not None
+    np.testing.assert_allclose(beliefs.pose[0], never.pose, atol=1e-6)
 
 
 def test_beyond_the_bins_nothing_is_counted() -> None:

@@ -816,6 +816,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_random_operations(coun
 def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_it() -> None:
     prior = spread(3, 1)
     ekf = CloneEKF(np.array([[1.0, 2.0, 0.5], [0.0, 0.0, 0.0]]), prior)
+    ekf.calibrate()
     ekf.P[:6, :6] = spread(6, 2)
     ekf.clone(1)
     by_calibration = spread(3, 3, scale=1.0)
@@ -831,6 +832,7 @@ def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_i
 
 def test_factors_are_no_part_of_what_a_turned_world_turns() -> None:
     plain, calibrating = (CloneEKF(np.zeros(3), prior) for prior in (None, spread(3, 1)))
+    calibrating.calibrate()
     for ekf in (plain, calibrating):
         ekf.P[:3, :3] = spread(3, 2)
         ekf.clone()

@@ -26,7 +26,7 @@ COUNTED = np.array([1.006, 0.994])
 
 def config(noise: float, *, enabled: bool) -> AgentConfig:
     settings = preset("consistent", NominalNoise(noise))
-    return self_calibrating(settings) if enabled else settings
+    return self_calibrating(settings, "always" if enabled else "never")
 
 
 def after_laps(noise: float) -> tuple[LineSlam, float]:
@@ -63,7 +63,8 @@ def test_each_robot_has_wheels_of_its_own() -> None:
         slam.step(*({"ranges": ranges, "wheels": np.full(2, travel, dtype=np.float32)} for travel in (0.02, 0.03)))
     np.testing.assert_allclose(slam.poses, [[0.2, 0.0, 0.0], [1.3, 0.0, 0.0]], atol=1e-6)
     # Farther driven, less sure of where: each by its own wheels' size alone.
-    assert slam.covariances[1][0, 0] > 2.0 * slam.covariances[0][0, 0]
+    # The noise alone would give a ratio of 1.5, and the size alone 2.25.
+    assert slam.covariances[1][0, 0] > 1.8 * slam.covariances[0][0, 0]
 
 
 def test_only_the_consistent_estimator_can() -> None:

@@ -1,0 +1,210 @@
+"""Constant errors that are estimated beside the filter: as if they had been in its state, and only where needed."""
+
+import math
+
+import numpy as np
+import pytest
+from support.drives import FOUR_BEAMS, laps_of_square
+
+from limslam_agent.config.consistent import SelfCalibrationConfig
+from limslam_agent.config.presets import preset, self_calibrating
+from limslam_agent.mapper import Mapper
+from limslam_agent.slam.consistent.beam_model import Readings
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.separate_bias import SeparateBias
+from limslam_agent.slam.core.motion import AS_SPECIFIED, OdometryCalibration, calibrated, motion_from_wheels
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.line import nearest_form
+from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
+
+ROBOT, NOISE, QUIET = RobotSpec(), NominalNoise(0.02), NominalNoise(0.0, 0.0)
+WALLS = np.array([[0.6, 0.5 * math.pi], [-0.6, 0.5 * math.pi]])
+SIDES = ([0, 1], [4, 5])
+# So small that no curvature counts: the filters are compared where they are linear.
+SMALL = 1e-5
+PRIOR = SMALL**2 * SelfCalibrationConfig().covariance / 1e-4
+
+
+def range_to(pose: FloatArray, beam: int, line: FloatArray) -> float:
+    """The exact range of a beam to an endless wall (r, theta)."""
+    origin = transform_points(pose, ROBOT.beam_origins[[beam]])[0]
+    heading = pose[2] + ROBOT.beam_angles[beam]
+    normal = np.array([math.cos(line[1]), math.sin(line[1])])
+    return float((line[0] - normal @ origin) / (normal @ [math.cos(heading), math.sin(heading)]))
+
+
+class Corridor:
+    """A drive between two walls by filters that get the same motions and readings."""
+
+    def __init__(self, filters: list[CloneEKF], true: OdometryCalibration, seed: int = 0) -> None:
+        self.filters, self.true, self.pose = filters, true, np.zeros(3)
+        self.generator = np.random.default_rng(seed)
+
+    def move(self, left: float, right: float, assumed: OdometryCalibration) -> None:
+        reported = motion_from_wheels(np.array([left, right]), ROBOT, QUIET)
+        self.pose = compose(self.pose, calibrated(reported, ROBOT.axle, self.true).increment)
+        for ekf in self.filters:
+            found = ekf.calibration()
+            motion = calibrated(reported, ROBOT.axle, OdometryCalibration(*found[0]) if found else assumed)
+            is_estimated = found is not None or ekf.calibration_evidence is not None
+            ekf.predict(motion.increment, motion.covariance, 0, motion.by_calibration if is_estimated else None)
+
+    def look(self, side: int) -> None:
+        ranges = [range_to(self.pose, beam, WALLS[side]) for beam in SIDES[side]]
+        ranges += SMALL * 0.02 * self.generator.standard_normal(len(ranges))
+        for ekf in self.filters:
+            clone = ekf.clone()
+            if ekf.num_lines <= side:
+                line = ekf.add_line(float(WALLS[side, 1]), np.array([0.0, WALLS[side, 0]]))
+                part = slice(ekf._first + 2 * line, ekf._first + 2 * line + 2)
+                ekf.P = ekf.P.copy()
+                ekf.P[part, part] = SMALL**2 * np.eye(2)
+            sources = np.array([[0, beam] for beam in SIDES[side]])
+            readings = Readings(
+                np.full(2, clone), ROBOT.beam_origins[SIDES[side]], ROBOT.beam_angles[SIDES[side]], ranges, sources
+            )
+            ekf.observe(readings, side, SMALL * 0.02, 2, 0.0)
+            if side == 1:
+                ekf.keep_clones(set())
+
+    def drive(self, assumed: OdometryCalibration = AS_SPECIFIED) -> None:
+        for step in range(40):
+            self.move(0.02, 0.021 + 0.01 * math.sin(0.3 * step), assumed)
+            if step % 4 == 3:
+                self.look(step // 4 % 2)
+
+
+def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_its_state_knows() -> None:
+    separate, joint = CloneEKF(np.zeros(3), PRIOR), CloneEKF(np.zeros(3), PRIOR)
+    joint.calibrate()
+    Corridor([separate, joint], OdometryCalibration(2e-5, -1e-5, 3e-5)).drive()
+    assert separate.calibration() is None
+    separate.calibrate()
+    for ekf in (separate, joint):
+        assert ekf.calibration_evidence is None
+    (found, covariance), (expected, expected_covariance) = separate.calibration(), joint.calibration()  # type: ignore[misc]
+    stds = np.sqrt(np.diag(expected_covariance))
+    np.testing.assert_allclose(found / stds, expected / stds, atol=1e-3)
+    np.testing.assert_allclose(covariance / np.outer(stds, stds), expected_covariance / np.outer(stds, stds), atol=1e-3)
+    scale = np.sqrt(np.diag(joint.P))
+    np.testing.assert_allclose((separate.x - joint.x) / scale, 0.0, atol=2e-3)
+    np.testing.assert_allclose(separate.P / np.outer(scale, scale), joint.P / np.outer(scale, scale), atol=2e-3)
+    np.testing.assert_array_equal(separate.P, separate.P.T)
+
+
+def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -> None:
+    def state(ekf: CloneEKF, assumed: OdometryCalibration) -> FloatArray:
+        Corridor([ekf], AS_SPECIFIED).drive(assumed)
+        return ekf.x.copy()
+
+    ekf = CloneEKF(np.zeros(3), PRIOR)
+    state(ekf, AS_SPECIFIED)
+    assert ekf._bias is not None
+    for column in range(3):
+        above, below = (
+            state(CloneEKF(np.zeros(3)), OdometryCalibration(*(step * np.eye(3)[column]))) for step in (SMALL, -SMALL)
+        )
+        np.testing.assert_allclose(ekf._bias.by_errors[:, column], (above - below) / (2.0 * SMALL), atol=2e-3)
+
+
+def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
+    generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
+    bias, jacobian = SeparateBias(3, prior), generator.normal(size=(5, 3))
+    bias.predict(slice(0, 3), np.eye(3), np.eye(3))
+    innovation, noise = 0.02 * generator.normal(size=5), 1e-4 * np.eye(5)
+    bias.update(jacobian, np.arange(3), innovation, noise, np.zeros((5, 3)))
+    wide = noise + jacobian @ prior @ jacobian.T
+    chi_squares = [innovation @ np.linalg.solve(each, innovation) for each in (noise, wide)]
+    sizes = [np.linalg.slogdet(each)[1] for each in (noise, wide)]
+    assert bias.evidence == pytest.approx(chi_squares[0] - chi_squares[1] + sizes[0] - sizes[1])
+
+
+def test_of_several_robots_the_worst_one_decides() -> None:
+    prior = np.diag([1e-4, 4e-4, 9e-4])
+    alone, team = SeparateBias(3, prior), SeparateBias(6, prior)
+    for bias, part in ((alone, slice(0, 3)), (team, slice(3, 6))):
+        bias.predict(part, np.eye(3), np.eye(3))
+        columns = np.arange(part.start, part.stop)
+        bias.update(np.eye(3), columns, np.full(3, 0.1), 1e-4 * np.eye(3), np.zeros((3, part.stop)))
+    assert team.evidence == pytest.approx(alone.evidence)
+    assert team.evidence > 8.0
+    np.testing.assert_allclose(team.estimate[0], [0.0, 0.0, 0.0, *alone.estimate[0]], atol=1e-12)
+
+
+def observed(uneven: float, *, seed: int = 5, laps: float = 1.0) -> tuple[list[Observation], FloatArray]:
+    """Observations along the square with one wheel larger and the other smaller, and the true poses."""
+    log = laps_of_square(0.02, seed=seed, laps=laps)
+    counted = np.array([1.0 + 0.5 * uneven, 1.0 - 0.5 * uneven])
+    return [{**seen, "wheels": (counted * seen["wheels"]).astype(np.float32)} for seen in log.observations], log.poses
+
+
+def test_a_robot_as_specified_is_estimated_as_if_nothing_were_calibrated() -> None:
+    observations, poses = observed(0.0)
+    plain, watching = (
+        LineSlam(FOUR_BEAMS, self_calibrating(preset("consistent", NOISE), when), poses[0])
+        for when in ("never", "if_needed")
+    )
+    for seen in observations:
+        plain.step(seen)
+        watching.step(seen)
+        np.testing.assert_array_equal(watching.pose, plain.pose)
+        np.testing.assert_array_equal(watching.covariance, plain.covariance)
+    assert watching.may_calibrate
+    assert not plain.may_calibrate
+
+
+@pytest.mark.parametrize("uneven", [0.04, -0.04])
+def test_a_mapper_finds_uneven_wheels_and_starts_again(uneven: float) -> None:
+    observations, poses = observed(uneven)
+    mapper, always = (
+        Mapper(FOUR_BEAMS, self_calibrating(preset("consistent", NOISE), when), poses[0])
+        for when in ("if_needed", "always")
+    )
+    restarts, errors, first = [], [], mapper.slam
+    mapper.on_restart = lambda: restarts.append(len(errors))
+    for seen, true in zip(observations, poses, strict=True):
+        mapper.step(seen)
+        always.step(seen)
+        errors.append(float(np.hypot(*(mapper.slam.pose - true)[:2])))
+    assert len(restarts) == 1
+    assert mapper.slam is not first
+    # What was mapped before is mapped again, and nothing of it is left.
+    np.testing.assert_array_equal(mapper.slam.pose, always.slam.pose)
+    np.testing.assert_array_equal(mapper.slam.segments, always.slam.segments)
+    np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
+    assert math.sqrt(np.mean(np.square(errors))) < 0.2
+    found = mapper.slam.odometry_calibration
+    assert found is not None
+    turns, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
+    assert turns @ np.array(found[0]) == pytest.approx(uneven, abs=4.0 * std)
+
+
+def test_lines_keep_their_place_when_the_errors_become_part_of_the_state() -> None:
+    ekf = CloneEKF(np.zeros(3), PRIOR)
+    Corridor([ekf], AS_SPECIFIED).drive()
+    before, clones = ekf.lines, ekf.num_clones
+    ekf.calibrate()
+    np.testing.assert_allclose(nearest_form(ekf.lines, before), before, atol=1e-4)
+    assert (ekf.num_lines, ekf.num_clones) == (2, clones)
+
+
+@pytest.mark.slow
+def test_over_many_robots_the_errors_that_are_found_are_as_uncertain_as_they_are_said_to_be() -> None:
+    prior, nees = SelfCalibrationConfig().covariance, []
+    for seed in range(8):
+        left, right, axle = np.random.default_rng(seed).multivariate_normal(np.zeros(3), prior)
+        log = laps_of_square(0.02, seed=seed)
+        mapper = Mapper(FOUR_BEAMS, preset("consistent", NOISE), log.poses[0])
+        for seen in log.observations:
+            mean, half = seen["wheels"].mean(), 0.5 * (1.0 + axle) * (seen["wheels"][1] - seen["wheels"][0])
+            wheels = np.array([mean - half, mean + half]) / (1.0 + np.array([left, right]))
+            mapper.step({**seen, "wheels": wheels.astype(np.float32)})
+        found = mapper.slam.odometry_calibration
+        if found is not None:
+            off = np.array(found[0]) - [left, right, axle]
+            nees.append(off @ np.linalg.solve(found[1], off))
+    assert len(nees) >= 6
+    # Robots whose errors are too small to be found are left out, so the mean is above 3.
+    assert 1.0 < np.mean(nees) < 9.0
