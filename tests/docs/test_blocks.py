@@ -190,7 +190,10 @@ def check_extras(words: list[str]) -> None:
 
 
 def options_of(command) -> set[str]:
-    own_options = {name for part in command.params for name in getattr(part, "opts", []) if name.startswith("--")}
+    names = (
+        name for part in command.params for name in (*getattr(part, "opts", []), *getattr(part, "secondary_opts", []))
+    )
+    own_options = {name for name in names if name.startswith("--")}
     return own_options.union(*(options_of(part) for part in getattr(command, "commands", {}).values()))
 
 
