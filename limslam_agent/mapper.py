@@ -1,5 +1,6 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
 
+import math
 import time
 
 import numpy as np
@@ -10,6 +11,9 @@ from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.contradictions import KnownMap
+from limslam_agent.status.monitor import StatusMonitor
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
@@ -18,8 +22,9 @@ from limslam_env.interface import Observation, RobotSpec
 class Mapper:
     """Estimates poses and builds the map for one robot, or for several robots that share one map.
 
-    Each step runs the SLAM, updates the occupancy grid from the new poses, and integrates pure odometry for
-    comparison. The mapper chooses no actions: agents, log replay and the observation wrappers all use this class.
+    Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid from the new poses,
+    and integrates pure odometry for comparison. The mapper chooses no actions: agents, log replay and the observation
+    wrappers all use this class.
 
     Parameters
     ----------
@@ -67,6 +72,7 @@ class Mapper:
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
         self.slam = LineSlam(self.robot, self.config, starts)
         self._grid = OccupancyGrid(self.config.grid)
+        self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in starts]
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -83,10 +89,11 @@ class Mapper:
         begin = time.perf_counter()
         self.slam.step(*observations)
         self.slam_ms = 1e3 * (time.perf_counter() - begin)
-        self.odometry = np.array(
-            [self._moved(pose, seen) for pose, seen in zip(self.odometry, observations, strict=True)]
-        )
+        motions = [self._motion(seen) for seen in observations]
+        self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
+        for number, motion in enumerate(motions):
+            self._watch(number, motion)
         for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
             self._grid.update(pose, self.robot, front.ranges, front.measured)
 
@@ -103,11 +110,28 @@ class Mapper:
     def beliefs(self) -> list[Belief]:
         """The belief of each robot. Later steps do not change it."""
         slam, grid = self.slam, self.grid
-        poses, covariances, segments = slam.poses, slam.covariances, slam.segments
+        poses, covariances, segments, statuses = slam.poses, self.covariances, slam.segments, self.statuses
         return [
-            Belief(poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0))
+            Belief(
+                poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0),
+                status=statuses[number],
+            )
             for number, front in enumerate(slam.robots)
-        ]
+        ]  # fmt: skip
+
+    @property
+    def statuses(self) -> list[Status]:
+        """Whether the estimate of each robot can be trusted."""
+        return [monitor.status for monitor in self._monitors]
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariance of each robot's pose (n, 3, 3): that of the filter, and more while the robot is lost."""
+        covariances = self.slam.covariances
+        for number, monitor in enumerate(self._monitors):
+            if monitor.status.level == "lost":
+                covariances[number] += monitor.added_covariance
+        return covariances
 
     @property
     def grid(self) -> GridView:
@@ -117,7 +141,16 @@ class Mapper:
         values.setflags(write=False)
         return GridView(view.low, view.cell, values)
 
-    def _moved(self, pose: FloatArray, observation: Observation) -> FloatArray:
-        """The pose (3,) after the motion that an observation reports."""
-        motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
-        return compose(pose, motion.increment)
+    def _motion(self, observation: Observation) -> FloatArray:
+        """The motion (3,) that an observation reports, in the frame of the robot before it."""
+        return motion_of(observation, self.robot, self.config.noise, self.config.odometry).increment
+
+    def _watch(self, number: int, motion: FloatArray) -> None:
+        """Tell a robot's monitor the motion of this step, and let it compare the readings if that is due."""
+        x, y, turn = motion.tolist()
+        monitor, slam = self._monitors[number], self.slam
+        if not monitor.move(math.hypot(x, y), abs(turn)):
+            return
+        front = slam.robots[number]
+        known = KnownMap(slam.segments, self._grid.view)
+        monitor.check(slam.poses[number], slam.covariances[number], front.ranges, front.measured, known)

@@ -1,0 +1,204 @@
+"""StatusMonitor: watches the estimate of one robot and says whether it can be trusted."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limslam_agent.config.status import StatusConfig
+from limslam_agent.status.contradictions import ExpectedRanges, KnownMap, compare, expected_ranges
+from limslam_agent.status.status import LEVELS, Level, Status
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+
+UNIFORM_HEADING = math.pi / math.sqrt(3.0)
+"""Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Check:
+    """One comparison with the map.
+
+    Attributes
+    ----------
+    place, step
+        Where in the drive the comparison was made, m, and at which step.
+    counts
+        Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall.
+    predicted
+        The ranges that the walls predict.
+    lateness
+        Evidence that each beam is late (n_beams,).
+    """
+
+    place: float
+    step: int
+    counts: tuple[int, int, int, int]
+    predicted: ExpectedRanges
+    lateness: FloatArray
+
+
+class StatusMonitor:
+    """Watches one robot.
+
+    At each step the monitor gets the motion that the odometry reports. Each time that the robot has moved far enough,
+    the monitor compares the readings with the map. The level follows from the share of contradictions in the last
+    metres, from the uncertainty of the heading, from beams that report late, and from jumps of the odometry.
+
+    A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
+    erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
+    covariance of the pose gets larger with each metre.
+
+    Parameters
+    ----------
+    robot
+        Body and beams.
+    config
+        When an estimate is unsure or lost.
+    range_std
+        Standard deviation of a range, m.
+
+    Attributes
+    ----------
+    status
+        The present status.
+    """
+
+    def __init__(self, robot: RobotSpec, config: StatusConfig, range_std: float) -> None:
+        self._robot, self._config, self._std = robot, config, range_std
+        self._delay = round(config.late_beams.delay / robot.control_period)
+        self._step, self._place, self._checked = -1, 0.0, -math.inf
+        self._checks: deque[_Check] = deque()
+        self._reference: KnownMap | None = None
+        self._jump, self._driven, self._since = 0.0, 0.0, 0.0
+        self.status = Status()
+
+    def move(self, distance: float, turn: float) -> bool:
+        """Note the motion of one step, m and rad, without signs. True if the readings are to be compared now."""
+        self._step += 1
+        is_jump = distance > self._config.max_jump
+        if is_jump:
+            self._jump, distance = self._jump + distance, 0.0
+        self._place += distance + self._config.turn_length * turn
+        self._driven += distance
+        return is_jump or self._place - self._checked >= self._config.spacing
+
+    def check(
+        self, pose: FloatArray, covariance: FloatArray, ranges: FloatArray, measured: BoolArray, present: KnownMap
+    ) -> None:
+        """Compare the readings with the map, and update the status.
+
+        Parameters
+        ----------
+        pose, covariance
+            Estimated pose (3,), m and rad, and its covariance (3, 3).
+        ranges, measured
+            Readings (n_beams,), m, and a mask of the new readings.
+        present
+            The map as it is now, without these readings in its grid.
+        """
+        self._checked = self._place
+        self._compare(pose, covariance, ranges, measured, self._reference or present)
+        longest = max(self._config.window, self._config.recovery.window)
+        while self._place - self._checks[0].place > longest:
+            self._checks.popleft()
+        if self._reference is None:
+            self._judge(float(covariance[2, 2]), present)
+        elif self._fits_again():
+            self._reference, self._jump, self.status = None, 0.0, Status()
+
+    @property
+    def added_covariance(self) -> FloatArray:
+        """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
+        if self._reference is None:
+            return np.zeros((3, 3))
+        limits, driven = self._config.recovery, self._driven
+        position = self._jump + min(limits.position_growth * driven, limits.position_limit)
+        heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
+        return np.diag([position**2, position**2, heading**2])
+
+    def _compare(
+        self, pose: FloatArray, covariance: FloatArray, ranges: FloatArray, measured: BoolArray, known: KnownMap
+    ) -> None:
+        """Compare the readings with a map, and note the outcome."""
+        settings = self._config.contradictions
+        predicted = expected_ranges(self._robot, pose, covariance, known.segments, self._std, settings)
+        outcome = compare(self._robot, pose, ranges, measured, known, predicted, self._std, settings)
+        lateness = self._lateness(np.minimum(ranges, self._robot.max_ranges), outcome.expected, predicted)
+        self._checks.append(_Check(self._place, self._step, outcome.counts, predicted, lateness))
+
+    def _judge(self, heading_variance: float, present: KnownMap) -> None:
+        """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
+        self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
+        if self.status.level == "lost":
+            # The values of the grid's view change with the grid.
+            frozen = replace(present.grid, values=present.grid.values.copy())
+            self._reference = KnownMap(present.segments, frozen)
+            self._driven, self._since = 0.0, self._place
+            self._checks.clear()
+
+    def _status(self, heading_std: float) -> Status:
+        """The status by the last metres of the drive, with the most serious reason."""
+        if self._jump:
+            return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
+        contradictions = self._by_contradictions()
+        if contradictions.level != "ok":
+            return contradictions
+        beam, evidence = self._latest_beam()
+        if evidence > self._config.late_beams.evidence:
+            delay = self._config.late_beams.delay
+            return Status("unsure", f"beam {beam} seems to report its readings {delay:g} s late")
+        if heading_std > self._config.unsure_heading:
+            return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")
+        return Status()
+
+    def _by_contradictions(self) -> Status:
+        recent = self._recent(self._config.window)
+        count, contradicting, _, _ = _sums(recent)
+        limits = (0.0, self._config.unsure_share, self._config.lost_share)
+        is_enough = count >= self._config.fewest and len(recent) >= self._config.fewest_places
+        share = contradicting / count if is_enough else 0.0
+        level: Level = LEVELS[max(number for number, limit in enumerate(limits) if share >= limit)]
+        return Status(level, f"{contradicting} of {count} readings contradict the map" if level != "ok" else "")
+
+    def _latest_beam(self) -> tuple[int, float]:
+        """The beam that is most likely to be late, and the evidence for it."""
+        sums = np.sum([check.lateness for check in self._recent(self._config.window)], axis=0)
+        beam = int(np.argmax(sums))
+        return beam, float(sums[beam])
+
+    def _lateness(self, ranges: FloatArray, expected: BoolArray, predicted: ExpectedRanges) -> FloatArray:
+        """By how much the expected ranges of a while ago fit the readings better than the present ones (n_beams,)."""
+        wanted = self._step - self._delay
+        earlier = [check for check in self._checks if abs(check.step - wanted) <= self._delay // 5]
+        if not earlier:
+            return np.zeros(len(ranges))
+        before = min(earlier, key=lambda check: abs(check.step - wanted)).predicted.ranges
+        both = expected & np.isfinite(before)
+        limit = self._config.late_beams.sigmas
+        stds = np.where(both, predicted.stds, 1.0)
+        now, then = (
+            np.minimum(np.abs(np.where(both, ranges - each, 0.0)) / stds, limit) ** 2
+            for each in (predicted.ranges, before)
+        )
+        return np.asarray(now - then)
+
+    def _fits_again(self) -> bool:
+        """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
+        limits = self._config.recovery
+        count, contradicting, expected, fitting = _sums(self._recent(limits.window))
+        return (
+            self._place - self._since >= limits.window
+            and expected >= limits.fewest
+            and fitting >= limits.fitting * expected
+            and contradicting < self._config.unsure_share * count
+        )
+
+    def _recent(self, window: float) -> list[_Check]:
+        return [check for check in self._checks if self._place - check.place <= window]
+
+
+def _sums(checks: list[_Check]) -> tuple[int, ...]:
+    """The sums of ``_Check.counts``."""
+    return tuple(map(sum, zip(*(check.counts for check in checks), strict=True)))
