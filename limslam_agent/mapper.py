@@ -10,9 +10,9 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.core.motion import motion_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Extraction, LineSlam
 from limslam_agent.status.contradictions import KnownMap
-from limslam_agent.status.monitor import StatusMonitor
+from limslam_agent.status.monitor import Sight, StatusMonitor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
@@ -73,6 +73,7 @@ class Mapper:
         self.slam = LineSlam(self.robot, self.config, starts)
         self._grid = OccupancyGrid(self.config.grid)
         self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in starts]
+        self._extraction: Extraction | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -92,8 +93,9 @@ class Mapper:
         motions = [self._motion(seen) for seen in observations]
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
+        extraction, self._extraction = self._extraction, self.slam.last_extraction
         for number, motion in enumerate(motions):
-            self._watch(number, motion)
+            self._watch(number, motion, is_busy=extraction is not self._extraction)
         for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
             self._grid.update(pose, self.robot, front.ranges, front.measured)
 
@@ -145,12 +147,10 @@ class Mapper:
         """The motion (3,) that an observation reports, in the frame of the robot before it."""
         return motion_of(observation, self.robot, self.config.noise, self.config.odometry).increment
 
-    def _watch(self, number: int, motion: FloatArray) -> None:
-        """Tell a robot's monitor the motion of this step, and let it compare the readings if that is due."""
+    def _watch(self, number: int, motion: FloatArray, *, is_busy: bool) -> None:
+        """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
         x, y, turn = motion.tolist()
-        monitor, slam = self._monitors[number], self.slam
-        if not monitor.move(math.hypot(x, y), abs(turn)):
-            return
-        front = slam.robots[number]
-        known = KnownMap(slam.segments, self._grid.view)
-        monitor.check(slam.poses[number], slam.covariances[number], front.ranges, front.measured, known)
+        monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
+        sight = Sight(slam.poses[number], slam.covariances[number], front.ranges, front.measured)
+        if monitor.observe(math.hypot(x, y), abs(turn), sight, is_busy=is_busy):
+            monitor.check(KnownMap(slam.segments, self._grid.view))

@@ -55,7 +55,7 @@ class LateBeamConfig(Bounded):
 
     delay: Positive = 1.0
     sigmas: Positive = 2.0
-    evidence: Positive = 12.0
+    evidence: Positive = 25.0
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,10 @@ class StatusConfig(Bounded):
     ----------
     contradictions, late_beams, recovery
         Settings of the parts.
-    spacing, turn_length
-        The readings are compared with the map each time that the robot has moved by ``spacing``, m. A turn by one
-        radian counts like ``turn_length``, m.
+    spacing, longest_spacing, turn_length
+        The readings are compared with the map when the robot has moved by ``spacing``, m, and the estimator extracts
+        lines in the same step, or when it has moved by ``longest_spacing``, m. A turn by one radian counts like
+        ``turn_length``, m.
     window, fewest, fewest_places
         Length of the last part of the drive that counts, m, and the least number of readings that give a share: this
         many, and from at least this many places.
@@ -110,6 +111,7 @@ class StatusConfig(Bounded):
     late_beams: LateBeamConfig = field(default_factory=LateBeamConfig)
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
     spacing: Positive = 0.10
+    longest_spacing: Positive = 0.30
     turn_length: NonNegative = 0.40
     window: Positive = 3.0
     fewest: Count = 25

@@ -20,14 +20,15 @@ _LEAST_COSINE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class ExpectedRanges:
-    """The ranges that a map predicts for one pose, each (n_beams,).
+    """The ranges that a map predicts for m poses.
 
     Attributes
     ----------
     ranges
-        Distance to the first wall, m. Infinite if the beam meets no wall or nearly grazes it.
+        Distance to the first wall (m, n_beams), m. Infinite if the beam meets no wall or nearly grazes it.
     stds
-        Standard deviation of the difference between reading and expected range, m, with the uncertainty of the pose.
+        Standard deviation of the difference between reading and expected range (m, n_beams), m, with the uncertainty of
+        the pose.
     """
 
     ranges: FloatArray
@@ -84,8 +85,8 @@ class Comparison:
 
 def expected_ranges(
     robot: RobotSpec,
-    pose: FloatArray,
-    covariance: FloatArray,
+    poses: FloatArray,
+    covariances: FloatArray,
     segments: FloatArray,
     range_std: float,
     config: ContradictionConfig,
@@ -94,20 +95,24 @@ def expected_ranges(
 
     Parameters
     ----------
-    pose, covariance
-        Estimated pose (3,), m and rad, and its covariance (3, 3).
+    poses, covariances
+        Estimated poses (m, 3), m and rad, and their covariances (m, 3, 3).
     segments
         Walls (k, 4), m.
     range_std
         Standard deviation of a range, m.
     """
+    shape = len(poses), len(robot.beams)
     if not len(segments):
-        nothing = np.full(len(robot.beams), np.inf)
-        return ExpectedRanges(nothing, nothing)
-    reached, cosines = _first_walls(robot, pose, segments, config.inset)
+        return ExpectedRanges(np.full(shape, np.inf), np.full(shape, np.inf))
+    origins = np.vstack([transform_points(pose, robot.beam_origins) for pose in poses])
+    headings = (poses[:, 2, None] + robot.beam_angles).ravel()
+    towards = np.column_stack((np.cos(headings), np.sin(headings)))
+    reached, cosines = (each.reshape(shape) for each in _first_walls(origins, towards, segments, config.inset))
     ranges = np.where((cosines > config.least_cosine) & (reached < robot.max_ranges), reached, np.inf)
     lever = np.where(np.isfinite(ranges), ranges, 0.0)
-    variances = range_std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
+    position, heading = covariances[:, 0, 0] + covariances[:, 1, 1], covariances[:, 2, 2]
+    variances = range_std**2 + position[:, None] + heading[:, None] * lever**2
     return ExpectedRanges(ranges, np.sqrt(variances) / np.maximum(cosines, _LEAST_COSINE))
 
 
@@ -117,7 +122,8 @@ def compare(
     ranges: FloatArray,
     measured: BoolArray,
     known: KnownMap,
-    predicted: ExpectedRanges,
+    predicted: FloatArray,
+    stds: FloatArray,
     range_std: float,
     config: ContradictionConfig,
 ) -> Comparison:
@@ -131,15 +137,16 @@ def compare(
         Readings (n_beams,), m, and a mask of the new readings.
     known
         The map.
-    predicted
-        The ranges that the walls of the map predict.
+    predicted, stds
+        The ranges that the walls of the map predict (n_beams,), m, and their standard deviations: one row of
+        :class:`ExpectedRanges`.
     range_std
         Standard deviation of a range, m.
     """
     is_usable = measured & (ranges > robot.too_near)
-    expected = is_usable & np.isfinite(predicted.ranges)
-    excess = np.where(expected, np.minimum(ranges, robot.max_ranges) - np.where(expected, predicted.ranges, 0.0), 0.0)
-    tolerance = np.where(expected, config.sigmas * predicted.stds + config.slack, np.inf)
+    expected = is_usable & np.isfinite(predicted)
+    excess = np.where(expected, np.minimum(ranges, robot.max_ranges) - np.where(expected, predicted, 0.0), 0.0)
+    tolerance = np.where(expected, config.sigmas * stds + config.slack, np.inf)
     ended = is_usable & (ranges < robot.too_far)
     in_free = np.zeros(len(ranges), dtype=bool)
     beams = np.flatnonzero(ended)
@@ -170,15 +177,12 @@ def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, n
 
 
 def _first_walls(
-    robot: RobotSpec, pose: FloatArray, segments: FloatArray, inset: float
+    origins: FloatArray, towards: FloatArray, segments: FloatArray, inset: float
 ) -> tuple[FloatArray, FloatArray]:
-    """For each beam (n_beams,), the distance to the first wall that it meets inside the wall's ends, m, and the cosine.
+    """For each ray (n,), the distance to the first wall that it meets inside the wall's ends, m, and the cosine.
 
     The distance is infinite if there is no such wall.
     """
-    origins = transform_points(pose, robot.beam_origins)
-    headings = pose[2] + robot.beam_angles
-    towards = np.column_stack((np.cos(headings), np.sin(headings)))
     spans = segments[:, 2:] - segments[:, :2]
     sizes = np.hypot(spans[:, 0], spans[:, 1])
     tangents = spans / np.maximum(sizes, 1e-9)[:, None]
@@ -187,7 +191,7 @@ def _first_walls(
     is_crossing = np.abs(cosines) > _LEAST_COSINE
     to_wall = np.sum(segments[:, :2] * normals, axis=1) - origins @ normals.T
     reached = np.where(is_crossing, to_wall / np.where(is_crossing, cosines, 1.0), -1.0)
-    # Positions along the wall: of the beam's origin, and of the point where the beam meets the wall.
+    # Positions along the wall: of the ray's origin, and of the point where the ray meets the wall.
     along = origins @ tangents.T - np.sum(segments[:, :2] * tangents, axis=1) + reached * (towards @ tangents.T)
     is_inside = (reached > 0.0) & (along > inset) & (along < sizes - inset)
     reached = np.where(is_inside, reached, np.inf)

@@ -7,13 +7,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.status import StatusConfig
-from limslam_agent.status.contradictions import ExpectedRanges, KnownMap, compare, expected_ranges
+from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
+from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
+
+_MOST_RAYS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a robot believed and read in one step.
+
+    Attributes
+    ----------
+    pose, covariance
+        Estimated pose (3,), m and rad, and its covariance (3, 3).
+    ranges, measured
+        Readings (n_beams,), m, and a mask of the new readings.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    ranges: FloatArray
+    measured: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,29 +43,26 @@ class _Check:
 
     Attributes
     ----------
-    place, step
-        Where in the drive the comparison was made, m, and at which step.
+    place
+        Where in the drive the comparison was made, m.
     counts
         Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall.
-    predicted
-        The ranges that the walls predict.
     lateness
         Evidence that each beam is late (n_beams,).
     """
 
     place: float
-    step: int
     counts: tuple[int, int, int, int]
-    predicted: ExpectedRanges
     lateness: FloatArray
 
 
 class StatusMonitor:
     """Watches one robot.
 
-    At each step the monitor gets the motion that the odometry reports. Each time that the robot has moved far enough,
-    the monitor compares the readings with the map. The level follows from the share of contradictions in the last
-    metres, from the uncertainty of the heading, from beams that report late, and from jumps of the odometry.
+    At each step the monitor gets the motion that the odometry reports, and the readings. Each time that the robot has
+    moved far enough, the monitor compares the readings with the map. The level follows from the share of contradictions
+    in the last metres, from the uncertainty of the heading, from beams that report late, and from jumps of the
+    odometry.
 
     A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
     erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
@@ -67,44 +85,59 @@ class StatusMonitor:
 
     def __init__(self, robot: RobotSpec, config: StatusConfig, range_std: float) -> None:
         self._robot, self._config, self._std = robot, config, range_std
-        self._delay = round(config.late_beams.delay / robot.control_period)
         self._step, self._place, self._checked = -1, 0.0, -math.inf
+        # The latest steps that no comparison has used. Robots with many beams need fewer of them.
+        self._sights: deque[tuple[int, Sight]] = deque(maxlen=max(_MOST_RAYS // len(robot.beams), 1))
         self._checks: deque[_Check] = deque()
+        self._late_beams = LateBeams(robot, config.late_beams)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self.status = Status()
 
-    def move(self, distance: float, turn: float) -> bool:
-        """Note the motion of one step, m and rad, without signs. True if the readings are to be compared now."""
+    def observe(self, distance: float, turn: float, sight: Sight, *, is_busy: bool) -> bool:
+        """Note the motion and the readings of one step.
+
+        Parameters
+        ----------
+        distance, turn
+            Length and angle of the motion, m and rad, without signs.
+        sight
+            What the robot believes and reads after the motion.
+        is_busy
+            Whether the estimator extracts lines in this step. Such a step takes long in any case. Comparisons are made
+            in these steps if possible, so that they add nothing to the median time of a step.
+
+        Returns
+        -------
+        due
+            Whether :meth:`check` is to be called now.
+        """
         self._step += 1
         is_jump = distance > self._config.max_jump
         if is_jump:
             self._jump, distance = self._jump + distance, 0.0
         self._place += distance + self._config.turn_length * turn
         self._driven += distance
-        return is_jump or self._place - self._checked >= self._config.spacing
+        self._sights.append((self._step, sight))
+        spacing = self._config.spacing if is_busy else self._config.longest_spacing
+        return is_jump or self._place - self._checked >= spacing
 
-    def check(
-        self, pose: FloatArray, covariance: FloatArray, ranges: FloatArray, measured: BoolArray, present: KnownMap
-    ) -> None:
-        """Compare the readings with the map, and update the status.
+    def check(self, present: KnownMap) -> None:
+        """Compare the readings since the last comparison with the map, and update the status.
 
         Parameters
         ----------
-        pose, covariance
-            Estimated pose (3,), m and rad, and its covariance (3, 3).
-        ranges, measured
-            Readings (n_beams,), m, and a mask of the new readings.
         present
-            The map as it is now, without these readings in its grid.
+            The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        self._compare(pose, covariance, ranges, measured, self._reference or present)
+        latest = self._sights[-1][1]
+        self._compare(self._reference or present)
         longest = max(self._config.window, self._config.recovery.window)
         while self._place - self._checks[0].place > longest:
             self._checks.popleft()
         if self._reference is None:
-            self._judge(float(covariance[2, 2]), present)
+            self._judge(float(latest.covariance[2, 2]), present)
         elif self._fits_again():
             self._reference, self._jump, self.status = None, 0.0, Status()
 
@@ -118,15 +151,20 @@ class StatusMonitor:
         heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
-    def _compare(
-        self, pose: FloatArray, covariance: FloatArray, ranges: FloatArray, measured: BoolArray, known: KnownMap
-    ) -> None:
-        """Compare the readings with a map, and note the outcome."""
-        settings = self._config.contradictions
-        predicted = expected_ranges(self._robot, pose, covariance, known.segments, self._std, settings)
-        outcome = compare(self._robot, pose, ranges, measured, known, predicted, self._std, settings)
-        lateness = self._lateness(np.minimum(ranges, self._robot.max_ranges), outcome.expected, predicted)
-        self._checks.append(_Check(self._place, self._step, outcome.counts, predicted, lateness))
+    def _compare(self, known: KnownMap) -> None:
+        """Compare the readings since the last comparison with a map, and note the outcome."""
+        settings, robot = self._config.contradictions, self._robot
+        steps, sights = [step for step, _ in self._sights], [sight for _, sight in self._sights]
+        self._sights.clear()
+        poses, covariances = np.array([sight.pose for sight in sights]), np.array([each.covariance for each in sights])
+        predicted = expected_ranges(robot, poses, covariances, known.segments, self._std, settings)
+        ranges = np.minimum([sight.ranges for sight in sights], robot.max_ranges)
+        usable = np.array([sight.measured for sight in sights]) & (ranges > robot.too_near)
+        lateness = self._late_beams.evidence(steps, ranges, usable, predicted)
+        # Readings of neighbouring steps show nearly the same, so that only the latest ones are tested.
+        last, expected = sights[-1], (predicted.ranges[-1], predicted.stds[-1])
+        outcome = compare(robot, last.pose, last.ranges, last.measured, known, *expected, self._std, settings)
+        self._checks.append(_Check(self._place, outcome.counts, lateness))
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
@@ -167,22 +205,6 @@ class StatusMonitor:
         sums = np.sum([check.lateness for check in self._recent(self._config.window)], axis=0)
         beam = int(np.argmax(sums))
         return beam, float(sums[beam])
-
-    def _lateness(self, ranges: FloatArray, expected: BoolArray, predicted: ExpectedRanges) -> FloatArray:
-        """By how much the expected ranges of a while ago fit the readings better than the present ones (n_beams,)."""
-        wanted = self._step - self._delay
-        earlier = [check for check in self._checks if abs(check.step - wanted) <= self._delay // 5]
-        if not earlier:
-            return np.zeros(len(ranges))
-        before = min(earlier, key=lambda check: abs(check.step - wanted)).predicted.ranges
-        both = expected & np.isfinite(before)
-        limit = self._config.late_beams.sigmas
-        stds = np.where(both, predicted.stds, 1.0)
-        now, then = (
-            np.minimum(np.abs(np.where(both, ranges - each, 0.0)) / stds, limit) ** 2
-            for each in (predicted.ranges, before)
-        )
-        return np.asarray(now - then)
 
     def _fits_again(self) -> bool:
         """Whether the readings of the last metres fit the map of the moment when the robot became lost."""

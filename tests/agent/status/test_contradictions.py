@@ -20,8 +20,9 @@ NOISE = 0.02
 
 def compared(segments, ranges=None, covariance=SURE, measured=EVERY, grid=UNKNOWN):
     ranges = ranges_at(POSE, WALLS) if ranges is None else ranges
-    predicted = expected_ranges(ROBOT, POSE, covariance, segments, NOISE, CONFIG)
-    return compare(ROBOT, POSE, ranges, measured, KnownMap(segments, grid), predicted, NOISE, CONFIG)
+    predicted = expected_ranges(ROBOT, POSE[None], covariance[None], segments, NOISE, CONFIG)
+    known, expected = KnownMap(segments, grid), (predicted.ranges[0], predicted.stds[0])
+    return compare(ROBOT, POSE, ranges, measured, known, *expected, NOISE, CONFIG)
 
 
 def test_a_right_map_is_not_contradicted():
@@ -33,10 +34,13 @@ def test_a_right_map_is_not_contradicted():
 
 
 def test_expected_ranges_are_those_of_the_walls():
-    predicted = expected_ranges(ROBOT, POSE, SURE, WALLS, NOISE, CONFIG)
-    is_known = np.isfinite(predicted.ranges)
-    np.testing.assert_allclose(predicted.ranges[is_known], ranges_at(POSE, WALLS)[is_known], atol=1e-9)
-    assert (predicted.stds[is_known] >= NOISE).all()
+    poses = np.array([POSE, [0.6, 1.2, -2.0]])
+    predicted = expected_ranges(ROBOT, poses, np.array([SURE, SURE]), WALLS, NOISE, CONFIG)
+    for pose, ranges, stds in zip(poses, predicted.ranges, predicted.stds, strict=True):
+        is_known = np.isfinite(ranges)
+        assert is_known.sum() >= 3
+        np.testing.assert_allclose(ranges[is_known], ranges_at(pose, WALLS)[is_known], atol=1e-9)
+        assert (stds[is_known] >= NOISE).all()
 
 
 @pytest.mark.parametrize("ranges", [None, ROBOT.max_ranges], ids=["longer", "nothing seen"])

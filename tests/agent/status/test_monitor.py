@@ -10,7 +10,7 @@ from support.drives import ROBOT, ranges_at, room
 from limslam_agent.config.status import StatusConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.status.contradictions import KnownMap
-from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
+from limslam_agent.status.monitor import UNIFORM_HEADING, Sight, StatusMonitor
 from limslam_agent.status.status import Status, status_scores, worst
 
 CONFIG = StatusConfig()
@@ -19,6 +19,7 @@ SURE = np.diag([1e-6, 1e-6, 1e-6])
 EVERY = np.ones(len(ROBOT.beams), dtype=bool)
 UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
 KNOWN = KnownMap(WALLS, UNKNOWN)
+BLIND = Sight(np.array([1.0, 1.0, 0.0]), SURE, ROBOT.max_ranges, ~EVERY)
 
 
 def monitor():
@@ -35,8 +36,9 @@ def drive(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, begin=0, le
     """Check at each step what a robot sees whose surroundings are ``walls``; the levels."""
     levels = []
     for number in range(begin, begin + steps):
-        assert watched.move(length, 0.0)
-        watched.check(place(number), covariance, ranges_at(place(number), walls), EVERY, known)
+        sight = Sight(place(number), covariance, ranges_at(place(number), walls), EVERY)
+        assert watched.observe(length, 0.0, sight, is_busy=True)
+        watched.check(known)
         levels.append(watched.status.level)
     return levels
 
@@ -48,14 +50,14 @@ def test_a_robot_in_a_right_map_is_ok():
     assert not watched.added_covariance.any()
 
 
-def test_readings_are_compared_after_a_motion_and_not_at_each_step():
+@pytest.mark.parametrize(("is_busy", "motion"), [(True, CONFIG.spacing), (False, CONFIG.longest_spacing)])
+def test_readings_are_compared_after_a_motion_and_not_at_each_step(is_busy, motion):
     watched = monitor()
-    assert watched.move(0.0, 0.0)
-    watched.check(place(0), SURE, ROBOT.max_ranges, EVERY, KNOWN)
-    due = [watched.move(0.02, 0.0) for _ in range(20)]
-    assert due.index(True) == 4
-    watched.check(place(0), SURE, ROBOT.max_ranges, EVERY, KNOWN)
-    assert [watched.move(0.0, 0.1) for _ in range(3)] == [False, False, True]
+    assert watched.observe(0.0, 0.0, BLIND, is_busy=is_busy)
+    for distance, turn in ((0.021, 0.0), (0.0, 0.021 / CONFIG.turn_length)):
+        watched.check(KNOWN)
+        due = [watched.observe(distance, turn, BLIND, is_busy=is_busy) for _ in range(40)]
+        assert due.index(True) == math.ceil(motion / 0.021) - 1
 
 
 def test_nothing_is_said_about_few_readings():
@@ -101,12 +103,12 @@ def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
     drive(watched, 40)
     drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
     before = watched.added_covariance
-    watched.move(0.5, 0.0)
+    watched.observe(0.5, 0.0, BLIND, is_busy=True)
     after, grown = watched.added_covariance, CONFIG.recovery.position_growth * 0.5
     assert math.sqrt(after[0, 0]) == pytest.approx(math.sqrt(before[0, 0]) + grown)
     assert after[1, 1] == after[0, 0]
     for _ in range(40):
-        watched.move(0.5, 0.0)
+        watched.observe(0.5, 0.0, BLIND, is_busy=True)
     limits = [CONFIG.recovery.position_limit, CONFIG.recovery.position_limit, UNIFORM_HEADING]
     np.testing.assert_allclose(np.sqrt(np.diag(watched.added_covariance)), limits)
 
@@ -114,11 +116,11 @@ def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     watched = monitor()
     drive(watched, 40)
-    assert watched.move(5.0, 0.0)
-    watched.check(place(40), SURE, ranges_at(place(40), WALLS), EVERY, KNOWN)
+    assert watched.observe(5.0, 0.0, Sight(place(40), SURE, ranges_at(place(40), WALLS), EVERY), is_busy=False)
+    watched.check(KNOWN)
     assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
     assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
-    assert not watched.move(0.01, 0.0)
+    assert not watched.observe(0.01, 0.0, BLIND, is_busy=True)
 
 
 def test_an_uncertain_heading_is_unsure():
@@ -132,13 +134,12 @@ def test_an_uncertain_heading_is_unsure():
 def test_a_late_beam_is_named():
     watched, late = monitor(), 2
     seen = [ranges_at(place(number), WALLS) for number in range(100)]
-    # Ten steps are a second. Readings are compared at each second step.
+    # Ten steps are a second.
     for number in range(100):
-        due = watched.move(0.051, 0.0)
-        if due:
-            ranges = seen[number].copy()
-            ranges[late] = seen[max(number - 10, 0)][late]
-            watched.check(place(number), SURE, ranges, EVERY, KNOWN)
+        ranges = seen[number].copy()
+        ranges[late] = seen[max(number - 10, 0)][late]
+        if watched.observe(0.02, 0.0, Sight(place(number), SURE, ranges, EVERY), is_busy=True):
+            watched.check(KNOWN)
         if watched.status.level != "ok":
             break
     assert watched.status == Status("unsure", f"beam {late} seems to report its readings 1 s late")
