@@ -151,6 +151,6 @@ class Mapper:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
         x, y, turn = motion.tolist()
         monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
-        sight = Sight(slam.poses[number], slam.covariances[number], front.ranges, front.measured)
-        if monitor.observe(math.hypot(x, y), abs(turn), sight, is_busy=is_busy):
-            monitor.check(KnownMap(slam.segments, self._grid.view))
+        sight = Sight(slam.poses[number], front.ranges, front.measured, (math.hypot(x, y), abs(turn)))
+        if monitor.observe(sight, is_busy=is_busy):
+            monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))

@@ -59,6 +59,29 @@ class LateBeamConfig(Bounded):
 
 
 @dataclass(frozen=True)
+class SuddenChangeConfig(Bounded):
+    """When readings change so suddenly that the robot must have been carried away.
+
+    Attributes
+    ----------
+    change, sigmas
+        A reading has changed if it differs from that of the step before by more than ``change``, m, plus this number of
+        standard deviations.
+    fewest, share
+        The robot is lost if at least this number of readings, and at least this share of them, change in one step.
+    max_distance, max_turn
+        Only steps with a smaller motion count, m and rad.
+    """
+
+    change: NonNegative = 0.20
+    sigmas: NonNegative = 5.0
+    fewest: Count = 4
+    share: Share = 0.6
+    max_distance: NonNegative = 0.05
+    max_turn: Angle = 0.08
+
+
+@dataclass(frozen=True)
 class RecoveryConfig(Bounded):
     """When a lost robot knows its pose again, and how uncertain it is until then.
 
@@ -90,7 +113,7 @@ class StatusConfig(Bounded):
 
     Attributes
     ----------
-    contradictions, late_beams, recovery
+    contradictions, late_beams, sudden_changes, recovery
         Settings of the parts.
     spacing, longest_spacing, turn_length
         The readings are compared with the map when the robot has moved by ``spacing``, m, and the estimator extracts
@@ -109,6 +132,7 @@ class StatusConfig(Bounded):
 
     contradictions: ContradictionConfig = field(default_factory=ContradictionConfig)
     late_beams: LateBeamConfig = field(default_factory=LateBeamConfig)
+    sudden_changes: SuddenChangeConfig = field(default_factory=SuddenChangeConfig)
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
     spacing: Positive = 0.10
     longest_spacing: Positive = 0.30

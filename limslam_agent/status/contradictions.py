@@ -86,7 +86,7 @@ class Comparison:
 def expected_ranges(
     robot: RobotSpec,
     poses: FloatArray,
-    covariances: FloatArray,
+    covariance: FloatArray,
     segments: FloatArray,
     range_std: float,
     config: ContradictionConfig,
@@ -95,8 +95,8 @@ def expected_ranges(
 
     Parameters
     ----------
-    poses, covariances
-        Estimated poses (m, 3), m and rad, and their covariances (m, 3, 3).
+    poses, covariance
+        Estimated poses (m, 3), m and rad, and the covariance of each of them (3, 3).
     segments
         Walls (k, 4), m.
     range_std
@@ -111,8 +111,7 @@ def expected_ranges(
     reached, cosines = (each.reshape(shape) for each in _first_walls(origins, towards, segments, config.inset))
     ranges = np.where((cosines > config.least_cosine) & (reached < robot.max_ranges), reached, np.inf)
     lever = np.where(np.isfinite(ranges), ranges, 0.0)
-    position, heading = covariances[:, 0, 0] + covariances[:, 1, 1], covariances[:, 2, 2]
-    variances = range_std**2 + position[:, None] + heading[:, None] * lever**2
+    variances = range_std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
     return ExpectedRanges(ranges, np.sqrt(variances) / np.maximum(cosines, _LEAST_COSINE))
 
 

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,31 +11,33 @@ from limslam_agent.config.status import StatusConfig
 from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
+from limslam_agent.status.sudden_changes import changed_at_once
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
 
-_MOST_RAYS = 60
+_MOST_RAYS = 120
 
 
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What a robot believed and read in one step.
+class Sight(NamedTuple):
+    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
 
     Attributes
     ----------
-    pose, covariance
-        Estimated pose (3,), m and rad, and its covariance (3, 3).
+    pose
+        Estimated pose (3,), m and rad.
     ranges, measured
         Readings (n_beams,), m, and a mask of the new readings.
+    motion
+        Length and angle of the motion that the odometry reports for this step, m and rad, without signs.
     """
 
     pose: FloatArray
-    covariance: FloatArray
     ranges: FloatArray
     measured: BoolArray
+    motion: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +91,21 @@ class StatusMonitor:
         self._step, self._place, self._checked = -1, 0.0, -math.inf
         # The latest steps that no comparison has used. Robots with many beams need fewer of them.
         self._sights: deque[tuple[int, Sight]] = deque(maxlen=max(_MOST_RAYS // len(robot.beams), 1))
+        self._before: tuple[int, Sight] | None = None
         self._checks: deque[_Check] = deque()
         self._late_beams = LateBeams(robot, config.late_beams)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
+        self._changed = (0, 0)
         self.status = Status()
 
-    def observe(self, distance: float, turn: float, sight: Sight, *, is_busy: bool) -> bool:
+    def observe(self, sight: Sight, *, is_busy: bool) -> bool:
         """Note the motion and the readings of one step.
 
         Parameters
         ----------
-        distance, turn
-            Length and angle of the motion, m and rad, without signs.
         sight
-            What the robot believes and reads after the motion.
+            What the robot believes and reads in this step.
         is_busy
             Whether the estimator extracts lines in this step. Such a step takes long in any case. Comparisons are made
             in these steps if possible, so that they add nothing to the median time of a step.
@@ -113,6 +116,7 @@ class StatusMonitor:
             Whether :meth:`check` is to be called now.
         """
         self._step += 1
+        distance, turn = sight.motion
         is_jump = distance > self._config.max_jump
         if is_jump:
             self._jump, distance = self._jump + distance, 0.0
@@ -122,22 +126,24 @@ class StatusMonitor:
         spacing = self._config.spacing if is_busy else self._config.longest_spacing
         return is_jump or self._place - self._checked >= spacing
 
-    def check(self, present: KnownMap) -> None:
+    def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.
 
         Parameters
         ----------
+        covariance
+            Covariance of the pose (3, 3). It counts for all these readings.
         present
             The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        latest = self._sights[-1][1]
-        self._compare(self._reference or present)
+        self._look_for_sudden_changes()
+        self._compare(covariance, self._reference or present)
         longest = max(self._config.window, self._config.recovery.window)
         while self._place - self._checks[0].place > longest:
             self._checks.popleft()
         if self._reference is None:
-            self._judge(float(latest.covariance[2, 2]), present)
+            self._judge(float(covariance[2, 2]), present)
         elif self._fits_again():
             self._reference, self._jump, self.status = None, 0.0, Status()
 
@@ -151,13 +157,24 @@ class StatusMonitor:
         heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
-    def _compare(self, known: KnownMap) -> None:
+    def _look_for_sudden_changes(self) -> None:
+        """Note how many readings changed at once since the last comparison."""
+        sights = [sight for _, sight in self._sights]
+        if self._before is not None and self._before[0] == self._sights[0][0] - 1:
+            sights.insert(0, self._before[1])
+        self._before = self._sights[-1]
+        if len(sights) > 1:
+            ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
+            motions = np.array([each.motion for each in sights[1:]])
+            self._changed = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
+
+    def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
         """Compare the readings since the last comparison with a map, and note the outcome."""
         settings, robot = self._config.contradictions, self._robot
         steps, sights = [step for step, _ in self._sights], [sight for _, sight in self._sights]
         self._sights.clear()
-        poses, covariances = np.array([sight.pose for sight in sights]), np.array([each.covariance for each in sights])
-        predicted = expected_ranges(robot, poses, covariances, known.segments, self._std, settings)
+        poses = np.array([sight.pose for sight in sights])
+        predicted = expected_ranges(robot, poses, covariance, known.segments, self._std, settings)
         ranges = np.minimum([sight.ranges for sight in sights], robot.max_ranges)
         usable = np.array([sight.measured for sight in sights]) & (ranges > robot.too_near)
         lateness = self._late_beams.evidence(steps, ranges, usable, predicted)
@@ -180,6 +197,9 @@ class StatusMonitor:
         """The status by the last metres of the drive, with the most serious reason."""
         if self._jump:
             return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
+        changes, (changed, count) = self._config.sudden_changes, self._changed
+        if changed >= max(changes.fewest, changes.share * count):
+            return Status("lost", f"{changed} of {count} readings changed at once, and the robot hardly moved")
         contradictions = self._by_contradictions()
         if contradictions.level != "ok":
             return contradictions

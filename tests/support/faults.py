@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent import LimSlamAgent
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import preset
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation
@@ -72,18 +72,28 @@ class Fault:
 
 
 def steps_with(
-    fault: Fault, world: str, noise: float = 0.02, lasts: float = 30.0, config: AgentConfig | None = None, seed: int = 0
+    fault: Fault, world: str, noise: float, lasts: float, seed: int, note: list[str] | None = None
 ) -> tuple[LimSlamAgent, list[dict[str, Any]]]:
-    """Explore until some seconds (``lasts``) after a fault began; the agent, and what was true after each step."""
+    """Explore until some seconds (``lasts``) after a fault began.
+
+    Returns
+    -------
+    agent
+        The agent at the end.
+    rows
+        For each step the true ``info``, and the ``observation`` that the agent got. Its status is added to ``note``.
+    """
     env = LimSlamEnv(world, sensor_noise=noise, coverage_goal=None)
-    agent = LimSlamAgent(env.robot, config or preset("consistent", NominalNoise(noise)))
+    agent = LimSlamAgent(env.robot, preset("consistent", NominalNoise(noise)))
     told, info = env.reset(seed=seed)
     agent.reset(info["pose"], seed)
     rows = []
     while info["time"] < fault.begin + lasts:
         seen = fault.altered(told, info["time"])
         action = agent.act(seen)
-        rows.append({**info, "observation": seen, "agent_pose": agent.slam.pose})
+        rows.append({**info, "observation": seen})
+        if note is not None:
+            note.append(agent.status)
         if fault.kind == "kidnapped" and abs(info["time"] - fault.begin) < 1e-6:
             fault.carry(env, info["pose"])
         told, _, _, _, info = env.step(action)

@@ -20,7 +20,7 @@ NOISE = 0.02
 
 def compared(segments, ranges=None, covariance=SURE, measured=EVERY, grid=UNKNOWN):
     ranges = ranges_at(POSE, WALLS) if ranges is None else ranges
-    predicted = expected_ranges(ROBOT, POSE[None], covariance[None], segments, NOISE, CONFIG)
+    predicted = expected_ranges(ROBOT, POSE[None], covariance, segments, NOISE, CONFIG)
     known, expected = KnownMap(segments, grid), (predicted.ranges[0], predicted.stds[0])
     return compare(ROBOT, POSE, ranges, measured, known, *expected, NOISE, CONFIG)
 
@@ -35,7 +35,7 @@ def test_a_right_map_is_not_contradicted():
 
 def test_expected_ranges_are_those_of_the_walls():
     poses = np.array([POSE, [0.6, 1.2, -2.0]])
-    predicted = expected_ranges(ROBOT, poses, np.array([SURE, SURE]), WALLS, NOISE, CONFIG)
+    predicted = expected_ranges(ROBOT, poses, SURE, WALLS, NOISE, CONFIG)
     for pose, ranges, stds in zip(poses, predicted.ranges, predicted.stds, strict=True):
         is_known = np.isfinite(ranges)
         assert is_known.sum() >= 3

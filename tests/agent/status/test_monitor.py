@@ -19,7 +19,11 @@ SURE = np.diag([1e-6, 1e-6, 1e-6])
 EVERY = np.ones(len(ROBOT.beams), dtype=bool)
 UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
 KNOWN = KnownMap(WALLS, UNKNOWN)
-BLIND = Sight(np.array([1.0, 1.0, 0.0]), SURE, ROBOT.max_ranges, ~EVERY)
+
+
+def blind(distance, turn=0.0):
+    """A step without new readings."""
+    return Sight(np.array([1.0, 1.0, 0.0]), ROBOT.max_ranges, ~EVERY, (distance, turn))
 
 
 def monitor():
@@ -36,9 +40,9 @@ def drive(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, begin=0, le
     """Check at each step what a robot sees whose surroundings are ``walls``; the levels."""
     levels = []
     for number in range(begin, begin + steps):
-        sight = Sight(place(number), covariance, ranges_at(place(number), walls), EVERY)
-        assert watched.observe(length, 0.0, sight, is_busy=True)
-        watched.check(known)
+        sight = Sight(place(number), ranges_at(place(number), walls), EVERY, (length, 0.0))
+        assert watched.observe(sight, is_busy=True)
+        watched.check(covariance, known)
         levels.append(watched.status.level)
     return levels
 
@@ -53,10 +57,10 @@ def test_a_robot_in_a_right_map_is_ok():
 @pytest.mark.parametrize(("is_busy", "motion"), [(True, CONFIG.spacing), (False, CONFIG.longest_spacing)])
 def test_readings_are_compared_after_a_motion_and_not_at_each_step(is_busy, motion):
     watched = monitor()
-    assert watched.observe(0.0, 0.0, BLIND, is_busy=is_busy)
+    assert watched.observe(blind(0.0), is_busy=is_busy)
     for distance, turn in ((0.021, 0.0), (0.0, 0.021 / CONFIG.turn_length)):
-        watched.check(KNOWN)
-        due = [watched.observe(distance, turn, BLIND, is_busy=is_busy) for _ in range(40)]
+        watched.check(SURE, KNOWN)
+        due = [watched.observe(blind(distance, turn), is_busy=is_busy) for _ in range(40)]
         assert due.index(True) == math.ceil(motion / 0.021) - 1
 
 
@@ -103,12 +107,12 @@ def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
     drive(watched, 40)
     drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
     before = watched.added_covariance
-    watched.observe(0.5, 0.0, BLIND, is_busy=True)
+    watched.observe(blind(0.5), is_busy=True)
     after, grown = watched.added_covariance, CONFIG.recovery.position_growth * 0.5
     assert math.sqrt(after[0, 0]) == pytest.approx(math.sqrt(before[0, 0]) + grown)
     assert after[1, 1] == after[0, 0]
     for _ in range(40):
-        watched.observe(0.5, 0.0, BLIND, is_busy=True)
+        watched.observe(blind(0.5), is_busy=True)
     limits = [CONFIG.recovery.position_limit, CONFIG.recovery.position_limit, UNIFORM_HEADING]
     np.testing.assert_allclose(np.sqrt(np.diag(watched.added_covariance)), limits)
 
@@ -116,11 +120,26 @@ def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     watched = monitor()
     drive(watched, 40)
-    assert watched.observe(5.0, 0.0, Sight(place(40), SURE, ranges_at(place(40), WALLS), EVERY), is_busy=False)
-    watched.check(KNOWN)
+    assert watched.observe(Sight(place(40), ranges_at(place(40), WALLS), EVERY, (5.0, 0.0)), is_busy=False)
+    watched.check(SURE, KNOWN)
     assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
     assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
-    assert not watched.observe(0.01, 0.0, BLIND, is_busy=True)
+    assert not watched.observe(blind(0.01), is_busy=True)
+
+
+@pytest.mark.parametrize(
+    ("beams", "motion", "level"),
+    [(4, (0.02, 0.0), "lost"), (3, (0.02, 0.0), "ok"), (6, (0.02, 0.2), "ok"), (6, (0.2, 0.0), "ok")],
+)
+def test_readings_that_change_at_once_without_motion_are_noticed(beams, motion, level):
+    watched, nowhere = monitor(), KnownMap(np.zeros((0, 4)), UNKNOWN)
+    for number in range(20):
+        ranges = np.where(np.arange(6) < beams * (number >= 10), 0.4, 1.0)
+        if watched.observe(Sight(place(0), ranges, EVERY, motion), is_busy=True):
+            watched.check(SURE, nowhere)
+    assert watched.status.level == level
+    if level == "lost":
+        assert watched.status.reason == "4 of 6 readings changed at once, and the robot hardly moved"
 
 
 def test_an_uncertain_heading_is_unsure():
@@ -138,8 +157,8 @@ def test_a_late_beam_is_named():
     for number in range(100):
         ranges = seen[number].copy()
         ranges[late] = seen[max(number - 10, 0)][late]
-        if watched.observe(0.02, 0.0, Sight(place(number), SURE, ranges, EVERY), is_busy=True):
-            watched.check(KNOWN)
+        if watched.observe(Sight(place(number), ranges, EVERY, (0.02, 0.0)), is_busy=True):
+            watched.check(SURE, KNOWN)
         if watched.status.level != "ok":
             break
     assert watched.status == Status("unsure", f"beam {late} seems to report its readings 1 s late")
