@@ -1,10 +1,16 @@
 """The status of robots with faults that begin in the middle of an exploration, and of a healthy robot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.faults import Fault, steps_with
 
-from limslam_agent import LimSlamAgent, LimSlamTeam, Mapper, SlamObservation, preset
+from limslam_agent import LimSlamAgent, LimSlamTeam, Mapper, SlamObservation, preset, read_log
+from limslam_agent.output.summary import run_summary
+from limslam_agent.replay.replay import replay_log
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.results import score
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -66,3 +72,26 @@ def test_the_wrapper_puts_the_status_into_the_info():
     assert "pose" in info
     *_, info = env.step(np.zeros(2))
     assert info["status"] == "ok"
+
+
+def test_results_of_runs_and_replays_have_the_status(tmp_path):
+    settings = preset("paper", NominalNoise(NOISE))
+    # Every motion of the wheels counts as a jump.
+    nervous = replace(settings, status=replace(settings.status, max_jump=0.005))
+    episode = run_episode(RunConfig("env2", NOISE, "paper", max_time=10.0, settings=nervous))
+    scores = score(episode)
+    assert scores["status"] == episode.snapshot.status == "lost"
+    assert scores["status_reason"].startswith("the odometry reports a motion")
+    assert 0.0 <= scores["first_lost_s"] <= 10.0 - scores["lost_s"] + 1e-9
+    assert "status      lost: the odometry reports" in "".join(run_summary(scores, {}))
+    assert np.trace(episode.covariances[-1, 0]) > np.trace(episode.covariances[1, 0]) + 1.0
+    arrays = {
+        "ranges": episode.ranges, "wheels": episode.wheels, "action": episode.actions, "true_pose": episode.true,
+        "wall_seen": episode.wall_seen,
+    }  # fmt: skip
+    known = {"start_pose": episode.true[0, 0], "robot": np.array(episode.config.robot.to_json()), "time": episode.time}
+    np.savez(tmp_path / "log.npz", **known, **{name: rows[:, 0] for name, rows in arrays.items()})
+    replay = replay_log(read_log(tmp_path / "log.npz"), nervous)
+    np.testing.assert_array_equal(replay.levels, episode.levels[:, 0])
+    assert replay.status == episode.snapshot.statuses[0]
+    np.testing.assert_allclose(replay.covariances, episode.covariances[:, 0])
