@@ -87,7 +87,7 @@ AGENT = {
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "grid", "logs", "mapper", "output", "status"),
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "status"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip

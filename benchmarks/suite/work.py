@@ -115,7 +115,7 @@ def run_config(job: Job) -> RunConfig:
     """
     return RunConfig(
         world_source(job.world), job.noise, job.preset, job.seed, job.max_time, job.laps,
-        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit,
+        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit, until="seen",
     )  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def _series(episode: Episode) -> dict[str, FloatArray]:
     return {
         "time": episode.time[rows], "coverage": episode.coverage[rows], "true": episode.true[rows],
         "estimated": episode.estimated[rows], "odometry": episode.odometry[rows], "sigma": sigma,
-        "segments": episode.snapshot.segments, "edges": episode.world.edges, "doors": episode.world.doors,
+        "segments": episode.final_map.segments, "edges": episode.world.edges, "doors": episode.world.doors,
     }  # fmt: skip
 
 

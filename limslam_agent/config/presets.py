@@ -9,6 +9,7 @@ from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfi
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
+from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.config.status import StatusConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
@@ -29,6 +30,7 @@ __all__ = [
     "TeamConfig",
     "preset",
     "self_calibrating",
+    "with_until",
 ]
 
 EstimatorConfig = PublishedConfig | ConsistentConfig
@@ -40,7 +42,7 @@ ESTIMATORS: dict[str, EstimatorConfig] = {
     "odometry": PublishedConfig(filter=FilterConfig(correct=False)),
     "graph": ConsistentConfig(),
 }
-"""The estimator's settings in each preset. The preset ``graph`` also smooths a log of poses after its end."""
+"""The estimator's settings in each preset. The preset ``graph`` also smooths a run or a log after its end."""
 
 PRESETS = tuple(ESTIMATORS)
 
@@ -73,6 +75,9 @@ class AgentConfig(Bounded):
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
+    line_smoothing
+        The line smoother that smooths a run, or a recorded log of wheel travel, after its end. None leaves it as the
+        filter saw it. Only the associations of the consistent estimator can be smoothed.
     """
 
     preset: str = DEFAULT_PRESET
@@ -85,6 +90,7 @@ class AgentConfig(Bounded):
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     status: StatusConfig = field(default_factory=StatusConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
+    line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
 
     @property
     def range_std(self) -> float:
@@ -99,8 +105,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     ----------
     name
         One of ``PRESETS``: ``consistent``, ``paper`` (the published method), ``odometry`` (the published method
-        without corrections) or ``graph`` (like ``consistent``, and a recorded log of poses is smoothed after its
-        end).
+        without corrections) or ``graph`` (like ``consistent``, and a run or a log is smoothed after its end).
     noise
         Nominal noise of the robot; that of ideal ranges when None.
 
@@ -111,8 +116,25 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     """
     if name not in ESTIMATORS:
         raise ValueError(f"no preset is called {described(name)}; there are {', '.join(PRESETS)}")
-    smoothing = GraphConfig() if name == "graph" else None
-    return AgentConfig(preset=name, estimator=ESTIMATORS[name], noise=noise or NominalNoise(), smoothing=smoothing)
+    smooths = name == "graph"
+    return AgentConfig(
+        preset=name,
+        estimator=ESTIMATORS[name],
+        noise=noise or NominalNoise(),
+        smoothing=GraphConfig() if smooths else None,
+        line_smoothing=SmootherConfig() if smooths else None,
+    )
+
+
+def with_until(config: AgentConfig, until: str) -> AgentConfig:
+    """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
+
+    Raises
+    ------
+    ValueError
+        If ``until`` is neither.
+    """
+    return replace(config, policy=replace(config.policy, until=until))
 
 
 def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:

@@ -160,3 +160,22 @@ class OccupancyGrid:
         column, row = old_low - new_low
         grown[row : row + rows, column : column + columns] = self._values
         self._low, self._values = new_low, grown
+
+
+def drawn_grid(
+    config: GridConfig, robot: RobotSpec, poses: FloatArray, ranges: FloatArray, measured: BoolArray
+) -> GridView:
+    """The occupancy grid of all readings of a finished run from other poses than those of the run itself.
+
+    Parameters
+    ----------
+    poses
+        Poses (t, n, 3) of n robots, m and rad.
+    ranges, measured
+        Readings (t, n, n_beams), m, and a mask of the readings that are new and of walls.
+    """
+    grid = OccupancyGrid(config)
+    for row in range(len(poses)):
+        for number, pose in enumerate(poses[row]):
+            grid.update(pose, robot, ranges[row, number], measured[row, number])
+    return grid.view

@@ -18,7 +18,8 @@ from limslam_env.geometry import FloatArray
 TRUTH, WALLS = "0.72", "#c0392b"
 TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
 
-_DASHES = (0, (4, 2))
+_DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
+_ONLINE_WIDTH = 0.9
 _START, _END = "o", "s"
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
@@ -35,7 +36,7 @@ class MapPicture:
     segments
         Walls of the map (N, 4).
     estimated
-        Estimated positions (n, 2). For several robots a list of arrays.
+        Estimated positions (n, 2) that go with the map. For several robots a list of arrays.
     odometry
         Positions by odometry alone from the same start, in the form of ``estimated``. An empty list if they are
         unknown.
@@ -43,6 +44,9 @@ class MapPicture:
         True walls (k, 4), and true positions in the form of ``estimated``. None if they are unknown.
     grid
         Occupancy grid, which is drawn behind everything. None draws no grid.
+    online
+        Positions as they were estimated while the robot drove, in the form of ``estimated``, if the map is from the
+        smoothed path. None if ``estimated`` is that path.
 
     Raises
     ------
@@ -57,11 +61,14 @@ class MapPicture:
     true_edges: FloatArray | None = None
     true_path: FloatArray | Sequence[FloatArray] | None = None
     grid: GridView | None = None
+    online: FloatArray | Sequence[FloatArray] | None = None
 
     def __post_init__(self) -> None:
         if not self.estimates:
             raise ValueError("a picture of a map needs the path of a robot")
-        for name, paths in (("odometry", self.odometries), ("true", self.true_paths)):
+        for name, paths in (
+            ("odometry", self.odometries), ("true", self.true_paths), ("online", self.online_paths),
+        ):  # fmt: skip
             if paths and len(paths) != len(self.estimates):
                 raise ValueError(f"{len(self.estimates)} estimated paths do not go with {len(paths)} {name} paths")
 
@@ -79,6 +86,11 @@ class MapPicture:
     def true_paths(self) -> list[FloatArray]:
         """True positions (n, 2) of each robot."""
         return [] if self.true_path is None else _listed(self.true_path)
+
+    @property
+    def online_paths(self) -> list[FloatArray]:
+        """Positions (n, 2) of each robot as they were estimated while it drove."""
+        return [] if self.online is None else _listed(self.online)
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:
@@ -132,7 +144,13 @@ def legend(picture: MapPicture) -> list[Line2D]:
         colours = path_colours(robots)
         handles += [Line2D([], [], color=colours[number][0], label=f"robot {number + 1}") for number in range(robots)]
         estimated = odometry = "0.45"
-    handles.append(Line2D([], [], color=estimated, label="estimated path"))
+    is_smoothed = bool(picture.online_paths)
+    handles.append(Line2D([], [], color=estimated, label="smoothed path" if is_smoothed else "estimated path"))
+    if is_smoothed:
+        online = Line2D(
+            [], [], color=estimated, linestyle=_DOTS, linewidth=_ONLINE_WIDTH, label="path as estimated online"
+        )
+        handles.append(online)
     handles += [
         Line2D([], [], color=estimated, linestyle="", marker=_START, label="start"),
         Line2D([], [], color=estimated, linestyle="", marker=_END, label="end"),
@@ -156,6 +174,8 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> None:
         axes.plot(*path.T, color=colour, linewidth=0.9, linestyle=_DASHES, zorder=2)
     for path in picture.true_paths:
         axes.plot(*path.T, color=TRUE_PATH, linewidth=1.2, zorder=3)
+    for (colour, _), path in zip(colours, picture.online_paths, strict=False):
+        axes.plot(*path.T, color=colour, linewidth=_ONLINE_WIDTH, linestyle=_DOTS, zorder=3)
     for (colour, _), path in zip(colours, picture.estimates, strict=True):
         axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
         axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)

@@ -41,8 +41,8 @@ class FinishedRun:
         (n,), s.
     estimated
         Estimated poses of each robot (n, 3), m and rad.
-    odometry, true
-        Poses by odometry alone and true poses of each robot. Empty where they are unknown.
+    odometry, true, smoothed
+        Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
     """
 
     folder: Path
@@ -52,6 +52,7 @@ class FinishedRun:
     estimated: list[FloatArray]
     odometry: list[FloatArray]
     true: list[FloatArray]
+    smoothed: list[FloatArray]
 
     @property
     def is_replay(self) -> bool:
@@ -106,15 +107,17 @@ def read_run(folder: Path) -> FinishedRun:
     estimated = _trajectories(folder, "est")
     if not estimated:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
-    true, odometry = _trajectories(folder, "true"), _trajectories(folder, "odometry")
+    true, odometry, smoothed = (_trajectories(folder, kind) for kind in ("true", "odometry", "smoothed"))
     time = estimated[0][:, 0]
-    for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry)):
+    for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry), ("smoothed", smoothed)):
         if tables and (len(tables) != len(estimated) or any(len(table) != len(time) for table in tables)):
             raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
-    poses, true_poses, by_odometry = ([table[:, 1:] for table in tables] for tables in (estimated, true, odometry))
+    poses, true_poses, by_odometry, at_the_end = (
+        [table[:, 1:] for table in tables] for tables in (estimated, true, odometry, smoothed)
+    )
     if not by_odometry and (folder / LOG).is_file():
         by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
-    return FinishedRun(folder, result, segments, time, poses, by_odometry, true_poses)
+    return FinishedRun(folder, result, segments, time, poses, by_odometry, true_poses, at_the_end)
 
 
 def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ SIZE = (12.0, 6.8)
 
 _Style: TypeAlias = str | tuple[float, tuple[float, ...]]
 _DASHES: _Style = (0, (4, 2))
+_DOTS: _Style = (0, (1, 1))
 
 
 def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None) -> None:
@@ -33,10 +34,12 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
         Walls of the world (k, 4), m. None if they are unknown.
     """
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
+    online, odometry, true, smoothed = (
+        [poses[:, :2] for poses in kind] for kind in (run.estimated, run.odometry, run.true, run.smoothed)
+    )
     picture = MapPicture(
-        run.title, run.segments, [poses[:, :2] for poses in run.estimated], [poses[:, :2] for poses in run.odometry],
-        true_edges, [poses[:, :2] for poses in run.true],
-    )  # fmt: skip
+        run.title, run.segments, smoothed or online, odometry, true_edges, true, online=online if smoothed else None
+    )
     axes = figure.add_subplot(grid[:, 0])
     paint_map(axes, picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
@@ -58,7 +61,9 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
     colours = path_colours(len(run.estimated))
     time = run.time - run.time[0]
-    curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, "-", "estimated")]
+    curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, "-", "estimated online")]
+    if run.smoothed:
+        curves.append((run.smoothed, 0, _DOTS, "smoothed"))
     if run.true:
         curves.append((run.odometry, 1, _DASHES, "odometry alone"))
     for kind, which, style, name in curves:

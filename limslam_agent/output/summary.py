@@ -82,7 +82,9 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
         lines.append(f"limit       {best:.3f} m rms, the optimum of the same log; the error is {ratio:.1f} times that")
     if _has(metrics, "landmarks", "wall_f1_aligned"):
         walls, f1 = metrics["landmarks"], metrics["wall_f1_aligned"]
-        lines.append(f"map         {walls} walls, F1 {f1:.2f} at 10 cm when aligned")
+        online = metrics.get("wall_f1_aligned_online")
+        before = f"; {online:.2f} before smoothing" if isinstance(online, int | float) else ""
+        lines.append(f"map         {walls} walls, F1 {f1:.2f} at 10 cm when aligned{before}")
     if _has(cost, "speed_x_real_time"):
         lines.append(f"speed       {cost['speed_x_real_time']:.0f} x real time")
     return lines

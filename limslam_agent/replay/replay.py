@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -17,6 +18,7 @@ from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import write_json, write_map, write_tum
 from limslam_agent.output.summary import record_of
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.status.status import LEVELS, Status, status_scores
@@ -127,7 +129,8 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         Called after each event with the number of events that are done.
     """
     mapper = Mapper(log.robot, config, log.start_pose)
-    slam, count = mapper.slam, len(log)
+    slam, count, associations = mapper.slam, len(log), list[AssociationRecord]()
+    slam.on_association = associations.append
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms, levels = np.empty((count, 3, 3)), np.empty(count), np.empty(count, dtype=np.int64)
     begin = time.perf_counter()
@@ -155,13 +158,15 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
     )
-    # Logs of wheel travel are those of simulated robots with beams of 1.5 m. Local maps of so little are ambiguous:
-    # the smoothed path was 2 to 3 m off in two of three worlds where the filter's was 0.04 to 0.07 m off.
-    if config.smoothing is None or log.odometry is None:
-        return replay
-    from limslam_agent.replay.smoothing import smoothed_replay
+    if log.odometry is not None and config.smoothing is not None:
+        from limslam_agent.replay.smoothing import smoothed_by_graph
 
-    return smoothed_replay(replay, config.smoothing)
+        return smoothed_by_graph(replay, config.smoothing)
+    if log.wheels is not None and config.line_smoothing is not None and isinstance(config.estimator, ConsistentConfig):
+        from limslam_agent.replay.smoothing import smoothed_by_lines
+
+        return smoothed_by_lines(replay, associations, list(slam.closures), config.line_smoothing)
+    return replay
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
@@ -207,7 +212,8 @@ def write_replay(
     smoothed = replay.smoothed
     if smoothed is not None:
         write_tum(folder / "trajectory_smoothed.tum", log.time, smoothed.poses)
-        write_json(folder / "loops.json", smoothed.loops)
+        if smoothed.loops is not None:
+            write_json(folder / "loops.json", smoothed.loops)
     if log.true_pose is not None:
         write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
     write_map(folder, replay)
@@ -215,8 +221,9 @@ def write_replay(
     title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
     path = replay.estimated if smoothed is None else smoothed.poses
     picture = MapPicture(
-        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid
-    )
+        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid,
+        online=None if smoothed is None else replay.estimated[:, :2],
+    )  # fmt: skip
     draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
     statuses = status_scores(log.time, replay.levels[:, None], replay.status)

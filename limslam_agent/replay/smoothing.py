@@ -1,4 +1,7 @@
-"""A replayed log smoothed after its end by the graph of local maps, and the map drawn from the smoothed poses."""
+"""A replayed log smoothed after its end, and the map drawn from the smoothed poses.
+
+A log of odometry poses is smoothed by the graph of local maps, a log of wheel travel by the line smoother.
+"""
 
 import math
 import time
@@ -9,14 +12,17 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, WallLineConfig
-from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.replay import Replay
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, smooth_log
 from limslam_agent.slam.graph.wall_lines import lines_in
+from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
 from limslam_env.geometry import FloatArray
 
 # The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
@@ -37,19 +43,20 @@ class Smoothed:
     figures
         For ``result.json``: counts of loops, the score of the map, and what odometry was found to be wrong by.
     loops
-        For ``loops.json``: each loop that was found, with the reason why it was kept or left out.
+        For ``loops.json``: each loop that was found, with the reason why it was kept or left out. None from the line
+        smoother, which finds loops by merging lines.
     seconds
         CPU time of the smoothing, s.
     """
 
     poses: FloatArray
     figures: dict[str, Any]
-    loops: list[dict[str, Any]]
+    loops: list[dict[str, Any]] | None
     seconds: float
 
 
-def smoothed_replay(replay: Replay, config: GraphConfig) -> Replay:
-    """The replay with its log smoothed, and with the map drawn from the smoothed poses."""
+def smoothed_by_graph(replay: Replay, config: GraphConfig) -> Replay:
+    """The replay of a log of odometry poses with its log smoothed, and with the map drawn from the smoothed poses."""
     log, range_std = replay.log, replay.config.range_std
     begin = time.process_time()
     found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config)
@@ -100,13 +107,60 @@ def _landmark(places: FloatArray, range_std: float, number: int) -> Landmark:
     return Landmark(float(normal @ centre), theta, covariance, ends, len(places), number)
 
 
+def smoothed_by_lines(
+    replay: Replay, associations: list[AssociationRecord], closures: list[Closure], config: SmootherConfig
+) -> Replay:
+    """The replay of a log of wheel travel with its log smoothed, and with the map drawn from the smoothed poses.
+
+    Parameters
+    ----------
+    replay
+        The log as the filter saw it.
+    associations, closures
+        The filter's associations and merged landmarks, in order.
+
+    Returns
+    -------
+    Replay
+        The replay as it was if there is nothing to smooth.
+    """
+    log, begin = replay.log, time.process_time()
+    assert log.wheels is not None  # noqa: S101 (the caller chooses the smoother by it)
+    run = FilteredRun(
+        robot=log.robot,
+        noise=replay.config.noise,
+        wheels=log.wheels[:, None],
+        ranges=log.ranges[:, None].astype(np.float64),
+        usable=np.broadcast_to(log.has_scan[:, None, None], (len(log), 1, log.ranges.shape[1])),
+        poses=replay.estimated[:, None],
+        covariances=replay.covariances[:, None],
+        associations=associations,
+        closures=closures,
+    )
+    found = smooth_run(run, config)
+    if found is None:
+        return replay
+    poses = found.poses[:, 0]
+    smoothed = Smoothed(poses, _line_figures(found), None, time.process_time() - begin)
+    return replace(
+        replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, poses), smoothed=smoothed
+    )
+
+
 def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
     """The occupancy grid of a log's readings from poses (n, 3)."""
-    log, grid = replay.log, OccupancyGrid(replay.config.grid)
-    for row in np.nonzero(log.has_scan)[0]:
-        ranges = log.ranges[row].astype(np.float64)
-        grid.update(poses[row], log.robot, ranges, np.isfinite(ranges))
-    return grid.view
+    log = replay.log
+    rows = np.flatnonzero(log.has_scan)
+    ranges = log.ranges[rows, None].astype(np.float64)
+    return drawn_grid(replay.config.grid, log.robot, poses[rows, None], ranges, np.isfinite(ranges))
+
+
+def _line_figures(found: SmoothedRun) -> dict[str, Any]:
+    names = ("left_wheel", "right_wheel", "axle")
+    values = [1.0, 1.0, 1.0] if found.calibration is None else (1.0 + found.calibration[0, :3]).tolist()
+    bias = 0.0 if found.calibration is None else float(found.calibration[0, 3])
+    sizes = {f"smoothed_{name}": value for name, value in zip(names, values, strict=True)}
+    return {**sizes, "smoothed_range_bias_m": bias, "smoothed_moves": list(found.moves)}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:

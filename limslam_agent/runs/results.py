@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import write_json, write_map, write_tum
+from limslam_agent.output.export import WallsAndGrid, map_content, write_json, write_map, write_tum
 from limslam_agent.output.summary import record_of
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
-from limslam_agent.runs.smoothing import smoothed_scores
+from limslam_agent.runs.smoothing import online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
-from limslam_agent.team import Snapshot
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -63,8 +62,9 @@ def score(episode: Episode) -> dict[str, Any]:
         **limit,
         **smoothed_scores(episode, limit.get("limit_ate_m")),
         **map_scores(
-            episode.world, config.robot, episode.coverage_grid, episode.snapshot, episode.true, episode.estimated
+            episode.world, config.robot, episode.coverage_grid, episode.final_map, episode.true, episode.final_map.poses
         ),
+        **_online_map_scores(episode),
         **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
         **association_metrics(events, len(episode.world.edges)),
         **closure_metrics(events, closed, len(episode.world.edges)),
@@ -111,20 +111,40 @@ def drive_scores(
 
 
 def map_scores(
-    world: World, robot: RobotSpec, covered: CoverageGrid, snapshot: Snapshot, true: FloatArray, estimated: FloatArray
+    world: World,
+    robot: RobotSpec,
+    covered: CoverageGrid,
+    final: WallsAndGrid,
+    true: FloatArray,
+    estimated: FloatArray,
 ) -> dict[str, float | None]:
-    """Metrics of a snapshot's map. True and estimated poses (t, n, 3) align the map with the world."""
-    segments, grid = snapshot.segments, snapshot.grid
-    # All robots share one map, so one rigid motion aligns it.
-    alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
-    visible = metrics.visible_samples(world, robot.radius, robot.reach)
+    """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it with the world."""
+    segments, grid = final.segments, final.grid
     claimed = grid.centres(np.argwhere(grid.free))
     return {
-        **metrics.wall_metrics(visible, world.edges, segments, alignment),
+        **_wall_scores(world, robot, segments, true, estimated),
         "doors_open": metrics.doors_open(world.doors, segments),
         **metrics.coverage_claims(claimed, grid.cell, covered.coverable, covered.low, CELL),
         "landmarks": len(segments),
     }
+
+
+def _wall_scores(
+    world: World, robot: RobotSpec, segments: FloatArray, true: FloatArray, estimated: FloatArray
+) -> dict[str, float | None]:
+    # All robots share one map, so one rigid motion aligns it.
+    alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
+    visible = metrics.visible_samples(world, robot.radius, robot.reach)
+    return {**metrics.wall_metrics(visible, world.edges, segments, alignment)}
+
+
+def _online_map_scores(episode: Episode) -> dict[str, float | None]:
+    """Metrics of the walls that the robots knew when the run stopped, where the map of the run is a smoothed one."""
+    if episode.smoothed is None:
+        return {}
+    segments = episode.snapshot.segments
+    scores = _wall_scores(episode.world, episode.config.robot, segments, episode.true, episode.estimated)
+    return {f"{name}_online": value for name, value in scores.items()}
 
 
 def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
@@ -175,7 +195,9 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
         if episode.smoothed is not None:
             write_tum(folder / f"trajectory_smoothed{suffix}.tum", episode.time, episode.smoothed.poses[:, number])
-    write_map(folder, episode.snapshot)
+    write_map(folder, episode.final_map)
+    if episode.smoothed is not None:
+        write_json(folder / "map_online.json", map_content(online_map(episode)))
     _draw(folder / "map.png", episode)
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
@@ -223,11 +245,15 @@ def _draw(path: Path, episode: Episode) -> None:
     from limslam_agent.output.drawing import MapPicture, draw_map
 
     config, title = episode.config, title_of(episode.config)
-    estimated, odometry, true = (
+    final = episode.final_map
+    mapped, estimated, odometry, true = (
         [poses[:, number, :2] for number in range(config.robots)]
-        for poses in (episode.estimated, episode.odometry, episode.true)
+        for poses in (final.poses, episode.estimated, episode.odometry, episode.true)
     )
-    picture = MapPicture(title, episode.snapshot.segments, estimated, odometry, episode.world.edges, true)
+    picture = MapPicture(
+        title, final.segments, mapped, odometry, episode.world.edges, true,
+        online=None if episode.smoothed is None else estimated,
+    )  # fmt: skip
     draw_map(path, picture)
 
 

@@ -1,11 +1,14 @@
-"""The smoothed path of a recorded run: the estimate of every pose by all that was known at the run's end."""
+"""What is known at the end of a run: the smoothed path, and the map that is drawn from it."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.readings import as_readings
+from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray
 from limslam_env.metrics import metrics
 
@@ -14,10 +17,35 @@ if TYPE_CHECKING:
     from limslam_agent.slam.line_graph.smoother import SmoothedRun
 
 
+@dataclass(frozen=True, eq=False)
+class FinalMap:
+    """The map of a finished run, from which its files, its picture and its scores are made.
+
+    Attributes
+    ----------
+    segments
+        Walls (k, 4), m, cut at doors and holes.
+    landmarks
+        The lines that the walls lie on, with covariances.
+    grid
+        Occupancy grid.
+    poses
+        The poses (t, n, 3) that the map was drawn from, m and rad.
+    """
+
+    segments: FloatArray
+    landmarks: list[Landmark]
+    grid: GridView
+    poses: FloatArray
+
+
 def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
-    """Smooth a run. Only the associations of the consistent estimator are smoothed; other runs give None."""
+    """Smooth a run. The result is None if the settings do not ask for it, or if there is nothing to smooth.
+
+    Only the associations of the consistent estimator can be smoothed.
+    """
     agent = episode.config.agent
-    if not isinstance(agent.estimator, ConsistentConfig):
+    if agent.line_smoothing is None or not isinstance(agent.estimator, ConsistentConfig):
         return None
     # The kernels of the smoother load numba, which takes time that other commands do not need.
     from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
@@ -33,8 +61,25 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         associations=episode.associations,
         closures=episode.closures,
     )
-    is_calibrated = agent.estimator.self_calibration.enabled
-    return smooth_run(run, SmootherConfig(calibrate="always" if is_calibrated else "if_needed"))
+    return smooth_run(run, agent.line_smoothing)
+
+
+def online_map(episode: "Episode") -> FinalMap:
+    """The map as the robots knew it when the run stopped."""
+    known = episode.snapshot
+    return FinalMap(known.segments, known.landmarks, known.grid, episode.estimated)
+
+
+def final_map(episode: "Episode") -> FinalMap:
+    """The map by all that is known at the end: drawn from the smoothed poses, if the run was smoothed."""
+    smoothed, config = episode.smoothed, episode.config
+    if smoothed is None:
+        return online_map(episode)
+    ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
+    is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
+    measured = is_new & ~np.isnan(ranges) & ~episode.dropped
+    grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses, ranges, measured)
+    return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
 
 def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float | None]:

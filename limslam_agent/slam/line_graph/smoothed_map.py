@@ -8,23 +8,26 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.line_smoother import Problem, State
 from limslam_agent.slam.line_graph.map_score import tally
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 from limslam_env.geometry.segment import lengths
 
 
-def smoothed_landmarks(problem: Problem, found: Association) -> list[Landmark]:
-    """The lines of a solution as landmarks: (r, theta) about the world's origin, covariances and end points."""
-    state, counts = found.state, np.bincount(found.labels[found.labels >= 0], minlength=len(found.state.lines))
+def smoothed_map(problem: Problem, found: Association, config: SmootherConfig) -> tuple[list[Landmark], FloatArray]:
+    """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the segments (k, 4), m.
+
+    A wall is where beams ended along a line and no beam passed through.
+    """
+    segments, owners = _drawn(problem, found, config)
     lines, covariances = world_lines(found)
-    along = places_along(problem, state, found.labels)
+    along = places_along(problem, found.state, found.labels)
     landmarks = []
-    for index, (line, covariance) in enumerate(zip(lines, covariances, strict=True)):
-        own = along[found.labels == index]
-        ends = _points(state, index, np.array([own.min(), own.max()]))
-        r, theta = line.tolist()
-        landmarks.append(Landmark(r, theta, covariance, ends, int(counts[index]), index))
-    return landmarks
+    for index in np.unique(owners).tolist():
+        own, (r, theta) = along[found.labels == index], lines[index].tolist()
+        ends = _points(found.state, index, np.array([own.min(), own.max()]))
+        rows = tuple(np.flatnonzero(owners == index).tolist())
+        landmarks.append(Landmark(r, theta, covariances[index], ends, len(own), index, rows))
+    return landmarks, segments
 
 
 def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
@@ -43,23 +46,24 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
-def smoothed_segments(problem: Problem, found: Association, config: SmootherConfig) -> FloatArray:
-    """The wall segments (k, 4) of a solution, m: where beams ended along the lines and no beam passed through."""
+def _drawn(problem: Problem, found: Association, config: SmootherConfig) -> tuple[FloatArray, IntArray]:
+    """The wall segments (k, 4), m, and the line (k,) of each."""
     counted, state = tally(problem, found), found.state
     along, used = places_along(problem, state, found.labels), found.labels >= 0
     bins = np.floor(along[used] / BIN).astype(np.int64) - counted.low[found.labels[used]]
     least, most = np.full(counted.hits.shape, np.inf), np.full(counted.hits.shape, -np.inf)
     np.minimum.at(least, (found.labels[used], bins), along[used])
     np.maximum.at(most, (found.labels[used], bins), along[used])
-    drawn = [np.zeros((0, 4))]
+    drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
     for index in np.flatnonzero(counted.hits.sum(axis=1) >= config.shown_readings).tolist():
         counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
         extent = WallExtent.counted(int(counted.low[index]), counts, reached)
         pieces = extent.intervals(config.max_gap, config.through_tolerance)
         drawn.append(_points(state, index, pieces).reshape(-1, 4))
-    every = np.concatenate(drawn)
-    shortest = max(config.shown_length, config.shown_sigmas * problem.range_std)
-    return np.asarray(every[lengths(every) >= shortest])
+        owners.append(np.full(len(drawn[-1]), index))
+    every, owner = np.concatenate(drawn), np.concatenate(owners)
+    is_long = lengths(every) >= max(config.shown_length, config.shown_sigmas * problem.range_std)
+    return np.asarray(every[is_long]), np.asarray(owner[is_long])
 
 
 def _points(state: State, index: int, along: FloatArray) -> FloatArray:

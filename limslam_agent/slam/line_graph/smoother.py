@@ -18,10 +18,10 @@ from limslam_agent.slam.line_graph.line_smoother import (
     state_from_poses,
 )
 from limslam_agent.slam.line_graph.map_score import score
-from limslam_agent.slam.line_graph.mending import is_contradicted, mend
+from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
-from limslam_agent.slam.line_graph.smoothed_map import smoothed_landmarks, smoothed_segments
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -64,7 +64,7 @@ class SmoothedRun:
     poses, covariances
         Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3).
     landmarks, segments
-        The lines as landmarks with covariances, and the wall segments (k, 4) of the map, m.
+        The walls of the map: their lines as landmarks with covariances, and their segments (k, 4), m.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
         bias of all ranges, m. None where the robots are taken to be as specified.
@@ -80,26 +80,26 @@ class SmoothedRun:
     moves: tuple[str, ...]
 
 
-def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun:
+def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
     """Estimate all poses and lines of a run from all its measurements.
 
     The filter's associations are the initial associations, and every association can change. Wrong associations are
-    searched for where beams contradict the result, or where the filter's heading was uncertain. If the robots did not
-    move, or no wall was seen often enough, there is nothing to smooth and the filter's poses are returned.
+    searched for where beams contradict the result, or where the filter's heading was uncertain. The result is None if
+    the robots did not move or no wall was seen often enough: there is nothing to smooth then.
     """
     config = config or SmootherConfig()
     prior = config.calibration if config.calibrate == "always" else None
     problem = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior)
     labels = filter_labels(problem, run.associations, run.closures)
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
-        return _unsmoothed(run)
+        return None
     try:
         best = _settled(problem, run, labels, config)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):
             sized = replace(problem, prior=config.calibration.information)
             best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
     except DegenerateError:
-        return _unsmoothed(run)
+        return None
     return _smoothed(best, config)
 
 
@@ -123,6 +123,8 @@ def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: Smoot
     if not needs_mending(problem, found, run.covariances, config):
         return _Settled(problem, found, ())
     kept = mend(problem, found, config)
+    if not is_repaired(problem, found, kept[-1].association, config):
+        return _Settled(problem, found, ())
     return _Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
 
 
@@ -159,19 +161,16 @@ def needs_mending(problem: Problem, found: Association, covariances: FloatArray,
     return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
 
 
-def _unsmoothed(run: FilteredRun) -> SmoothedRun:
-    return SmoothedRun(run.poses, run.covariances, [], no_rows(4), None, ())
-
-
 def _smoothed(best: _Settled, config: SmootherConfig) -> SmoothedRun:
     problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
+    landmarks, segments = smoothed_map(problem, found, config)
     return SmoothedRun(
         poses=poses,
         covariances=np.moveaxis(pose_covariances(found.solution), 0, 1).copy(),
-        landmarks=smoothed_landmarks(problem, found),
-        segments=smoothed_segments(problem, found, config),
+        landmarks=landmarks,
+        segments=segments,
         calibration=None if problem.prior is None else found.state.calibration,
         moves=best.moves,
     )

@@ -46,13 +46,31 @@ def test_scores_of_the_file_are_the_scores_of_the_run(explored):
     run, world, robot = read_run(explored), load_world("env2"), RobotSpec()
     with np.load(explored / "log.npz") as log:
         true = log["true_pose"]
-    alignment = metrics.rigid_alignment(true[:, :2], run.estimated[0][:, :2])
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
-    scores = metrics.wall_metrics(visible, world.edges, rows(content(explored, "map.json")["segments"]), alignment)
     told = content(explored, "result.json")["metrics"]
-    assert scores["wall_f1"] == told["wall_f1"]
-    assert scores["wall_f1_aligned"] == pytest.approx(told["wall_f1_aligned"], abs=1e-3)  # poses have six digits
+    for name, suffix, paths in (("map.json", "", run.smoothed), ("map_online.json", "_online", run.estimated)):
+        alignment = metrics.rigid_alignment(true[:, :2], paths[0][:, :2])
+        scores = metrics.wall_metrics(visible, world.edges, rows(content(explored, name)["segments"]), alignment)
+        for score in ("wall_f1", "wall_recall", "spurious_walls"):
+            assert scores[score] == told[score + suffix]
+        # Poses have six digits in the files.
+        assert scores["wall_f1_aligned"] == pytest.approx(told["wall_f1_aligned" + suffix], abs=1e-3)
     assert len(run.segments) == told["landmarks"]
+
+
+def test_the_map_of_a_run_is_drawn_from_the_smoothed_path(explored):
+    final, online = content(explored, "map.json"), content(explored, "map_online.json")
+    assert final["segments"] != online["segments"]
+    assert all(np.linalg.eigvalsh(mark["cov"]).min() > 0.0 for mark in final["landmarks"])
+
+
+def test_the_preset_consistent_gives_the_map_of_the_filter(tmp_path, explored):
+    folder = tmp_path / "filter"
+    result = limslam("run", "--world", "env2", "--seed", "3", "--preset", "consistent", "--out", folder)
+    assert result.returncode == 0, result.stderr
+    assert content(folder, "map.json") == content(explored, "map_online.json")
+    assert not (folder / "trajectory_smoothed.tum").exists()
+    assert "ate_smoothed_m" not in content(folder, "result.json")["metrics"]
 
 
 def test_the_doors_of_env2_are_open_in_the_file(explored):
@@ -96,12 +114,14 @@ def test_a_replay_and_show_have_the_walls_that_were_scored(explored, tmp_path, m
         return written(folder, replay, *others)
 
     monkeypatch.setattr(replay_module, "write_replay", write_replay)
-    again = limslam("replay", explored / "log.npz", "--preset", "consistent", "--out", tmp_path / "again")
+    again = limslam("replay", explored / "log.npz", "--out", tmp_path / "again")
     assert again.returncode == 0, again.stderr
     expected = content(explored, "map.json")
     assert content(tmp_path / "again", "map.json") == expected
     assert replays[0].segments.tolist() == expected["segments"]
-    assert (tmp_path / "again" / "map.pgm").read_bytes() == (explored / "map.pgm").read_bytes()
+    for name in ("map.pgm", "trajectory_smoothed.tum"):
+        assert (tmp_path / "again" / name).read_bytes() == (explored / name).read_bytes()
+    assert not (tmp_path / "again" / "loops.json").exists()
     monkeypatch.setattr(FinishedRun, "title", property(lambda run: shown.append(run.segments) or "a run"))
     assert limslam("show", explored, "--out", tmp_path / "sheet.png").returncode == 0
     assert shown[0].tolist() == expected["segments"]

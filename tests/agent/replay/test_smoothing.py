@@ -102,7 +102,7 @@ def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
         assert 1e-5 < np.sqrt(mark.covariance[1, 1]) < 0.01
 
 
-def test_a_log_of_wheel_travel_is_left_as_the_filter_saw_it():
+def test_a_log_of_wheel_travel_is_smoothed_by_lines():
     log, _ = recorded()
     moves = se2.between(log.odometry[:-1], log.odometry[1:])
     axle, distance = log.robot.axle, np.hypot(moves[:, 0], moves[:, 1])
@@ -117,4 +117,9 @@ def test_a_log_of_wheel_travel_is_left_as_the_filter_saw_it():
         ranges=log.ranges[:rows],
         has_scan=log.has_scan[:rows],
     )
-    assert replay_log(log, replace(preset("graph"), smoothing=TWO_ROUNDS)).smoothed is None
+    replay = replay_log(log, preset("graph"))
+    assert replay.smoothed.loops is None
+    assert not np.array_equal(replay.estimated, replay.smoothed.poses)
+    filtered = replay_log(log, preset("consistent"))
+    assert filtered.smoothed is None
+    np.testing.assert_array_equal(filtered.estimated, replay.estimated)

@@ -10,9 +10,9 @@ from support.smoother_runs import noisy_run, position_error, true_labels
 from limslam_agent.config.smoother import ScoreConfig, SmootherConfig
 from limslam_agent.slam.line_graph.line_smoother import state_from_motions
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
-from limslam_agent.slam.line_graph.mending import doubled_lines, mend, straight_runs
+from limslam_agent.slam.line_graph.mending import doubled_lines, is_repaired, mend, straight_runs
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
-from limslam_agent.slam.line_graph.smoothed_map import smoothed_landmarks, smoothed_segments
+from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 
 CONFIG = SmootherConfig()
 PRICES = ScoreConfig()
@@ -59,6 +59,16 @@ def normal_of(state, index):
     return np.array([np.cos(state.lines[index, 1]), np.sin(state.lines[index, 1])])
 
 
+def test_a_map_that_keeps_its_contradictions_is_not_repaired():
+    problem, _, found = truth(3)
+    moved = found.state.lines.copy()
+    moved[0, 0] += 0.4 if found.state.anchors[0] @ normal_of(found.state, 0) < 1.0 else -0.4
+    wrong = replace(found, solution=replace(found.solution, state=replace(found.state, lines=moved)))
+    assert is_repaired(problem, wrong, found, CONFIG)
+    assert is_repaired(problem, found, found, CONFIG)
+    assert not is_repaired(problem, wrong, wrong, CONFIG)
+
+
 def test_lines_that_run_along_each_other_are_found():
     problem, _, found = truth(4, 0.04)
     assert np.array_equal(doubled_lines(problem, found, CONFIG.mending), np.arange(4))
@@ -91,6 +101,7 @@ def test_a_run_with_wrong_walls_is_mended():
     kept = mend(problem, begin, CONFIG)
     scores = [candidate.score.total for candidate in kept]
     assert scores == sorted(scores)
+    assert is_repaired(problem, begin, kept[-1].association, CONFIG)
     assert position_error(kept[-1].association.state, poses) < 1.5 * position_error(best.state, poses) + 0.01
 
 
@@ -106,19 +117,23 @@ def test_the_map_has_the_walls_and_leaves_the_door_open():
     walls = np.vstack((room(0.0, 0.0, 3.0, 2.4)[1:], [[0.0, 0.0, 1.2, 0.0], [1.7, 0.0, 3.0, 0.0]]))
     problem, _, found = truth(9, 0.02, walls=walls)
     joined = reassociate(problem, found.state, found.labels, CONFIG.reassociation)
-    segments = smoothed_segments(problem, joined, CONFIG)
+    landmarks, segments = smoothed_map(problem, joined, CONFIG)
     low = segments[np.abs(segments[:, [1, 3]]).max(axis=1) < 0.1]
     covered = [min(x1, x2) < 1.45 < max(x1, x2) for x1, _, x2, _ in low]
     assert len(low) == 2
     assert not any(covered)
     assert len(segments) == 5
+    assert sorted(row for mark in landmarks for row in mark.segments) == [0, 1, 2, 3, 4]
+    for mark in landmarks:
+        ends = segments[list(mark.segments)].reshape(-1, 2)
+        assert np.abs(ends @ [np.cos(mark.theta), np.sin(mark.theta)] - mark.r).max() < 1e-9
 
 
 def test_landmarks_lie_where_their_covariances_say():
     squared = []
     for seed in range(6):
         problem, _, found = truth(20 + seed, 0.02)
-        for mark in smoothed_landmarks(problem, found):
+        for mark in smoothed_map(problem, found, CONFIG)[0]:
             wanted = min(TRUE_LINES, key=lambda line, mark=mark: abs(line[0] - mark.r) + abs(turn(line[1], mark.theta)))
             off = np.array([mark.r - wanted[0], turn(mark.theta, wanted[1])])
             squared.append(off @ np.linalg.solve(mark.covariance, off))
