@@ -108,7 +108,7 @@ class StatusMonitor:
             What the robot believes and reads in this step.
         is_busy
             Whether the estimator extracts lines in this step. Such a step takes long in any case. Comparisons are made
-            in these steps if possible, so that they add nothing to the median time of a step.
+            in these steps if possible, so that they add little to the median time of a step.
 
         Returns
         -------
