@@ -12,6 +12,7 @@ from limslam_agent.policies.policy import Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -25,7 +26,7 @@ class Snapshot:
     poses
         Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
     covariances
-        Covariance of each estimated pose (n, 3, 3).
+        Covariance of each estimated pose (n, 3, 3). It grows while a robot is lost.
     odometry
         Pose of each robot by odometry alone (n, 3).
     landmarks
@@ -36,6 +37,8 @@ class Snapshot:
         Occupancy grid.
     plans
         The path (k, 2), m, that each robot intends to drive.
+    statuses
+        Whether the estimate of each robot can be trusted.
     """
 
     poses: FloatArray
@@ -45,6 +48,17 @@ class Snapshot:
     segments: FloatArray
     grid: GridView
     plans: list[FloatArray]
+    statuses: list[Status]
+
+    @property
+    def status(self) -> Level:
+        """The worst status of all robots: ``"ok"``, ``"unsure"`` or ``"lost"``."""
+        return worst(self.statuses).level
+
+    @property
+    def status_reason(self) -> str:
+        """Why the status is not ``"ok"``, in words. Empty if it is."""
+        return worst(self.statuses).reason
 
     @property
     def pose(self) -> FloatArray:
@@ -177,6 +191,16 @@ class LimSlamTeam:
             return None
         return reasons[0] if len(set(reasons)) == 1 else "; ".join(reasons)
 
+    @property
+    def status(self) -> Level:
+        """Whether the estimate can be trusted, the worst of all robots: ``"ok"``, ``"unsure"`` or ``"lost"``."""
+        return worst(self.mapper.statuses).level
+
+    @property
+    def status_reason(self) -> str:
+        """Why the status is not ``"ok"``, in words. Empty if it is."""
+        return worst(self.mapper.statuses).reason
+
     def snapshot(self) -> Snapshot:
         """Everything that the team believes now. Later steps do not change the snapshot.
 
@@ -188,8 +212,9 @@ class LimSlamTeam:
         slam, mapper = self.slam, self.mapper
         plans = [checked_plan(policy) for policy in self.policies]
         return Snapshot(
-            slam.poses, slam.covariances, mapper.odometry, slam.landmarks, slam.segments, mapper.grid, plans
-        )
+            slam.poses, mapper.covariances, mapper.odometry, slam.landmarks, slam.segments, mapper.grid, plans,
+            mapper.statuses,
+        )  # fmt: skip
 
     def _new_policy(self, number: int) -> Policy:
         return explorer(self.robot, self.config, number)
