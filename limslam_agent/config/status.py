@@ -124,6 +124,8 @@ class StatusConfig(Bounded):
         many, and from at least this many places.
     unsure_share, lost_share
         The estimate is unsure or lost if this share of the readings contradicts the map.
+    fewest_contradictions
+        Least number of contradicting readings of a lost estimate.
     unsure_heading
         The estimate is unsure if the heading's standard deviation exceeds this, rad.
     max_jump
@@ -142,5 +144,6 @@ class StatusConfig(Bounded):
     fewest_places: Count = 8
     unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.03
     lost_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.06
+    fewest_contradictions: Count = 3
     unsure_heading: Angle = math.radians(4.0)
     max_jump: Positive = 1.0

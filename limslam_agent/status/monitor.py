@@ -214,7 +214,9 @@ class StatusMonitor:
     def _by_contradictions(self) -> Status:
         recent = self._recent(self._config.window)
         count, contradicting, _, _ = _sums(recent)
-        limits = (0.0, self._config.unsure_share, self._config.lost_share)
+        # A few wrong readings are no proof, however few there are in all.
+        is_proof = contradicting >= self._config.fewest_contradictions
+        limits = (0.0, self._config.unsure_share, self._config.lost_share if is_proof else math.inf)
         is_enough = count >= self._config.fewest and len(recent) >= self._config.fewest_places
         share = contradicting / count if is_enough else 0.0
         level: Level = LEVELS[max(number for number, limit in enumerate(limits) if share >= limit)]
