@@ -6,6 +6,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.mapper import Mapper
 from limslam_agent.policies.policy import Policy
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import Level
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
@@ -88,6 +89,16 @@ class LimSlamAgent:
     def stop_reason(self) -> str | None:
         """Why the policy has stopped, in words. None while the policy is active."""
         return self._team.stop_reason
+
+    @property
+    def status(self) -> Level:
+        """Whether the estimate can be trusted: ``"ok"``, ``"unsure"`` or ``"lost"``."""
+        return self._team.status
+
+    @property
+    def status_reason(self) -> str:
+        """Why the status is not ``"ok"``, in words. Empty if it is."""
+        return self._team.status_reason
 
     def snapshot(self) -> Snapshot:
         """Everything that the agent believes now. Later steps do not change the snapshot."""

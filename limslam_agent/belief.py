@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, no_rows
 
 
@@ -18,7 +19,7 @@ class Belief:
     pose
         Estimated pose (3,) in the world frame: x (m), y (m), heading (rad).
     covariance
-        Covariance of the estimated pose (3, 3).
+        Covariance of the estimated pose (3, 3). It grows while the robot is lost.
     ranges
         Latest range readings (n_beams,), m, as `limslam_agent.readings` defines them. NaN where there is no reading.
     segments
@@ -29,6 +30,8 @@ class Belief:
         Estimated poses (m, 3) of the other robots in the team's order. Empty for a single robot.
     other_goals
         Goals (k, 2), m, of those other robots that have a goal.
+    status
+        Whether the estimate can be trusted.
     """
 
     pose: FloatArray
@@ -38,3 +41,4 @@ class Belief:
     grid: GridView
     other_poses: FloatArray = field(default_factory=lambda: no_rows(3))
     other_goals: FloatArray = field(default_factory=lambda: no_rows(2))
+    status: Status = field(default_factory=Status)

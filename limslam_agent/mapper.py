@@ -14,7 +14,10 @@ from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import motion_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Extraction, LineSlam
+from limslam_agent.status.contradictions import KnownMap
+from limslam_agent.status.monitor import Sight, StatusMonitor
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
@@ -35,7 +38,7 @@ class MapSnapshot:
     poses
         Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
     covariances
-        Covariance of each estimated pose (n, 3, 3).
+        Covariance of each estimated pose (n, 3, 3). It grows while a robot is lost.
     odometry
         Pose of each robot by odometry alone (n, 3).
     landmarks
@@ -67,8 +70,9 @@ class MapSnapshot:
 class Mapper:
     """Estimates poses and builds the map for one robot, or for several robots that share one map.
 
-    Each step runs the SLAM, updates the occupancy grid from the new poses, and integrates pure odometry for
-    comparison. The mapper chooses no actions: agents, log replay and the observation wrappers all use this class.
+    Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid from the new poses,
+    and integrates pure odometry for comparison. The mapper chooses no actions: agents, log replay and the observation
+    wrappers all use this class.
 
     Parameters
     ----------
@@ -124,6 +128,8 @@ class Mapper:
         self.slam = LineSlam(self.robot, self.config, starts)
         self._grid = OccupancyGrid(self.config.grid)
         self._starts, self._early = starts, list[tuple[Observation, ...]]()
+        self._extraction: Extraction | None = None
+        self._watch_anew()
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -142,14 +148,10 @@ class Mapper:
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             front.check(observation)
             self._check_travel(observation)
-        begin, may_restart = time.perf_counter(), self.slam.may_calibrate
-        self.slam.step(*observations)
-        self.slam_ms = 1e3 * (time.perf_counter() - begin)
-        self.odometry = np.array(
-            [self._moved(pose, seen) for pose, seen in zip(self.odometry, observations, strict=True)]
-        )
+        may_restart, self.slam_ms = self.slam.may_calibrate, 0.0
+        motions = self._process(observations)
+        self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
-        self._draw()
         if may_restart and len(self._early) < RESTART_WITHIN:
             self._early.append(tuple(copy.deepcopy(seen) for seen in observations))
             if not self.slam.may_calibrate:
@@ -168,11 +170,28 @@ class Mapper:
     def beliefs(self) -> list[Belief]:
         """The belief of each robot. Later steps do not change it."""
         slam, grid = self.slam, self.grid
-        poses, covariances, segments = slam.poses, slam.covariances, slam.segments
+        poses, covariances, segments, statuses = slam.poses, self.covariances, slam.segments, self.statuses
         return [
-            Belief(poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0))
+            Belief(
+                poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0),
+                status=statuses[number],
+            )
             for number, front in enumerate(slam.robots)
-        ]
+        ]  # fmt: skip
+
+    @property
+    def statuses(self) -> list[Status]:
+        """Whether the estimate of each robot can be trusted."""
+        return [monitor.status for monitor in self._monitors]
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariance of each robot's pose (n, 3, 3): that of the filter, and more while the robot is lost."""
+        covariances = self.slam.covariances
+        for number, monitor in enumerate(self._monitors):
+            if monitor.status.level == "lost":
+                covariances[number] += monitor.added_covariance
+        return covariances
 
     @property
     def grid(self) -> GridView:
@@ -185,7 +204,7 @@ class Mapper:
     def snapshot(self) -> MapSnapshot:
         """The map and the poses now. Later steps do not change the snapshot."""
         slam = self.slam
-        return MapSnapshot(slam.poses, slam.covariances, self.odometry, slam.landmarks, slam.segments, self.grid)
+        return MapSnapshot(slam.poses, self.covariances, self.odometry, slam.landmarks, slam.segments, self.grid)
 
     def _check_travel(self, observation: Observation) -> None:
         """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
@@ -199,10 +218,18 @@ class Mapper:
                 "metres since the last observation, not ticks or millimetres"
             )
 
-    def _draw(self) -> None:
-        """Update the grid from the latest poses and readings."""
+    def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
+        """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
+        begin = time.perf_counter()
+        self.slam.step(*observations)
+        self.slam_ms += 1e3 * (time.perf_counter() - begin)
+        motions = [self._motion(seen) for seen in observations]
+        extraction, self._extraction = self._extraction, self.slam.last_extraction
+        for number, motion in enumerate(motions):
+            self._watch(number, motion, is_busy=extraction is not self._extraction)
         for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
             self._grid.update(pose, self.robot, front.ranges, front.measured)
+        return motions
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that has estimated the odometry's calibration from the start.
@@ -215,13 +242,23 @@ class Mapper:
         listener, early = self.slam.on_association, self._early
         self.slam = LineSlam(self.robot, self_calibrating(self.config), self._starts)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
+        self._watch_anew()
         for observations in early:
-            begin = time.perf_counter()
-            self.slam.step(*observations)
-            self.slam_ms += 1e3 * (time.perf_counter() - begin)
-            self._draw()
+            self._process(observations)
 
-    def _moved(self, pose: FloatArray, observation: Observation) -> FloatArray:
-        """The pose (3,) after the motion that an observation reports."""
-        motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
-        return compose(pose, motion.increment)
+    def _motion(self, observation: Observation) -> FloatArray:
+        """The motion (3,) that an observation reports, in the frame of the robot before it."""
+        return motion_of(observation, self.robot, self.config.noise, self.config.odometry).increment
+
+    def _watch_anew(self) -> None:
+        """Begin to monitor the estimate of each robot."""
+        self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
+        self._extraction = None
+
+    def _watch(self, number: int, motion: FloatArray, *, is_busy: bool) -> None:
+        """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
+        x, y, turn = motion.tolist()
+        monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
+        sight = Sight(slam.poses[number], front.ranges, front.measured, (math.hypot(x, y), abs(turn)))
+        if monitor.observe(sight, is_busy=is_busy):
+            monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))

@@ -11,6 +11,7 @@ from limslam_agent.mapper import Mapper, MapSnapshot
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -23,9 +24,22 @@ class Snapshot(MapSnapshot):
     ----------
     plans
         The path (k, 2), m, that each robot intends to drive.
+    statuses
+        Whether the estimate of each robot can be trusted.
     """
 
     plans: list[FloatArray]
+    statuses: list[Status]
+
+    @property
+    def status(self) -> Level:
+        """The worst status of all robots: ``"ok"``, ``"unsure"`` or ``"lost"``."""
+        return worst(self.statuses).level
+
+    @property
+    def status_reason(self) -> str:
+        """Why the status is not ``"ok"``, in words. Empty if it is."""
+        return worst(self.statuses).reason
 
     @property
     def plan(self) -> FloatArray:
@@ -148,6 +162,16 @@ class LimSlamTeam:
             return None
         return reasons[0] if len(set(reasons)) == 1 else "; ".join(reasons)
 
+    @property
+    def status(self) -> Level:
+        """Whether the estimate can be trusted, the worst of all robots: ``"ok"``, ``"unsure"`` or ``"lost"``."""
+        return worst(self.mapper.statuses).level
+
+    @property
+    def status_reason(self) -> str:
+        """Why the status is not ``"ok"``, in words. Empty if it is."""
+        return worst(self.mapper.statuses).reason
+
     def snapshot(self) -> Snapshot:
         """Everything that the team believes now. Later steps do not change the snapshot.
 
@@ -157,7 +181,7 @@ class LimSlamTeam:
             If the plan of a policy is not an array (k, 2) of finite points.
         """
         plans = [checked_plan(policy) for policy in self.policies]
-        return Snapshot(**vars(self.mapper.snapshot()), plans=plans)
+        return Snapshot(**vars(self.mapper.snapshot()), plans=plans, statuses=self.mapper.statuses)
 
     def _new_policy(self, number: int) -> Policy:
         return explorer(self.robot, self.config, number)

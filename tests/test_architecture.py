@@ -67,22 +67,27 @@ AGENT = {
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
-    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid")},
-    "limslam_agent.mapper": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid")},
+    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
+    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
+    "limslam_agent.mapper": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "status"),
+    },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
     "limslam_agent.policies.learned": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
     },
     "limslam_agent.team": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "mapper", "policies"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "mapper", "policies", "status"),
     },
-    "limslam_agent.agent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "team")},
+    "limslam_agent.agent": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),
+    },
     "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "mapper", "slam.batch")},
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output"),
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "status"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip

@@ -97,12 +97,12 @@ def _folder_name(config: "RunConfig") -> str:
 def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
     from limslam_agent.runs.episode import run_episode
 
-    def show(time: float, coverage: float) -> None:
+    def show(team: "LimSlamTeam", _env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
         # An exploration is over when all is seen, and laps have no such end.
-        advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered")
+        advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
 
     if options.video is None:
-        return run_episode(config, lambda _team, _env, time, coverage: show(time, coverage))
+        return run_episode(config, show)
     from limslam_agent.runs.recording import filming
     from limslam_agent.runs.results import title_of
 
@@ -111,6 +111,6 @@ def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "
 
         def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
             recorder.watch(team, env, time, coverage)
-            show(time, coverage)
+            show(team, env, time, coverage)
 
         return run_episode(config, watch, on_association=recorder.on_association, render_mode="rgb_array")

@@ -10,6 +10,7 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.config.status import StatusConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
 
@@ -25,6 +26,7 @@ __all__ = [
     "OdometryConfig",
     "PolicyConfig",
     "PublishedConfig",
+    "StatusConfig",
     "TeamConfig",
     "preset",
     "self_calibrating",
@@ -68,6 +70,8 @@ class AgentConfig(Bounded):
         The occupancy grid.
     policy
         Exploration.
+    status
+        When an estimate is unsure or lost.
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
@@ -84,6 +88,7 @@ class AgentConfig(Bounded):
     team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
+    status: StatusConfig = field(default_factory=StatusConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
     line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
 

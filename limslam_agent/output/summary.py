@@ -94,7 +94,7 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
         lines.append(
             f"covered     {share:.1%} of what can be seen, {collisions:g} collision{'' if collisions == 1 else 's'}"
         )
-    lines += _errors(metrics)
+    lines += _status(metrics) + _errors(metrics)
     if _has(metrics, "ate_smoothed_m"):
         lines.append(f"smoothed    {metrics['ate_smoothed_m']:.3f} m rms, by all that was known at the end")
     if _has(metrics, "limit_ate_m", "ate_over_limit"):
@@ -112,7 +112,7 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
-    lines = _errors(metrics)
+    lines = _status(metrics) + _errors(metrics)
     trajectories = {
         "smoothed_": "smoothed, at the end", "": "filter, while driving", "odometry_": "odometry, corrected",
         "raw_odometry_": "odometry, raw",
@@ -123,6 +123,15 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     if _has(metrics, "landmarks"):
         lines.append(f"map         {metrics['landmarks']} walls")
     return lines
+
+
+def _status(metrics: Mapping[str, Any]) -> list[str]:
+    """The status at the end, and for how long the estimate was lost."""
+    level, reason = metrics.get("status"), metrics.get("status_reason")
+    if not isinstance(level, str):
+        return []
+    lost = f"; lost for {metrics['lost_s']:.0f} s" if _has(metrics, "lost_s") and metrics["lost_s"] > 0.0 else ""
+    return [f"status      {level}{f': {reason}' if reason else ''}{lost}"]
 
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:

@@ -20,7 +20,8 @@ from limslam_agent.output.summary import record_of
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
-from limslam_env.geometry import FloatArray
+from limslam_agent.status.status import LEVELS, Status, status_scores
+from limslam_env.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from limslam_agent.replay.smoothing import Smoothed
@@ -83,6 +84,8 @@ class Replay:
         Poses (n, 3): the estimate, and odometry alone, corrected for its known bias.
     covariances
         Covariances of the estimated poses (n, 3, 3).
+    levels, status
+        Status of the estimate at each event (n,), as an index into ``status.LEVELS``, and at the end of the log.
     landmarks, segments, grid
         The map.
     refused_readings
@@ -100,6 +103,8 @@ class Replay:
     estimated: FloatArray
     odometry: FloatArray
     covariances: FloatArray
+    levels: IntArray
+    status: Status
     landmarks: list[Landmark]
     segments: FloatArray
     grid: GridView
@@ -127,13 +132,14 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
     count, associations = len(log), list[AssociationRecord]()
     mapper.slam.on_association, mapper.on_restart = associations.append, associations.clear
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
-    covariances, slam_ms = np.empty((count, 3, 3)), np.empty(count)
+    covariances, slam_ms, levels = np.empty((count, 3, 3)), np.empty(count), np.empty(count, dtype=np.int64)
     begin = time.perf_counter()
     for number, observation in enumerate(log.observations()):
         mapper.step(observation)
         slam_ms[number] = mapper.slam_ms
         slam = mapper.slam
-        estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], slam.covariance
+        estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], mapper.covariances[0]
+        levels[number] = LEVELS.index(mapper.statuses[0].level)
         if progress is not None:
             progress(number + 1)
     mapper.finish()
@@ -144,6 +150,8 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         estimated=estimated,
         odometry=odometry,
         covariances=covariances,
+        levels=levels,
+        status=mapper.statuses[0],
         landmarks=slam.landmarks,
         segments=slam.segments,
         grid=mapper.grid,
@@ -220,12 +228,13 @@ def write_replay(
     )  # fmt: skip
     draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
+    statuses = status_scores(log.time, replay.levels[:, None], replay.status)
     found = replay.self_calibration.figures if replay.self_calibration else {}
     cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)
     if smoothed is not None:
         counts, cost = {**counts, **smoothed.figures}, {**cost, "smoothing_cpu_s": smoothed.seconds}
     result = {
-        "metrics": {**scores, **found, **counts},
+        "metrics": {**scores, **found, **statuses, **counts},
         "cost": cost,
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
         "record": record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry]),

@@ -22,6 +22,7 @@ from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.slam import AssociationRecord
+from limslam_agent.status.status import LEVELS
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.bounds.offline_optimum import require_gtsam
 from limslam_env.config import NoiseConfig
@@ -162,6 +163,8 @@ class Episode:
         Poses (t, n, 3): the truth, the estimate, and odometry alone.
     covariances
         Covariances of the estimated poses (t, n, 3, 3).
+    levels
+        Status of each robot's estimate (t, n), as an index into ``status.LEVELS``: 0 ok, 1 unsure, 2 lost.
     wall_seen
         What each beam truly hit (t, n, n_beams).
     dropped
@@ -192,6 +195,7 @@ class Episode:
     estimated: FloatArray
     odometry: FloatArray
     covariances: FloatArray
+    levels: IntArray
     wall_seen: IntArray
     dropped: BoolArray
     coverage: FloatArray
@@ -233,6 +237,7 @@ class _Row:
     actions: list[FloatArray]
     estimated: FloatArray
     covariances: FloatArray
+    levels: list[int]
     odometry: FloatArray
     dropped: list[BoolArray]
     slam_ms: float
@@ -317,6 +322,7 @@ def _columns(rows: list[_Row]) -> dict[str, Any]:
         "estimated": [row.estimated for row in rows],
         "odometry": [row.odometry for row in rows],
         "covariances": [row.covariances for row in rows],
+        "levels": [row.levels for row in rows],
         "wall_seen": [[info["wall_seen"] for info in row.infos] for row in rows],
         "dropped": [row.dropped for row in rows],
         "coverage": [row.coverage for row in rows],
@@ -352,7 +358,8 @@ def _drive(
         rows.append(
             _Row(
                 truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
-                team.slam.poses, team.slam.covariances, team.mapper.odometry,
+                team.slam.poses, team.mapper.covariances,
+                [LEVELS.index(status.level) for status in team.mapper.statuses], team.mapper.odometry,
                 [front.dropped for front in team.slam.robots], slam_ms, elapsed_ms - slam_ms,
             )
         )  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.runs.episode import RunConfig
 from limslam_agent.slam.slam import AssociationRecord, Extraction, LineSlam
+from limslam_agent.status.status import worst
 from limslam_agent.team import LimSlamTeam
 from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, HoughView, hough_view
 from limslam_agent.video.film import FPS, SPEED, Film
@@ -95,6 +96,7 @@ class Recorder:
             buffers=_buffers(slam),
             hough=self._hough,
             events=events,
+            warning=worst(snapshot.statuses).words if snapshot.status != "ok" else "",
         )
 
 

@@ -19,6 +19,7 @@ from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.smoothing import online_map, smoothed_scores
+from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -68,6 +69,7 @@ def score(episode: Episode) -> dict[str, Any]:
         **association_metrics(events, len(episode.world.edges)),
         **closure_metrics(events, closed, len(episode.world.edges)),
         **dropped_beam_metrics(episode.dropped, episode.wall_seen),
+        **status_scores(episode.time, episode.levels, worst(episode.snapshot.statuses)),
         "stop_reason": episode.stop_reason,
     }
 

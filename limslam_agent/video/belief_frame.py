@@ -153,6 +153,8 @@ class BeliefFrame:
         The latest extraction of lines. None before the first.
     events
         Events since the previous frame.
+    warning
+        Why the estimate cannot be trusted, in words. Empty if it can.
 
     Raises
     ------
@@ -178,6 +180,7 @@ class BeliefFrame:
     buffers: Sequence[BufferView] = ()
     hough: HoughView | None = None
     events: Sequence[Event] = ()
+    warning: str = ""
 
     def __post_init__(self) -> None:
         if len(self.poses) != len(self.covariances):

@@ -93,7 +93,7 @@ LESSONS = {
     ),
 }
 
-_WEIGHTS = {"loop": 5, "new": 3, "goal": 2, "hough": 1, "again": 1, "drive": 0}
+_WEIGHTS = {"warning": 6, "loop": 5, "new": 3, "goal": 2, "hough": 1, "again": 1, "drive": 0}
 
 
 class Narrator:
@@ -200,6 +200,7 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None, new_goals: Sequenc
         "new": "new" in kinds,
         "again": "again" in kinds,
         "loop": "loop" in kinds,
+        "warning": frame.warning != "",
     }
     return [kind for kind, is_so in found.items() if is_so]
 
@@ -224,6 +225,11 @@ def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption
         said["hough"] = Caption(
             (2,), f"Find lines: {whose} buffer is full, and {lines} enough votes.",
             f"Its {len(hough.points)} points voted. Each peak above the threshold is a line: a corner gives two.",
+        )  # fmt: skip
+    if frame.warning:
+        said["warning"] = Caption(
+            (4,), f"The estimate is {frame.warning}.",
+            "Many readings that contradict the map, or an uncertain heading, show that the pose may be wrong.",
         )  # fmt: skip
     for event in frame.events:
         said[event.kind] = _caption_of(event, _whose(event.robot, several))

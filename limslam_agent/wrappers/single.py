@@ -45,6 +45,9 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
     The robot is in the middle of the grid, and its heading points up. The configuration sets the size of a cell, which
     is 0.10 m by default.
 
+    `info` gets two more keys: `status` says whether the estimate can be trusted (`"ok"`, `"unsure"` or `"lost"`), and
+    `status_reason` says in words why it cannot. The covariance grows while the robot is lost.
+
     Parameters
     ----------
     env
@@ -78,12 +81,12 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         observation, info = self.env.reset(seed=seed, options=options)
         self._start = np.array(info["pose"], dtype=float)
         self._mapper.reset(self._start)
-        return self._believed(observation), info
+        return self._believed(observation), self._with_status(info)
 
     def step(self, action: Any) -> tuple[Observation, SupportsFloat, bool, bool, Any]:
         """Drive for one control period and give the new observation to the SLAM."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        return self._believed(observation), reward, terminated, truncated, info
+        return self._believed(observation), reward, terminated, truncated, self._with_status(info)
 
     def _believed(self, observation: Observation) -> Observation:
         self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
@@ -94,6 +97,11 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
             "grid": self._crop(belief),
             "ranges": np.array(observation["ranges"]),
         }
+
+    def _with_status(self, info: Any) -> dict[str, Any]:
+        """The info with the status after the latest observation."""
+        status = self._mapper.statuses[0]
+        return {**info, "status": status.level, "status_reason": status.reason}
 
     def _crop(self, belief: Belief) -> NDArray[np.uint8]:
         values = belief.grid.values

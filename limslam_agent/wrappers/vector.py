@@ -19,7 +19,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     """Observe what n robots believe instead of raw readings. The start poses are the only truth that the SLAM gets.
 
     The observation has the keys of ``SlamObservation``, each with n rows, in new arrays. A belief is reset whenever its
-    episode starts, for all autoreset modes. ``final_obs`` in ``info`` holds beliefs, too.
+    episode starts, for all autoreset modes. ``final_obs`` in ``info`` holds beliefs, too. Only ``SlamObservation``
+    adds a status to ``info``.
 
     Parameters
     ----------

@@ -201,6 +201,9 @@ def test_a_summary_leaves_out_what_is_not_known():
     ]
     assert len(run_summary({**METRICS, "exploration_time_s": None}, {})) == 4
     assert run_summary({}, {}) == ["stopped     for an unknown reason"]
+    lost = {"status": "lost", "status_reason": "9 of 90 readings contradict the map", "lost_s": 12.3}
+    assert replay_summary(lost) == ["status      lost: 9 of 90 readings contradict the map; lost for 12 s"]
+    assert run_summary({**METRICS, "status": "ok", "status_reason": "", "lost_s": 0.0}, {})[3] == "status      ok"
     relations = {
         f"{prefix}relation_error_{unit}": 0.5 for prefix in ("", "loop_", "odometry_") for unit in ("m", "deg")
     }

@@ -89,7 +89,7 @@ def test_a_landmark_with_a_door_is_written_as_two_segments(tmp_path):
     origins, ahead = np.column_stack((through, 0.5 * np.ones(len(through)))), np.tile([0.0, 1.0], (len(through), 1))
     for _ in range(3):
         walls.clear_along_beams(origins, ahead, np.full(len(through), 1.2), np.full(len(through), 0.005))
-    write_map(tmp_path, Snapshot(*[np.zeros((1, 3))] * 3, walls.landmarks, walls.segments, UNKNOWN, []))
+    write_map(tmp_path, Snapshot(*[np.zeros((1, 3))] * 3, walls.landmarks, walls.segments, UNKNOWN, [], []))
     final, doors = content(tmp_path, "map.json"), np.array([[-0.3, 1.0, 0.3, 1.0]])
     assert [mark["segments"] for mark in final["landmarks"]] == [[0, 1]]
     assert metrics.doors_open(doors, rows(final["segments"])) == 1.0

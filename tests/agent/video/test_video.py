@@ -284,6 +284,14 @@ def test_a_loop_is_explained_at_once():
     assert [moment.caption.headline for moment in told[:-1]] == [LESSONS["loop"].headline]
 
 
+def test_a_status_that_is_not_ok_is_told():
+    narrator = Narrator(5.0, explain=False)
+    narrator.hear(frame_with())
+    reason = "lost: 9 of 90 readings contradict the map"
+    said = [narrator.hear(frame_with(time=0.2 * step, warning=reason))[-1].caption for step in range(1, 30)]
+    assert f"The estimate is {reason}." in {caption.headline for caption in said}
+
+
 def test_a_caption_gives_way_when_nothing_more_happens():
     narrator = Narrator(5.0, explain=False)
     narrator.hear(frame_with())

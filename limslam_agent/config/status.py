@@ -1,0 +1,149 @@
+"""Settings of the status: when an estimate is unsure or lost.
+
+All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from limslam_agent.config.bounds import Angle, Bounded, Bounds, Count, NonNegative, Positive, Share
+
+
+@dataclass(frozen=True)
+class ContradictionConfig(Bounded):
+    """When a reading contradicts the map.
+
+    Attributes
+    ----------
+    inset
+        A beam should end at a wall if it meets the wall at least this far inside the wall's ends, m.
+    sigmas, slack
+        A beam has passed through a wall if its reading exceeds the expected range by more than this number of standard
+        deviations plus ``slack``, m.
+    least_cosine
+        Beams whose angle to the wall's normal has a smaller cosine are not compared with the wall.
+    free, free_cells
+        A beam has ended in free space if all cells around its end have at least the value ``free``, up to this number
+        of cells to each side, and no wall of the map is near its end. A wall is near if its distance is less than
+        ``sigmas`` standard deviations of a range plus ``slack``. Walls are corrected when a loop is closed, and the
+        grid is not.
+    """
+
+    inset: NonNegative = 0.10
+    sigmas: NonNegative = 3.0
+    slack: NonNegative = 0.10
+    least_cosine: Share = 0.35
+    free: Count = 4
+    free_cells: Annotated[int, Bounds(0, 100)] = 2
+
+
+@dataclass(frozen=True)
+class LateBeamConfig(Bounded):
+    """When a beam seems to report its readings late.
+
+    Attributes
+    ----------
+    delay
+        Delay that is tested, s.
+    sigmas
+        Largest residual that counts, in standard deviations. It limits the effect of a single reading.
+    evidence
+        A beam is late if the expected ranges of ``delay`` ago fit its readings better than the present ones, by at
+        least this sum of squared residuals in variances.
+    """
+
+    delay: Positive = 1.0
+    sigmas: Positive = 2.0
+    evidence: Positive = 25.0
+
+
+@dataclass(frozen=True)
+class SuddenChangeConfig(Bounded):
+    """When readings change so suddenly that the robot must have been carried away.
+
+    Attributes
+    ----------
+    change, sigmas
+        A reading has changed if it differs from that of the step before by more than ``change``, m, plus this number of
+        standard deviations.
+    fewest, share
+        The robot is lost if at least this number of readings, and at least this share of them, change in one step.
+    max_distance, max_turn
+        Only steps with a smaller motion count, m and rad.
+    """
+
+    change: NonNegative = 0.20
+    sigmas: NonNegative = 5.0
+    fewest: Count = 4
+    share: Share = 0.6
+    max_distance: NonNegative = 0.05
+    max_turn: Angle = 0.08
+
+
+@dataclass(frozen=True)
+class RecoveryConfig(Bounded):
+    """When a lost robot knows its pose again, and how uncertain it is until then.
+
+    Attributes
+    ----------
+    window
+        The robot must have driven so far since it became lost, m. The readings over this distance count.
+    fewest, fitting
+        Least number of these readings that should have ended at walls of the earlier map, and the least share of them
+        that must have done so.
+    position_growth, heading_growth
+        Increase of the standard deviations of position and heading with the distance driven, m per metre and rad per
+        metre.
+    position_limit
+        Largest standard deviation of the position that is added, m.
+    """
+
+    window: Positive = 10.0
+    fewest: Count = 150
+    fitting: Share = 0.95
+    position_growth: NonNegative = 2.0
+    heading_growth: NonNegative = 1.0
+    position_limit: NonNegative = 10.0
+
+
+@dataclass(frozen=True)
+class StatusConfig(Bounded):
+    """All settings of the status.
+
+    Attributes
+    ----------
+    contradictions, late_beams, sudden_changes, recovery
+        Settings of the parts.
+    spacing, longest_spacing, turn_length
+        The readings are compared with the map when the robot has moved by ``spacing``, m, and the estimator extracts
+        lines in the same step, or when it has moved by ``longest_spacing``, m. A turn by one radian counts like
+        ``turn_length``, m.
+    window, fewest, fewest_places
+        Length of the last part of the drive that counts, m, and the least number of readings that give a share: this
+        many, and from at least this many places.
+    unsure_share, lost_share
+        The estimate is unsure or lost if this share of the readings contradicts the map.
+    fewest_contradictions
+        Least number of contradicting readings of a lost estimate.
+    unsure_heading
+        The estimate is unsure if the heading's standard deviation exceeds this, rad.
+    max_jump
+        The estimate is lost if the odometry reports a longer motion in one step, m.
+    """
+
+    contradictions: ContradictionConfig = field(default_factory=ContradictionConfig)
+    late_beams: LateBeamConfig = field(default_factory=LateBeamConfig)
+    sudden_changes: SuddenChangeConfig = field(default_factory=SuddenChangeConfig)
+    recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
+    spacing: Positive = 0.10
+    longest_spacing: Positive = 0.30
+    turn_length: NonNegative = 0.40
+    window: Positive = 3.0
+    fewest: Count = 25
+    fewest_places: Count = 8
+    unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.03
+    lost_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.06
+    fewest_contradictions: Count = 3
+    unsure_heading: Angle = math.radians(4.0)
+    max_jump: Positive = 1.0

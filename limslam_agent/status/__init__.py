@@ -1,0 +1,1 @@
+"""Whether the estimate can be trusted: ``ok``, ``unsure`` or ``lost``, without ground truth."""

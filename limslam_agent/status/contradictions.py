@@ -1,0 +1,199 @@
+"""Comparison of the readings of one step with the map, without ground truth.
+
+A beam contradicts the map in two cases. It should end at a wall, and its reading is much longer. Or it ends where the
+map is known to be free. In a correct map nearly no beam does so.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.config.status import ContradictionConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry.segment import distances
+from limslam_env.interface import RobotSpec
+
+_LEAST_COSINE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedRanges:
+    """The ranges that a map predicts for m poses.
+
+    Attributes
+    ----------
+    ranges
+        Distance to the first wall (m, n_beams), m. Infinite if the beam meets no wall or nearly grazes it.
+    stds
+        Standard deviation of the difference between reading and expected range (m, n_beams), m, with the uncertainty of
+        the pose.
+    """
+
+    ranges: FloatArray
+    stds: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class KnownMap:
+    """The map with which readings are compared.
+
+    Attributes
+    ----------
+    segments
+        The walls (k, 4), m.
+    grid
+        The occupancy grid before the readings.
+    """
+
+    segments: FloatArray
+    grid: GridView
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The readings of one step beside the map, each (n_beams,).
+
+    Attributes
+    ----------
+    expected
+        Whether the beam should end at a wall.
+    fits
+        Whether it ended there.
+    through
+        Whether it passed through that wall.
+    ended
+        Whether it ended at anything.
+    in_free
+        Whether it ended in space that is known to be free.
+    """
+
+    expected: BoolArray
+    fits: BoolArray
+    through: BoolArray
+    ended: BoolArray
+    in_free: BoolArray
+
+    @property
+    def counts(self) -> tuple[int, int, int, int]:
+        """Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall."""
+        kinds = (self.expected | self.ended, self.through | self.in_free, self.expected, self.fits)
+        compared, contradicting, expected, fitting = (int(np.count_nonzero(kind)) for kind in kinds)
+        return compared, contradicting, expected, fitting
+
+
+def expected_ranges(
+    robot: RobotSpec,
+    poses: FloatArray,
+    covariance: FloatArray,
+    segments: FloatArray,
+    range_std: float,
+    config: ContradictionConfig,
+) -> ExpectedRanges:
+    """The range that the walls of a map predict for each beam.
+
+    Parameters
+    ----------
+    poses, covariance
+        Estimated poses (m, 3), m and rad, and the covariance of each of them (3, 3).
+    segments
+        Walls (k, 4), m.
+    range_std
+        Standard deviation of a range, m.
+    """
+    shape = len(poses), len(robot.beams)
+    if not len(segments):
+        return ExpectedRanges(np.full(shape, np.inf), np.full(shape, np.inf))
+    origins = np.vstack([transform_points(pose, robot.beam_origins) for pose in poses])
+    headings = (poses[:, 2, None] + robot.beam_angles).ravel()
+    towards = np.column_stack((np.cos(headings), np.sin(headings)))
+    reached, cosines = (each.reshape(shape) for each in _first_walls(origins, towards, segments, config.inset))
+    ranges = np.where((cosines > config.least_cosine) & (reached < robot.max_ranges), reached, np.inf)
+    lever = np.where(np.isfinite(ranges), ranges, 0.0)
+    variances = range_std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
+    return ExpectedRanges(ranges, np.sqrt(variances) / np.maximum(cosines, _LEAST_COSINE))
+
+
+def compare(
+    robot: RobotSpec,
+    pose: FloatArray,
+    ranges: FloatArray,
+    measured: BoolArray,
+    known: KnownMap,
+    predicted: FloatArray,
+    stds: FloatArray,
+    range_std: float,
+    config: ContradictionConfig,
+) -> Comparison:
+    """Compare the readings of one step with a map.
+
+    Parameters
+    ----------
+    pose
+        Estimated pose (3,), m and rad.
+    ranges, measured
+        Readings (n_beams,), m, and a mask of the new readings.
+    known
+        The map.
+    predicted, stds
+        The ranges that the walls of the map predict (n_beams,), m, and their standard deviations: one row of
+        :class:`ExpectedRanges`.
+    range_std
+        Standard deviation of a range, m.
+    """
+    is_usable = measured & (ranges > robot.too_near)
+    expected = is_usable & np.isfinite(predicted)
+    excess = np.where(expected, np.minimum(ranges, robot.max_ranges) - np.where(expected, predicted, 0.0), 0.0)
+    tolerance = np.where(expected, config.sigmas * stds + config.slack, np.inf)
+    ended = is_usable & (ranges < robot.too_far)
+    in_free = np.zeros(len(ranges), dtype=bool)
+    beams = np.flatnonzero(ended)
+    ends = transform_points(pose, robot.beam_origins[beams] + ranges[beams, None] * robot.beam_directions[beams])
+    in_free[beams] = _in_free(ends, known, config, config.sigmas * range_std + config.slack)
+    return Comparison(
+        expected=expected,
+        fits=expected & (np.abs(excess) <= tolerance),
+        through=expected & (excess > tolerance),
+        ended=ended,
+        in_free=in_free,
+    )
+
+
+def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, near: float) -> BoolArray:
+    """Whether each point (n, 2) lies in free cells only, and at no wall within ``near``, m."""
+    grid, reach = known.grid, config.free_cells
+    cells = grid.cells(points)
+    is_free: BoolArray = np.all((cells >= reach) & (cells < np.array(grid.values.shape) - reach), axis=1)
+    for number in np.flatnonzero(is_free).tolist():
+        row, column = cells[number].tolist()
+        around = grid.values[row - reach : row + reach + 1, column - reach : column + reach + 1]
+        is_free[number] = around.min() >= config.free
+    found = np.flatnonzero(is_free)
+    if len(found) and len(known.segments):
+        is_free[found] = distances(points[found], known.segments).min(axis=1) > near
+    return is_free
+
+
+def _first_walls(
+    origins: FloatArray, towards: FloatArray, segments: FloatArray, inset: float
+) -> tuple[FloatArray, FloatArray]:
+    """For each ray (n,), the distance to the first wall that it meets inside the wall's ends, m, and the cosine.
+
+    The distance is infinite if there is no such wall.
+    """
+    spans = segments[:, 2:] - segments[:, :2]
+    sizes = np.hypot(spans[:, 0], spans[:, 1])
+    tangents = spans / np.maximum(sizes, 1e-9)[:, None]
+    normals = np.column_stack((-tangents[:, 1], tangents[:, 0]))
+    cosines = towards @ normals.T
+    is_crossing = np.abs(cosines) > _LEAST_COSINE
+    to_wall = np.sum(segments[:, :2] * normals, axis=1) - origins @ normals.T
+    reached = np.where(is_crossing, to_wall / np.where(is_crossing, cosines, 1.0), -1.0)
+    # Positions along the wall: of the ray's origin, and of the point where the ray meets the wall.
+    along = origins @ tangents.T - np.sum(segments[:, :2] * tangents, axis=1) + reached * (towards @ tangents.T)
+    is_inside = (reached > 0.0) & (along > inset) & (along < sizes - inset)
+    reached = np.where(is_inside, reached, np.inf)
+    first = reached.argmin(axis=1)
+    rows = np.arange(len(reached))
+    return reached[rows, first], np.abs(cosines[rows, first])

@@ -1,0 +1,248 @@
+"""StatusMonitor: watches the estimate of one robot and says whether it can be trusted."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.config.status import StatusConfig
+from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
+from limslam_agent.status.late_beams import LateBeams
+from limslam_agent.status.status import LEVELS, Level, Status
+from limslam_agent.status.sudden_changes import changed_at_once
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+
+UNIFORM_HEADING = math.pi / math.sqrt(3.0)
+"""Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
+
+_MOST_RAYS = 120
+
+
+class Sight(NamedTuple):
+    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
+
+    Attributes
+    ----------
+    pose
+        Estimated pose (3,), m and rad.
+    ranges, measured
+        Readings (n_beams,), m, and a mask of the new readings.
+    motion
+        Length and angle of the motion that the odometry reports for this step, m and rad, without signs.
+    """
+
+    pose: FloatArray
+    ranges: FloatArray
+    measured: BoolArray
+    motion: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Check:
+    """One comparison with the map.
+
+    Attributes
+    ----------
+    place
+        Where in the drive the comparison was made, m.
+    counts
+        Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall.
+    lateness
+        Evidence that each beam is late (n_beams,).
+    """
+
+    place: float
+    counts: tuple[int, int, int, int]
+    lateness: FloatArray
+
+
+class StatusMonitor:
+    """Watches one robot.
+
+    At each step the monitor gets the motion that the odometry reports, and the readings. Each time that the robot has
+    moved far enough, the monitor compares the readings with the map. The level follows from the share of contradictions
+    in the last metres, from the uncertainty of the heading, from beams that report late, and from jumps of the
+    odometry.
+
+    A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
+    erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
+    covariance of the pose gets larger with each metre.
+
+    Parameters
+    ----------
+    robot
+        Body and beams.
+    config
+        When an estimate is unsure or lost.
+    range_std
+        Standard deviation of a range, m.
+
+    Attributes
+    ----------
+    status
+        The present status.
+    """
+
+    def __init__(self, robot: RobotSpec, config: StatusConfig, range_std: float) -> None:
+        self._robot, self._config, self._std = robot, config, range_std
+        self._step, self._place, self._checked = -1, 0.0, -math.inf
+        # The latest steps that no comparison has used. Robots with many beams need fewer of them.
+        self._sights: deque[tuple[int, Sight]] = deque(maxlen=max(_MOST_RAYS // len(robot.beams), 1))
+        self._before: tuple[int, Sight] | None = None
+        self._checks: deque[_Check] = deque()
+        self._late_beams = LateBeams(robot, config.late_beams)
+        self._reference: KnownMap | None = None
+        self._jump, self._driven, self._since = 0.0, 0.0, 0.0
+        self._changed = (0, 0)
+        self.status = Status()
+
+    def observe(self, sight: Sight, *, is_busy: bool) -> bool:
+        """Note the motion and the readings of one step.
+
+        Parameters
+        ----------
+        sight
+            What the robot believes and reads in this step.
+        is_busy
+            Whether the estimator extracts lines in this step. Such a step takes long in any case. Comparisons are made
+            in these steps if possible, so that they add little to the median time of a step.
+
+        Returns
+        -------
+        due
+            Whether :meth:`check` is to be called now.
+        """
+        self._step += 1
+        distance, turn = sight.motion
+        is_jump = distance > self._config.max_jump
+        if is_jump:
+            self._jump, distance = self._jump + distance, 0.0
+        self._place += distance + self._config.turn_length * turn
+        self._driven += distance
+        self._sights.append((self._step, sight))
+        spacing = self._config.spacing if is_busy else self._config.longest_spacing
+        return is_jump or self._place - self._checked >= spacing
+
+    def check(self, covariance: FloatArray, present: KnownMap) -> None:
+        """Compare the readings since the last comparison with the map, and update the status.
+
+        Parameters
+        ----------
+        covariance
+            Covariance of the pose (3, 3). It counts for all these readings.
+        present
+            The map as it is now, without the latest readings in its grid.
+        """
+        self._checked = self._place
+        self._look_for_sudden_changes()
+        self._compare(covariance, self._reference or present)
+        longest = max(self._config.window, self._config.recovery.window)
+        while self._place - self._checks[0].place > longest:
+            self._checks.popleft()
+        if self._reference is None:
+            self._judge(float(covariance[2, 2]), present)
+        elif self._fits_again():
+            self._reference, self._jump, self.status = None, 0.0, Status()
+
+    @property
+    def added_covariance(self) -> FloatArray:
+        """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
+        if self._reference is None:
+            return np.zeros((3, 3))
+        limits, driven = self._config.recovery, self._driven
+        position = self._jump + min(limits.position_growth * driven, limits.position_limit)
+        heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
+        return np.diag([position**2, position**2, heading**2])
+
+    def _look_for_sudden_changes(self) -> None:
+        """Note how many readings changed at once since the last comparison."""
+        sights = [sight for _, sight in self._sights]
+        if self._before is not None and self._before[0] == self._sights[0][0] - 1:
+            sights.insert(0, self._before[1])
+        self._before = self._sights[-1]
+        if len(sights) > 1:
+            ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
+            motions = np.array([each.motion for each in sights[1:]])
+            self._changed = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
+
+    def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
+        """Compare the readings since the last comparison with a map, and note the outcome."""
+        settings, robot = self._config.contradictions, self._robot
+        steps, sights = [step for step, _ in self._sights], [sight for _, sight in self._sights]
+        self._sights.clear()
+        poses = np.array([sight.pose for sight in sights])
+        predicted = expected_ranges(robot, poses, covariance, known.segments, self._std, settings)
+        ranges = np.minimum([sight.ranges for sight in sights], robot.max_ranges)
+        usable = np.array([sight.measured for sight in sights]) & (ranges > robot.too_near)
+        lateness = self._late_beams.evidence(steps, ranges, usable, predicted)
+        # Readings of neighbouring steps show nearly the same, so that only the latest ones are tested.
+        last, expected = sights[-1], (predicted.ranges[-1], predicted.stds[-1])
+        outcome = compare(robot, last.pose, last.ranges, last.measured, known, *expected, self._std, settings)
+        self._checks.append(_Check(self._place, outcome.counts, lateness))
+
+    def _judge(self, heading_variance: float, present: KnownMap) -> None:
+        """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
+        self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
+        if self.status.level == "lost":
+            # The values of the grid's view change with the grid.
+            frozen = replace(present.grid, values=present.grid.values.copy())
+            self._reference = KnownMap(present.segments, frozen)
+            self._driven, self._since = 0.0, self._place
+            self._checks.clear()
+
+    def _status(self, heading_std: float) -> Status:
+        """The status by the last metres of the drive, with the most serious reason."""
+        if self._jump:
+            return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
+        changes, (changed, count) = self._config.sudden_changes, self._changed
+        if changed >= max(changes.fewest, changes.share * count):
+            return Status("lost", f"{changed} of {count} readings changed at once, and the robot hardly moved")
+        contradictions = self._by_contradictions()
+        if contradictions.level != "ok":
+            return contradictions
+        beam, evidence = self._latest_beam()
+        if evidence > self._config.late_beams.evidence:
+            delay = self._config.late_beams.delay
+            return Status("unsure", f"beam {beam} seems to report its readings {delay:g} s late")
+        if heading_std > self._config.unsure_heading:
+            return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")
+        return Status()
+
+    def _by_contradictions(self) -> Status:
+        recent = self._recent(self._config.window)
+        count, contradicting, _, _ = _sums(recent)
+        # A few wrong readings are no proof, however few there are in all.
+        is_proof = contradicting >= self._config.fewest_contradictions
+        limits = (0.0, self._config.unsure_share, self._config.lost_share if is_proof else math.inf)
+        is_enough = count >= self._config.fewest and len(recent) >= self._config.fewest_places
+        share = contradicting / count if is_enough else 0.0
+        level: Level = LEVELS[max(number for number, limit in enumerate(limits) if share >= limit)]
+        return Status(level, f"{contradicting} of {count} readings contradict the map" if level != "ok" else "")
+
+    def _latest_beam(self) -> tuple[int, float]:
+        """The beam that is most likely to be late, and the evidence for it."""
+        sums = np.sum([check.lateness for check in self._recent(self._config.window)], axis=0)
+        beam = int(np.argmax(sums))
+        return beam, float(sums[beam])
+
+    def _fits_again(self) -> bool:
+        """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
+        limits = self._config.recovery
+        count, contradicting, expected, fitting = _sums(self._recent(limits.window))
+        return (
+            self._place - self._since >= limits.window
+            and expected >= limits.fewest
+            and fitting >= limits.fitting * expected
+            and contradicting < self._config.unsure_share * count
+        )
+
+    def _recent(self, window: float) -> list[_Check]:
+        return [check for check in self._checks if self._place - check.place <= window]
+
+
+def _sums(checks: list[_Check]) -> tuple[int, ...]:
+    """The sums of ``_Check.counts``."""
+    return tuple(map(sum, zip(*(check.counts for check in checks), strict=True)))

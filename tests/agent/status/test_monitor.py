@@ -1,0 +1,189 @@
+"""The status of one robot, from made-up readings in a square room."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.drives import ROBOT, ranges_at, room
+
+from limslam_agent.config.status import StatusConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.status.contradictions import KnownMap
+from limslam_agent.status.monitor import UNIFORM_HEADING, Sight, StatusMonitor
+from limslam_agent.status.status import Status, status_scores, worst
+
+CONFIG = StatusConfig()
+WALLS = room(0.0, 0.0, 2.0, 2.0)
+SURE = np.diag([1e-6, 1e-6, 1e-6])
+EVERY = np.ones(len(ROBOT.beams), dtype=bool)
+UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
+KNOWN = KnownMap(WALLS, UNKNOWN)
+
+
+def blind(distance, turn=0.0):
+    """A step without new readings."""
+    return Sight(np.array([1.0, 1.0, 0.0]), ROBOT.max_ranges, ~EVERY, (distance, turn))
+
+
+def monitor():
+    return StatusMonitor(ROBOT, CONFIG, 0.02)
+
+
+def place(number):
+    """A pose on a small circle about the middle of the room."""
+    angle = 0.1 * number
+    return np.array([1.0 + 0.2 * math.cos(angle), 1.0 + 0.2 * math.sin(angle), angle])
+
+
+def drive(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, begin=0, length=0.11):
+    """Check at each step what a robot sees whose surroundings are ``walls``; the levels."""
+    levels = []
+    for number in range(begin, begin + steps):
+        sight = Sight(place(number), ranges_at(place(number), walls), EVERY, (length, 0.0))
+        assert watched.observe(sight, is_busy=True)
+        watched.check(covariance, known)
+        levels.append(watched.status.level)
+    return levels
+
+
+def test_a_robot_in_a_right_map_is_ok():
+    watched = monitor()
+    assert set(drive(watched, 100)) == {"ok"}
+    assert watched.status == Status()
+    assert not watched.added_covariance.any()
+
+
+@pytest.mark.parametrize(("is_busy", "motion"), [(True, CONFIG.spacing), (False, CONFIG.longest_spacing)])
+def test_readings_are_compared_after_a_motion_and_not_at_each_step(is_busy, motion):
+    watched = monitor()
+    assert watched.observe(blind(0.0), is_busy=is_busy)
+    for distance, turn in ((0.021, 0.0), (0.0, 0.021 / CONFIG.turn_length)):
+        watched.check(SURE, KNOWN)
+        due = [watched.observe(blind(distance, turn), is_busy=is_busy) for _ in range(40)]
+        assert due.index(True) == math.ceil(motion / 0.021) - 1
+
+
+def test_nothing_is_said_about_few_readings():
+    watched = monitor()
+    assert drive(watched, 3, walls=np.zeros((0, 4))) == ["ok"] * 3
+
+
+def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
+    watched = monitor()
+    drive(watched, 40)
+    levels = drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
+    assert levels.index("unsure") <= levels.index("lost") <= 4
+    assert "readings contradict the map" in watched.status.reason
+
+
+def test_a_lost_robot_stays_lost_although_the_map_is_redrawn_around_it():
+    watched = monitor()
+    drive(watched, 40)
+    wrong = room(-3.0, -3.0, 3.0, 3.0)
+    drive(watched, 200, walls=wrong, known=KnownMap(wrong, UNKNOWN), begin=40)
+    assert watched.status.level == "ok"
+    watched = monitor()
+    drive(watched, 40)
+    drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
+    levels = drive(watched, 200, walls=wrong, known=KnownMap(wrong, UNKNOWN), begin=50)
+    assert set(levels) == {"lost"}
+
+
+def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
+    watched = monitor()
+    drive(watched, 40)
+    began = drive(watched, 10, walls=np.zeros((0, 4)), begin=40).index("lost")
+    assert watched.added_covariance.any()
+    levels = drive(watched, 200, begin=50)
+    steps = levels.index("ok") + 10 - began
+    assert CONFIG.recovery.window <= 0.11 * steps <= CONFIG.recovery.window + 1.0
+    assert set(levels[levels.index("ok") :]) == {"ok"}
+    assert not watched.added_covariance.any()
+
+
+def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
+    watched = monitor()
+    drive(watched, 40)
+    drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
+    before = watched.added_covariance
+    watched.observe(blind(0.5), is_busy=True)
+    after, grown = watched.added_covariance, CONFIG.recovery.position_growth * 0.5
+    assert math.sqrt(after[0, 0]) == pytest.approx(math.sqrt(before[0, 0]) + grown)
+    assert after[1, 1] == after[0, 0]
+    for _ in range(40):
+        watched.observe(blind(0.5), is_busy=True)
+    limits = [CONFIG.recovery.position_limit, CONFIG.recovery.position_limit, UNIFORM_HEADING]
+    np.testing.assert_allclose(np.sqrt(np.diag(watched.added_covariance)), limits)
+
+
+def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
+    watched = monitor()
+    drive(watched, 40)
+    assert watched.observe(Sight(place(40), ranges_at(place(40), WALLS), EVERY, (5.0, 0.0)), is_busy=False)
+    watched.check(SURE, KNOWN)
+    assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
+    assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
+    assert not watched.observe(blind(0.01), is_busy=True)
+
+
+@pytest.mark.parametrize(
+    ("beams", "motion", "level"),
+    [(4, (0.02, 0.0), "lost"), (3, (0.02, 0.0), "ok"), (6, (0.02, 0.2), "ok"), (6, (0.2, 0.0), "ok")],
+)
+def test_readings_that_change_at_once_without_motion_are_noticed(beams, motion, level):
+    watched, nowhere = monitor(), KnownMap(np.zeros((0, 4)), UNKNOWN)
+    for number in range(20):
+        ranges = np.where(np.arange(6) < beams * (number >= 10), 0.4, 1.0)
+        if watched.observe(Sight(place(0), ranges, EVERY, motion), is_busy=True):
+            watched.check(SURE, nowhere)
+    assert watched.status.level == level
+    if level == "lost":
+        assert watched.status.reason == "4 of 6 readings changed at once, and the robot hardly moved"
+
+
+def test_an_uncertain_heading_is_unsure():
+    watched = monitor()
+    drive(watched, 10, covariance=np.diag([1e-6, 1e-6, math.radians(5.0) ** 2]))
+    assert watched.status == Status("unsure", "the heading's standard deviation is 5.0 deg")
+    drive(watched, 1, begin=10)
+    assert watched.status == Status()
+
+
+def test_a_late_beam_is_named():
+    watched, late = monitor(), 2
+    seen = [ranges_at(place(number), WALLS) for number in range(100)]
+    # Ten steps are a second.
+    for number in range(100):
+        ranges = seen[number].copy()
+        ranges[late] = seen[max(number - 10, 0)][late]
+        if watched.observe(Sight(place(number), ranges, EVERY, (0.02, 0.0)), is_busy=True):
+            watched.check(SURE, KNOWN)
+        if watched.status.level != "ok":
+            break
+    assert watched.status == Status("unsure", f"beam {late} seems to report its readings 1 s late")
+
+
+def test_the_worst_robot_counts_and_is_named():
+    lost, unsure = Status("lost", "a jump"), Status("unsure", "a doubt")
+    assert worst([lost]) == lost
+    assert worst([Status(), unsure, lost]) == Status("lost", "robot 3: a jump")
+    assert worst([Status(), Status()]) == Status()
+    assert (lost.words, Status().words) == ("lost: a jump", "ok")
+
+
+def test_the_scores_say_how_long_each_level_lasted():
+    time = 3.0 + np.arange(6.0)
+    levels = np.array([[0, 0], [1, 0], [1, 0], [0, 2], [0, 2], [0, 1]])
+    scores = status_scores(time, levels, Status("unsure", "a doubt"))
+    assert scores == {
+        "status": "unsure", "status_reason": "a doubt", "unsure_s": 2.0, "lost_s": 2.0, "first_lost_s": 3.0,
+    }  # fmt: skip
+    assert status_scores(time, np.zeros((6, 1), dtype=int), Status())["first_lost_s"] is None
+
+
+def test_settings_out_of_bounds_are_refused():
+    with pytest.raises(ValueError, match="lost_share must be a number from"):
+        replace(CONFIG, lost_share=1.5)
+    with pytest.raises(ValueError, match="spacing must be a number from"):
+        replace(CONFIG, spacing=0.0)
