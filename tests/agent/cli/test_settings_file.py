@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from limslam_agent.cli.main import THREAD_VARIABLES, app
 from limslam_agent.cli.settings import Given, ReplayOptions, RunOptions, replay_agent, run_config, run_options
+from limslam_agent.config.tables import SettingsError
 
 SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}
 
@@ -208,3 +209,17 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise():
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
         )
         assert result.stdout.split()[2:] == words
+
+
+@pytest.mark.parametrize(
+    ("text", "defaults", "other"),
+    [
+        ('world = "env1"\nseed = 3\n', ReplayOptions(), "run"),
+        ('log = "log.npz"\n', RunOptions(), "replay"),
+    ],
+)
+def test_a_file_of_another_command_is_recognised(tmp_path, text, defaults, other):
+    with pytest.raises(SettingsError, match=f"no such setting: this is a file of limslam {other}; there are"):
+        given(tmp_path, text).of_file(defaults, ("agent",))
+    with pytest.raises(SettingsError, match="unheard: there is no such setting; there are"):
+        given(tmp_path, "unheard = 1").of_file(defaults, ("agent",))
