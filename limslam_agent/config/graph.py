@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive
+from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative, Positive
 
 _DEGREE = math.pi / 180.0
 
@@ -413,6 +413,9 @@ class RoundConfig(Bounded):
         Scores within this distance of the best score are considered equal; the last such round is taken.
     settled
         Rounds end when the score rises by less than this and no new place was recognised.
+    restart, restarts
+        If odometry misses at least this much heading per metre, rad/m, its errors are corrected and the log is
+        smoothed again, at most this number of times. The result is kept if its score is higher.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
@@ -425,6 +428,8 @@ class RoundConfig(Bounded):
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003
     settled: NonNegative = 0.002
+    restart: Angle = 3.0 * _DEGREE
+    restarts: CountOrNone = 3
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,9 @@ class MendingConfig(Bounded):
     contradicted, unsure_heading
         Correction is tried if beams contradict more than this share of all looks, or if the filter's heading had this
         standard deviation, rad, at any step.
+    remaining, unavoidable
+        A corrected map is kept if at most this share of the contradictions remains, or if the contradictions are at
+        most this share of all looks, as in correct maps.
     """
 
     rounds: CountOrNone = 3
@@ -145,6 +148,8 @@ class MendingConfig(Bounded):
     doubled_angle: Angle = math.radians(10.0)
     contradicted: Share = 0.01
     unsure_heading: Angle = math.radians(4.0)
+    remaining: Share = 0.6
+    unavoidable: Share = 0.002
 
 
 @dataclass(frozen=True)

@@ -200,6 +200,18 @@ def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> Fl
     return np.column_stack((x, y, (1.0 + gain) * motion[:, 2] + turn * forward))
 
 
+def corrected_odometry(odometry: FloatArray, bias: FloatArray) -> FloatArray:
+    """Absolute odometry poses (n, 3) with their motions corrected for the constant errors."""
+    moves = se2.between(odometry[:-1], odometry[1:])
+    return integrate(odometry[0], _calibrated(moves, moves[:, 0], bias))
+
+
+def joined_bias(first: FloatArray, second: FloatArray) -> FloatArray:
+    """The constant errors (3,) of odometry that is corrected for the first errors and then for the second ones."""
+    scale, gain = (1.0 + first[1:]) * (1.0 + second[1:]) - 1.0
+    return np.array([(1.0 + second[2]) * first[0] + (1.0 + first[1]) * second[0], scale, gain])
+
+
 def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
     """Poses (m, 3) that follow from motions (m - 1, 3) and the first pose ``start`` (3,)."""
     return _integrate(np.asarray(start, dtype=np.float64), np.ascontiguousarray(steps))

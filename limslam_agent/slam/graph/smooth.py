@@ -31,7 +31,9 @@ from limslam_agent.slam.graph.key_poses import (
     LogData,
     Trajectory,
     choose_keys,
+    corrected_odometry,
     event_poses,
+    joined_bias,
     odometry_trajectory,
 )
 from limslam_agent.slam.graph.least_squares import pose_columns, relation_factor
@@ -151,6 +153,23 @@ def smooth_log(
     """
     config = config or GraphConfig()
     report = report or _silent
+    best, known = _smoothed(data, start, config, report), np.zeros(3)
+    for _ in range(config.rounds.restarts):
+        found = best.trajectory.bias
+        if abs(found[0]) < config.rounds.restart:
+            break
+        # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
+        data = replace(data, odometry=corrected_odometry(data.odometry, found))
+        again = _smoothed(data, start, config, partial(_say, report, "odometry corrected"))
+        if again.score <= best.score:
+            break
+        best, known = again, joined_bias(known, found)
+    turn_bias, scale, turn_gain = joined_bias(known, best.trajectory.bias).tolist()
+    return replace(best, turn_bias=turn_bias, scale=scale, turn_gain=turn_gain)
+
+
+def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> GraphResult:
+    """Smooth a log with odometry as it is."""
     keys = choose_keys(data, config.keys, config.motion)
     if len(keys) < 2 or not len(keys.point_key):
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))

@@ -67,6 +67,19 @@ def is_contradicted(problem: Problem, found: Association, config: SmootherConfig
     return tally(problem, found).contradictions > config.mending.contradicted * len(problem.looks)
 
 
+def is_repaired(problem: Problem, before: Association, after: Association, config: SmootherConfig) -> bool:
+    """Whether clearly fewer beams contradict the map after a correction.
+
+    A correction can raise the score by fitting noise, and bend the whole map. It then leaves most contradictions.
+    """
+    remaining = tally(problem, after).contradictions
+    most = max(
+        config.mending.remaining * tally(problem, before).contradictions,
+        config.mending.unavoidable * len(problem.looks),
+    )
+    return remaining <= most
+
+
 def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], config: SmootherConfig) -> Candidate:
     """The best solution that the moves lead to, or the solution at the beginning of the round."""
     best, mender = begin, _Mender(problem, begin, config)

@@ -18,7 +18,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
     state_from_poses,
 )
 from limslam_agent.slam.line_graph.map_score import score
-from limslam_agent.slam.line_graph.mending import is_contradicted, mend
+from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -123,6 +123,8 @@ def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: Smoot
     if not needs_mending(problem, found, run.covariances, config):
         return _Settled(problem, found, ())
     kept = mend(problem, found, config)
+    if not is_repaired(problem, found, kept[-1].association, config):
+        return _Settled(problem, found, ())
     return _Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
 
 

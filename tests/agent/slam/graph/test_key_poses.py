@@ -10,7 +10,9 @@ from limslam_agent.slam.graph.key_poses import (
     LogData,
     calibrated_steps,
     choose_keys,
+    corrected_odometry,
     event_poses,
+    joined_bias,
     odometry_trajectory,
     points_in_keys,
     to_world,
@@ -83,6 +85,17 @@ def test_constant_errors_of_odometry_are_undone():
     raw = se2.between(reported[keys.first_event[:-1]], reported[keys.first_event[1:]])
     assert np.abs(steps - wanted).max() < 3e-3
     assert np.abs(raw - wanted).max() > 6e-3
+
+
+def test_two_corrections_after_each_other_are_one():
+    log = wandering()
+    first, second = np.array([0.05, 0.03, -0.02]), np.array([-0.02, 0.01, 0.04])
+    twice = corrected_odometry(corrected_odometry(log.odometry, first), second)
+    once = corrected_odometry(log.odometry, joined_bias(first, second))
+    # The direction of a motion turns by half of the missing heading, which is not exactly additive.
+    assert np.abs(se2.wrap_angle(twice[:, 2] - once[:, 2])).max() < 1e-3
+    assert np.abs(twice[:, :2] - once[:, :2]).max() < 5e-3
+    assert np.abs(once - log.odometry).max() > 0.1
 
 
 def test_a_standing_robot_gives_points_once():

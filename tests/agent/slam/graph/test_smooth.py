@@ -11,6 +11,7 @@ from support.data import data_folder
 from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
+from limslam_agent.slam.graph import smooth
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.smooth import KEPT, NO_SUPPORT, OUTVOTED, smooth_log
 from limslam_env.geometry import se2
@@ -37,6 +38,37 @@ def test_the_bias_of_odometry_is_found(two_laps):
     assert result.turn_bias == pytest.approx(TURN_PER_METRE, rel=0.2)
     assert abs(result.scale) < 0.03
     assert abs(result.turn_gain) < 0.05
+
+
+def results_of_searches(monkeypatch, two_laps, scores, biases):
+    """Replace the search by given scores and biases (deg/m); the result, and the odometry of each search."""
+    log, truth, result = two_laps
+    given, seen = iter(zip(scores, biases, strict=True)), []
+
+    def smoothed(data, _start, _config):
+        seen.append(data.odometry)
+        score, bias = next(given)
+        trajectory = replace(result.trajectory, bias=np.array([np.radians(bias), 0.0, 0.0]))
+        return replace(result, score=score, trajectory=trajectory)
+
+    monkeypatch.setattr(smooth, "_smoothed", smoothed)
+    return smooth_log(log, truth[0], TWO_ROUNDS), seen
+
+
+def test_a_large_bias_is_corrected_and_the_log_smoothed_again(monkeypatch, two_laps):
+    result, seen = results_of_searches(monkeypatch, two_laps, (0.5, 0.7, 0.8), (5.0, 4.0, 1.0))
+    assert len(seen) == 3
+    assert result.score == 0.8
+    assert np.degrees(result.turn_bias) == pytest.approx(10.0)
+    turned = np.degrees(np.diff(np.unwrap(seen[1][:, 2]) - np.unwrap(seen[0][:, 2])))
+    forward = np.hypot(*np.diff(seen[0][:, :2], axis=0).T)
+    np.testing.assert_allclose(turned, 5.0 * forward, atol=0.05)
+
+
+def test_a_correction_that_does_not_raise_the_score_is_not_kept(monkeypatch, two_laps):
+    result, seen = results_of_searches(monkeypatch, two_laps, (0.5, 0.5), (5.0, 0.0))
+    assert len(seen) == 2
+    assert np.degrees(result.turn_bias) == pytest.approx(5.0)
 
 
 def test_every_loop_has_a_reason(two_laps):

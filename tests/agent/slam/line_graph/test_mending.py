@@ -10,7 +10,7 @@ from support.smoother_runs import noisy_run, position_error, true_labels
 from limslam_agent.config.smoother import ScoreConfig, SmootherConfig
 from limslam_agent.slam.line_graph.line_smoother import state_from_motions
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
-from limslam_agent.slam.line_graph.mending import doubled_lines, mend, straight_runs
+from limslam_agent.slam.line_graph.mending import doubled_lines, is_repaired, mend, straight_runs
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 
@@ -59,6 +59,16 @@ def normal_of(state, index):
     return np.array([np.cos(state.lines[index, 1]), np.sin(state.lines[index, 1])])
 
 
+def test_a_map_that_keeps_its_contradictions_is_not_repaired():
+    problem, _, found = truth(3)
+    moved = found.state.lines.copy()
+    moved[0, 0] += 0.4 if found.state.anchors[0] @ normal_of(found.state, 0) < 1.0 else -0.4
+    wrong = replace(found, solution=replace(found.solution, state=replace(found.state, lines=moved)))
+    assert is_repaired(problem, wrong, found, CONFIG)
+    assert is_repaired(problem, found, found, CONFIG)
+    assert not is_repaired(problem, wrong, wrong, CONFIG)
+
+
 def test_lines_that_run_along_each_other_are_found():
     problem, _, found = truth(4, 0.04)
     assert np.array_equal(doubled_lines(problem, found, CONFIG.mending), np.arange(4))
@@ -91,6 +101,7 @@ def test_a_run_with_wrong_walls_is_mended():
     kept = mend(problem, begin, CONFIG)
     scores = [candidate.score.total for candidate in kept]
     assert scores == sorted(scores)
+    assert is_repaired(problem, begin, kept[-1].association, CONFIG)
     assert position_error(kept[-1].association.state, poses) < 1.5 * position_error(best.state, poses) + 0.01
 
 
