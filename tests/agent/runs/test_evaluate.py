@@ -197,7 +197,7 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
             "env_id is a name such as 'LimSlam-Env1-v0', not .*: evaluate makes",
         ),
         (spin, "LimSlam-Env1-v0", {"robot": "e-puck"}, "robot must be a RobotSpec"),
-        (spin, "LimSlam-Env1-v0", {"noise": 0.02}, "did you mean sensor_noise=0.02"),
+        (spin, "LimSlam-Env1-v0", {"rewards": 1.0}, "rewards must be a RewardConfig"),
         (LimSlamAgent(FAST), "LimSlam-Env1-v0", {}, r"LimSlamAgent was made for another robot .*in max_wheel_speed\)"),
         (LimSlamAgent(ROBOT), "LimSlam-Env1-v0", {"robot": FAST}, "was made for another robot"),
         (FrontierPolicy(), "LimSlam-Env1-v0", {"robot": FAST}, "FrontierPolicy was made for another robot"),
