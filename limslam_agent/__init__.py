@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.belief import Belief
-    from limslam_agent.config.presets import AgentConfig, preset
+    from limslam_agent.config.presets import AgentConfig, preset, with_until
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.mapper import Mapper
     from limslam_agent.policies.frontier_policy import FrontierPolicy
@@ -48,6 +48,7 @@ __all__ = [
     "preset",
     "read_log",
     "replay_log",
+    "with_until",
 ]
 
 _MODULES = {
@@ -71,6 +72,7 @@ _MODULES = {
     "preset": "config.presets",
     "read_log": "logs.log_reader",
     "replay_log": "replay.replay",
+    "with_until": "config.presets",
 }
 
 

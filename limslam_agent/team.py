@@ -8,8 +8,8 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
-from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
+from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -192,7 +192,7 @@ class LimSlamTeam:
         )
 
     def _new_policy(self, number: int) -> Policy:
-        return FrontierPolicy(self.robot, self.config.policy, number)
+        return explorer(self.robot, self.config, number)
 
     def _restart_stopped(self, grid: GridView) -> None:
         """Give a robot that has stopped a new policy, once the other robots have mapped enough new cells."""

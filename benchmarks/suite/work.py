@@ -115,7 +115,7 @@ def run_config(job: Job) -> RunConfig:
     """
     return RunConfig(
         world_source(job.world), job.noise, job.preset, job.seed, job.max_time, job.laps,
-        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit,
+        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit, until="seen",
     )  # fmt: skip
 
 

@@ -56,6 +56,15 @@ Policy = Annotated[
         _RUN.policy,
     ),
 ]
+Until = Annotated[
+    str | None,
+    _option(
+        _AGENT,
+        "When the policies frontier and frontier_fast are done: seen (no frontier is left) or walls (the robot has "
+        "also looked at every place where free ground ends and the map has no wall).",
+        _RUN.until,
+    ),
+]
 Laps = Annotated[
     int | None, _option(_AGENT, "Drive this many laps of the world's loop instead of exploring.", _RUN.laps)
 ]

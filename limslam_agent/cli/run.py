@@ -23,6 +23,7 @@ def run(
     seed: take.Seed = None,
     max_time: take.MaxTime = None,
     policy: take.Policy = None,
+    until: take.Until = None,
     laps: take.Laps = None,
     robots: take.Robots = None,
     ablation: take.Ablation = None,

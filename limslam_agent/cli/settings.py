@@ -36,6 +36,7 @@ class RunOptions(Bounded):
     seed: CountOrNone = 0
     max_time: _Time = 1800.0
     policy: str = "frontier"
+    until: str = "walls"
     laps: CountOrNone = 0
     robots: Annotated[int, Bounds(1, 8)] = 1
     ablation: str | None = None
@@ -153,6 +154,8 @@ class Given:
         ``--noise`` sets the noise that the agent assumes.
         """
         table = self._table_without("agent", {"noise": "range_std"} if "noise" in self.options else {})
+        if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
+            raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
         if base.preset != preset_in_file:
             table.pop("estimator", None)
             table.pop("smoothing", None)
@@ -209,7 +212,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     ValueError
         If it cannot be run.
     """
-    from limslam_agent.config.presets import preset
+    from limslam_agent.config.presets import preset, with_until
     from limslam_agent.runs.episode import RunConfig
     from limslam_env.config import NoiseConfig
     from limslam_env.interface import NominalNoise, RobotSpec
@@ -217,7 +220,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
 
     try:
         in_file = given.table.get("preset", options.preset)
-        agent = given.agent(preset(options.preset, NominalNoise(options.noise)), in_file)
+        agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(RobotSpec()), options.robots, options.ablation, options.policy, options.limit,
@@ -282,7 +285,7 @@ def _option_table(options: RunOptions | ReplayOptions) -> dict[str, Any]:
 def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:
     """The agent's settings without those that follow from the options."""
     table = table_of(agent)
-    del table["preset"]
+    del table["preset"], table["policy"]["until"]
     if agent.noise.range_std == noise:
         del table["noise"]["range_std"]
     return table

@@ -8,6 +8,9 @@ from typing import Annotated
 
 from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, NonNegative, Positive
 
+UNTIL = ("seen", "walls")
+"""When an exploration is over: when everything was seen, or when the walls are whole, too."""
+
 
 @dataclass(frozen=True)
 class TeamConfig(Bounded):
@@ -55,6 +58,10 @@ class PolicyConfig(Bounded):
 
     Attributes
     ----------
+    until
+        When exploration is over: when everything was ``seen``, so that there is no frontier left, or when the
+        ``walls`` are whole, so that the robot has also looked at every stretch where free ground ends and the map has
+        no wall.
     speed
         Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
     lap_speed
@@ -88,8 +95,13 @@ class PolicyConfig(Bounded):
         Number of steps for which the robot then drives backwards.
     aside_steps
         Number of steps for which a goal that could not be reached is ignored.
+    min_stretch
+        Least length of a stretch without a wall that the robot looks at, m.
+    looks, min_stretch_again
+        Largest number of looks at one stretch, and least length of a stretch that is looked at more than once, m.
     """
 
+    until: str = "seen"
     speed: Positive = 0.20
     lap_speed: Positive = 0.25
     turn_rate: Annotated[float, Bounds(0.01, 100.0)] = 2.0
@@ -106,3 +118,11 @@ class PolicyConfig(Bounded):
     patience: Count = 30
     back_steps: CountOrNone = 8
     aside_steps: CountOrNone = 300
+    min_stretch: NonNegative = 0.15
+    looks: Count = 2
+    min_stretch_again: NonNegative = 0.35
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.until not in UNTIL:
+            raise ValueError(f"until must be {' or '.join(UNTIL)}, not {self.until!r}")

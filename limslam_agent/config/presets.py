@@ -28,6 +28,7 @@ __all__ = [
     "TeamConfig",
     "preset",
     "self_calibrating",
+    "with_until",
 ]
 
 EstimatorConfig = PublishedConfig | ConsistentConfig
@@ -118,6 +119,17 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
         smoothing=GraphConfig() if smooths else None,
         line_smoothing=SmootherConfig() if smooths else None,
     )
+
+
+def with_until(config: AgentConfig, until: str) -> AgentConfig:
+    """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
+
+    Raises
+    ------
+    ValueError
+        If ``until`` is neither.
+    """
+    return replace(config, policy=replace(config.policy, until=until))
 
 
 def self_calibrating(config: AgentConfig, *, enabled: bool = True) -> AgentConfig:

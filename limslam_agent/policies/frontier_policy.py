@@ -110,6 +110,14 @@ class FrontierPolicy:
         self._collision_guard.add_readings(belief.pose, belief.ranges)
         return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
+    def resume(self, belief: Belief) -> bool:
+        """Explore again, after the policy has stopped, if there is a frontier that can be reached; whether there is."""
+        target = None if self._wall_follower is not None else self._target(belief)
+        if target is None or not target.is_reachable:
+            return False
+        self.stop_reason = None
+        return True
+
     def _follow_walls(self, belief: Belief, follower: WallFollower) -> FloatArray:
         wheels = follower.act(belief)
         if follower.stop_reason is not None:

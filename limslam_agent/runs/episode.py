@@ -14,7 +14,7 @@ import numpy as np
 
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
@@ -75,6 +75,9 @@ class RunConfig:
         Whether to also compare the run with the offline optimum of its log, which needs gtsam.
     settings
         The agent's settings before the ablation. The preset's settings by default.
+    until
+        When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
+        (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
@@ -98,6 +101,7 @@ class RunConfig:
     limit: bool = False
     settings: AgentConfig | None = None
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
+    until: str | None = None
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -121,6 +125,8 @@ class RunConfig:
     def agent(self) -> AgentConfig:
         """The agent's settings, with the noise that the agent is told."""
         config = self.settings or preset(self.preset, NominalNoise(self.noise))
+        if self.until is not None:
+            config = with_until(config, self.until)
         return config if self.ablation is None else ablated(config, self.ablation)
 
     @property

@@ -14,11 +14,11 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.controller import bearing_of, wheel_speeds
-from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
 from limslam_agent.policies.learned.network import load_network
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
+from limslam_agent.policies.wall_policy import explorer
 from limslam_env.bounds.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray
@@ -182,17 +182,18 @@ def policies_by_belief(
         raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
     if policy == "frontier":
         return None
-    return [_policy_for(policy, robot, config.policy, number, seed) for number in range(robots)]
+    return [_policy_for(policy, robot, config, number, seed) for number in range(robots)]
 
 
-def _policy_for(policy: str, robot: RobotSpec, config: PolicyConfig, number: int, seed: int) -> Policy:
+def _policy_for(policy: str, robot: RobotSpec, config: AgentConfig, number: int, seed: int) -> Policy:
     """A policy that acts on the belief."""
     if policy == "frontier_fast":
-        return FrontierPolicy(robot, replace(config, speed=robot.max_wheel_speed), number)
+        fast = replace(config.policy, speed=robot.max_wheel_speed)
+        return explorer(robot, replace(config, policy=fast), number)
     if policy == "wall_follower":
-        return WallFollower(robot, config)
+        return WallFollower(robot, config.policy)
     kind = LearnedPolicy if policy == "learned" else RandomPolicy
-    return kind(robot, config, seed=np.random.default_rng([seed, number]))
+    return kind(robot, config.policy, seed=np.random.default_rng([seed, number]))
 
 
 def _privileged_policy(

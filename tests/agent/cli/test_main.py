@@ -185,6 +185,7 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("replay",), "a log is needed"),
         (("run", "--seed", "-3"), "-3"),
         (("run", "--policy", "magic"), "no policy is called 'magic'"),
+        (("run", "--until", "dark"), "until must be seen or walls, not 'dark'"),
         (("run", "--policy", "random", "--laps", "2"), "laps"),
         (("run", "--policy", "oracle", "--robots", "2"), "for one robot"),
         (("run", "--warp"), "--warp"),

@@ -102,6 +102,15 @@ def test_what_neither_sets_has_its_default(tmp_path):
     assert run_options(Given.read(None, {"seed": None, "laps": 1})) == RunOptions(laps=1)
 
 
+def test_a_run_looks_at_walls_unless_the_file_or_an_option_says_otherwise(tmp_path):
+    def until(text="", **options):
+        return config_of(given(tmp_path, text, **options)).agent.policy.until
+
+    assert until() == "walls"
+    assert until('until = "seen"') == until(until="seen") == until('until = "walls"', until="seen") == "seen"
+    assert until('until = "seen"', until="walls") == "walls"
+
+
 def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
     text = "noise = 0.01\n[agent.noise]\nrange_std = 0.03\nwheel_variance = 1e-4\n"
     by_file, by_option = (config_of(given(tmp_path, text, **options)) for options in ({}, {"noise": 0.04}))
@@ -149,6 +158,8 @@ def test_paths_of_a_file_are_relative_to_it(tmp_path):
     [
         ("warp = 9", "mine.toml: warp: there is no such setting; there are world, noise"),
         ('seed = "many"', "mine.toml: seed: must be a whole number, not 'many'"),
+        ('until = "dark"', "mine.toml: until: until must be seen or walls, not 'dark'"),
+        ('[agent.policy]\nuntil = "seen"', "mine.toml: agent.policy.until: is set as until, outside of all tables"),
         ("robots = 9", "mine.toml: robots must be a number from 1 to 8, not 9"),
         ("max_time = nan", "mine.toml: max_time must be a number"),
         ('preset = "magic"', "mine.toml: preset: no preset is called 'magic'"),

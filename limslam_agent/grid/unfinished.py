@@ -1,0 +1,116 @@
+"""Unfinished borders: stretches where free ground ends, and where the map has no wall.
+
+Free ground ends at faces, the sides that a free cell shares with a cell that is not free. A face is finished if a wall
+of the map is drawn there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_array, csgraph
+from scipy.spatial import cKDTree
+
+from limslam_agent.grid.occupancy import GridView
+from limslam_env.geometry import BoolArray, FloatArray
+
+# Steps to the four neighbours of a cell, as (row, column).
+_NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+# Farthest distance, in cells, of a face from a wall that is drawn there: across the wall, if the face looks along it,
+# and past the wall's end.
+_ACROSS, _SIDEWAYS, _PAST = 1.8, 0.8, 0.5
+# A wall and a face look the same way if their normals differ by less than the angle with this cosine.
+_SAME_WAY = 0.5
+# Faces whose middles are at most this many cells apart belong to one stretch.
+_JOINED = 1.5
+# Radius (m) within which faces count for the direction in which a place of the border looks.
+_SMOOTHED = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Sides of cells where free ground ends.
+
+    Attributes
+    ----------
+    middles
+        Middle of each face (n, 2), m.
+    normals
+        Unit vectors (n, 2) from the face into the free ground.
+    """
+
+    middles: FloatArray
+    normals: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.middles)
+
+    def select(self, which: BoolArray) -> "Faces":
+        """Some of the faces, chosen by a mask (n,)."""
+        return Faces(self.middles[which], self.normals[which])
+
+
+def border_faces(grid: GridView, ground: BoolArray) -> Faces:
+    """All faces of some free cells (rows, columns), ``ground``. Their normals are smoothed along the border."""
+    free = np.pad(grid.free, 1)
+    cells, normals = [], []
+    for down, right in _NEIGHBOURS:
+        beyond = free[1 + down : free.shape[0] - 1 + down, 1 + right : free.shape[1] - 1 + right]
+        found = np.argwhere(ground & ~beyond)
+        cells.append(found)
+        normals.append(np.broadcast_to((-right, -down), found.shape))
+    raw = np.concatenate(normals).astype(float)
+    middles = grid.centres(np.concatenate(cells)) - 0.5 * grid.cell * raw
+    return Faces(middles, _smoothed(middles, raw))
+
+
+def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
+    """Free cells (rows, columns) that are connected to the cell of a place (2,), m. All free cells, if it has none."""
+    labels, _ = ndimage.label(grid.free)
+    row, column = grid.cells(place[None])[0]
+    inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
+    own = labels[row, column] if inside else 0
+    return np.asarray(labels == own) if own else grid.free
+
+
+def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArray:
+    """Which faces (n,) have none of the walls (m, 4), m, on a grid of cells of a side (m)."""
+    if not len(segments):
+        return np.ones(len(faces), dtype=bool)
+    starts, spans = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    length = np.maximum(np.hypot(*spans.T), 1e-9)
+    along = spans / length[:, None]
+    offset = faces.middles[:, None] - starts
+    position = np.sum(offset * along, axis=2)
+    across = np.abs(offset[..., 0] * along[:, 1] - offset[..., 1] * along[:, 0])
+    looks = np.abs(faces.normals[:, :1] * -along[:, 1] + faces.normals[:, 1:] * along[:, 0])
+    near = across <= np.where(looks >= _SAME_WAY, _ACROSS, _SIDEWAYS) * cell
+    beside = (position >= -_PAST * cell) & (position <= length + _PAST * cell)
+    return ~np.asarray((near & beside).any(axis=1))
+
+
+def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
+    """Which faces (n,) are part of a stretch of at least ``least`` metres.
+
+    Faces that look away from each other are of two stretches, so that a single occupied cell makes no stretch.
+    """
+    if not len(faces):
+        return np.zeros(0, dtype=bool)
+    pairs = cKDTree(faces.middles).query_pairs(_JOINED * cell, output_type="ndarray")
+    pairs = pairs[np.sum(faces.normals[pairs[:, 0]] * faces.normals[pairs[:, 1]], axis=1) >= _SAME_WAY]
+    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces)))
+    _, labels = csgraph.connected_components(joined, directed=False)
+    return np.asarray((np.bincount(labels) * cell >= least)[labels])
+
+
+def _smoothed(middles: FloatArray, normals: FloatArray) -> FloatArray:
+    """Unit normals (n, 2): the mean of those of the faces around that do not look the opposite way."""
+    if not len(middles):
+        return normals
+    pairs = cKDTree(middles).query_pairs(_SMOOTHED, output_type="ndarray")
+    pairs = pairs[np.sum(normals[pairs[:, 0]] * normals[pairs[:, 1]], axis=1) >= 0.0]
+    total = normals.copy()
+    np.add.at(total, pairs[:, 0], normals[pairs[:, 1]])
+    np.add.at(total, pairs[:, 1], normals[pairs[:, 0]])
+    size = np.hypot(*total.T)[:, None]
+    return np.asarray(np.where(size > 1e-9, total / np.maximum(size, 1e-9), normals))

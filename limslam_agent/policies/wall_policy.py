@@ -1,0 +1,139 @@
+"""Exploration that ends when the walls are whole: frontiers first, and then the stretches of border without a wall."""
+
+import numpy as np
+
+from limslam_agent.belief import Belief
+from limslam_agent.config.presets import AgentConfig, PolicyConfig
+from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import back_off
+from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, Policy
+from limslam_agent.policies.right_of_way import RightOfWay
+from limslam_agent.policies.wall_look import Look
+from limslam_agent.policies.wall_views import LookMemory, next_view
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+
+# Looking at walls takes at most as many steps as exploring frontiers has taken so far, and this number more.
+_FREE_STEPS = 600
+
+
+def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
+    """The policy that explores until everything was seen, or until the walls are whole, as the settings say.
+
+    Parameters
+    ----------
+    robot, config
+        Body, and the settings of the agent.
+    index
+        The robot's place in its team.
+    """
+    if config.policy.until == "seen":
+        return FrontierPolicy(robot, config.policy, index)
+    return WallPolicy(robot, config.policy, index, config.range_std)
+
+
+class WallPolicy:
+    """Explores frontiers, and looks at every stretch where free ground ends and the map has no wall.
+
+    A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the nearest place from
+    which a stretch without a wall is visible. There the robot turns slowly, so that beams sweep along the stretch. A
+    frontier that appears meanwhile is explored first. Each stretch is looked at a limited number of times, each time
+    from another place, and the time for all looks is limited, so exploration always ends.
+
+    Parameters
+    ----------
+    robot, config
+        Body and settings.
+    index
+        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
+    range_std
+        Assumed standard deviation of a range, m. Noisy ranges need slower sweeps.
+
+    Attributes
+    ----------
+    stop_reason
+        Why there is nothing left to explore, in words. None while the policy is active.
+    plan
+        Path to the present goal (k, 2), m.
+    """
+
+    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
+        self._robot, self._config, self._std = robot, config, range_std
+        self._frontiers = FrontierPolicy(robot, config, index)
+        self._collision_guard = CollisionGuard(robot)
+        self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
+        self._memory = LookMemory()
+        self.stop_reason: str | None = None
+        self.plan: FloatArray = NO_PLAN
+        self._look: Look | None = None
+        self._exploring = self._looking = self._backing = 0
+
+    @property
+    def goal(self) -> FloatArray | None:
+        """Present goal (2,), m, or None."""
+        return self._frontiers.goal if self._look is None else self._look.view.stand
+
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._collision_guard.add_readings(belief.pose, belief.ranges)
+        wheels = self._wheels(belief)
+        self.plan = self._frontiers.plan if self._look is None else self._look.path
+        return wheels
+
+    def _wheels(self, belief: Belief) -> FloatArray:
+        wheels = self._frontier_wheels(belief) if self._frontiers.stop_reason is None else None
+        if wheels is not None:
+            return wheels
+        if self._look is None and self._backing == 0:
+            self._choose(belief)
+        return self._collision_guard.limit_speed(belief.pose, self._look_wheels(belief))
+
+    def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
+        """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
+        self._exploring += 1
+        wheels = self._frontiers.act(belief)
+        reason = self._frontiers.stop_reason
+        if reason is None:
+            return wheels
+        if reason.endswith(NOT_EXPLORED):
+            self.stop_reason = reason
+            return wheels
+        return None
+
+    @property
+    def _is_late(self) -> bool:
+        """Whether the time for looking at walls is over."""
+        return self._looking > self._exploring + _FREE_STEPS
+
+    def _choose(self, belief: Belief) -> None:
+        """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
+        if self._frontiers.resume(belief):
+            return
+        view = None if self._is_late else next_view(belief, self._memory, self._robot, self._config)
+        if view is not None:
+            self._look = Look(view, self._robot, self._config, self._std)
+            return
+        end = "the time for looking at walls is over" if self._is_late else "all walls were looked at"
+        self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
+
+    def _look_wheels(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) of the present look, before the collision guard limits them."""
+        self._looking += 1
+        if self._backing > 0:
+            self._backing -= 1
+            return back_off(belief.pose, belief.grid, self._robot, self._config)
+        if self._look is None or self._right_of_way.waits(belief.pose, belief.other_poses):
+            return np.zeros(2)
+        wheels = self._look.act(belief)
+        if self._look.is_over:
+            self._end(self._look)
+        return wheels
+
+    def _end(self, look: Look) -> None:
+        if not look.is_needless:
+            self._memory.add(look.view.faces, look.view.stand)
+        self._backing = self._config.back_steps if look.is_stuck else 0
+        self._look = None

@@ -1,0 +1,241 @@
+"""Choice of the next stretch of border without a wall, and of the place from which beams can sweep along it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.belief import Belief
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.planner import Routes, routes, wall_distance
+from limslam_agent.grid.unfinished import (
+    Faces,
+    border_faces,
+    in_long_stretches,
+    reachable_ground,
+    unfinished_faces,
+)
+from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec
+
+# A stretch is looked at in parts. This is the largest distance (m) of a face from the middle of its part.
+_PART = 0.4
+# Faces this close (m), that look the same way, are one place of the border.
+_SAME_FACE = 0.12
+# Cosine of the least steep angle at which a beam may meet the middle of a part, and the other faces of the part.
+_STEEP, _GRAZING = 0.6, 0.3
+# Costs (m of path) of one metre besides the best distance, and of a beam that meets the wall at a slant.
+_OFF_DISTANCE, _SLANT = 2.0, 1.0
+# Distance (m) between the robot's rim and the nearest occupied cell at a place where it turns.
+_ROOM = 0.03
+# Farthest share of the beams' reach that is used.
+_FAR_SHARE = 0.7
+# Number of pairs of a place and a face that are tested for a free sight at once, and number of points of a sight.
+_BATCH, _SIGHT_POINTS = 256, 16
+# Number of views of one face that are computed before the face is left alone.
+_MOST_VIEWS = 3
+# A second look is taken from a place at least this far (m) from that of the first look.
+_ELSEWHERE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A part of a stretch to look at, and from where.
+
+    Attributes
+    ----------
+    faces
+        The faces of the part.
+    stand
+        The place to look from (2,), m.
+    path
+        Path to that place (k, 2), m.
+    cell
+        Length of a face, m.
+    """
+
+    faces: Faces
+    stand: FloatArray
+    path: FloatArray
+    cell: float
+
+    @property
+    def middle(self) -> FloatArray:
+        """Middle of the part (2,), m."""
+        return np.asarray(self.faces.middles.mean(axis=0))
+
+    @property
+    def length(self) -> float:
+        """Distance between the outer ends of the part's outermost faces, m."""
+        return float(np.hypot(*np.ptp(self.faces.middles, axis=0))) + self.cell
+
+    def bearings(self, place: FloatArray) -> tuple[float, float]:
+        """Direction in which the part begins, seen from a place (2,), m, and the angle that it fills, rad."""
+        offset = self.faces.middles - place
+        middle = self.middle - place
+        centre = math.atan2(middle[1], middle[0])
+        turned = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - centre)
+        half = 0.5 * self.cell / max(float(np.hypot(*middle)), self.cell)
+        return centre + float(turned.min()) - half, float(np.ptp(turned)) + 2.0 * half
+
+
+class LookMemory:
+    """Remembers how often each part of the border was looked at, and from where."""
+
+    def __init__(self) -> None:
+        self._looks: list[tuple[Faces, FloatArray]] = []
+
+    def add(self, faces: Faces, stand: FloatArray) -> None:
+        """Count a look at faces from a place (2,), m."""
+        self._looks.append((faces, stand))
+
+    def tries(self, faces: Faces) -> IntArray:
+        """Number of looks at each of the faces (n,)."""
+        count = np.zeros(len(faces), dtype=np.int64)
+        for looked, _ in self._looks:
+            count += _same(faces, looked).any(axis=1)
+        return count
+
+    def was_used(self, faces: Faces, stands: FloatArray) -> BoolArray:
+        """Whether a look at each of the faces (n,) was taken from about its place (n, 2), m."""
+        used = np.zeros(len(faces), dtype=bool)
+        for looked, stand in self._looks:
+            used |= _same(faces, looked).any(axis=1) & (np.hypot(*(stands - stand).T) < _ELSEWHERE)
+        return used
+
+
+def unfinished_border(belief: Belief, config: PolicyConfig) -> Faces:
+    """The faces without a wall around the ground that the robot can reach, in stretches that are long enough."""
+    grid = belief.grid
+    faces = border_faces(grid, reachable_ground(grid, belief.pose[:2]))
+    faces = faces.select(unfinished_faces(faces, belief.segments, grid.cell))
+    return faces.select(in_long_stretches(faces, config.min_stretch, grid.cell))
+
+
+def is_unfinished(belief: Belief, view: View, config: PolicyConfig) -> bool:
+    """Whether any of a view's faces is still part of the unfinished border."""
+    return bool(_same(view.faces, unfinished_border(belief, config)).any())
+
+
+def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: PolicyConfig) -> View | None:
+    """The cheapest view of a part of the border that was looked at least often. None if there is no part left."""
+    border = unfinished_border(belief, config)
+    tries = memory.tries(border)
+    if not len(border):
+        return None
+    ways = _ways(belief, robot, config)
+    for number in range(config.looks):
+        open_border = border.select(tries <= number)
+        # A second look at a short stretch shows no more than the first one.
+        least = config.min_stretch if number == 0 else config.min_stretch_again
+        open_border = open_border.select(in_long_stretches(open_border, least, belief.grid.cell))
+        found = _cheapest(belief, ways, open_border, memory, robot, least) if len(open_border) else None
+        if found is not None:
+            return found
+    return None
+
+
+def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyConfig) -> FloatArray | None:
+    """Path (k, 2), m, to a place (2,), m. None if there is none."""
+    cell = belief.grid.cells(stand[None])
+    wanted = np.zeros(belief.grid.values.shape, dtype=bool)
+    if not ((cell >= 0) & (cell < wanted.shape)).all():
+        return None
+    row, column = (int(index) for index in cell[0])
+    wanted[row, column] = True
+    ways = _ways(belief, robot, config, wanted)
+    return belief.grid.centres(ways.path_to((row, column))) if np.isfinite(ways.cost[row, column]) else None
+
+
+def _ways(belief: Belief, robot: RobotSpec, config: PolicyConfig, wanted: BoolArray | None = None) -> Routes:
+    taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
+    return routes(
+        belief.grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, closed=taken
+    )  # fmt: skip
+
+
+def _cheapest(
+    belief: Belief, ways: Routes, faces: Faces, memory: LookMemory, robot: RobotSpec, least: float
+) -> View | None:
+    """The cheapest view that shows at least ``least`` metres of the faces."""
+    grid = belief.grid
+    cells = np.argwhere(np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius + _ROOM))
+    stands = grid.centres(cells)
+    separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals)
+    pairs = _by_price(stands, (ways.cost + separation)[cells[:, 0], cells[:, 1]], faces, robot)
+    views_of = np.zeros(len(faces), dtype=np.int64)
+    for first in range(0, len(pairs), _BATCH):
+        places, numbers = pairs[first : first + _BATCH].T
+        chosen = Faces(faces.middles[numbers], faces.normals[numbers])
+        fits = _in_sight(grid, stands[places], chosen) & ~memory.was_used(chosen, stands[places])
+        for index in np.flatnonzero(fits).tolist():
+            if views_of[numbers[index]] == _MOST_VIEWS:
+                continue
+            views_of[numbers[index]] += 1
+            view = _view(grid, ways, cells[places[index]], faces, int(numbers[index]))
+            if view.length >= least:
+                return view
+    return None
+
+
+def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSpec) -> IntArray:
+    """Pairs (k, 2) of a place and a face that may be looked at from there, cheapest first.
+
+    Parameters
+    ----------
+    stands, cost
+        Places (n, 2), m, and what the paths to them cost (n,), m.
+    faces
+        What may be looked at.
+    robot
+        Body and beams.
+    """
+    offset = stands[:, None] - faces.middles
+    away = np.hypot(offset[..., 0], offset[..., 1])
+    steepness = np.sum(offset * faces.normals, axis=2) / np.maximum(away, 1e-9)
+    pairs = np.argwhere((away <= robot.radius + _FAR_SHARE * robot.reach) & (steepness >= _STEEP))
+    place, face = pairs.T
+    price = (
+        cost[place]
+        + _OFF_DISTANCE * np.abs(away[place, face] - best_distance(robot))
+        + _SLANT * (1.0 - steepness[place, face])
+    )
+    return np.asarray(pairs[np.argsort(price, kind="stable")])
+
+
+def best_distance(robot: RobotSpec) -> float:
+    """Distance (m) from the middle of the robot at which a wall is best looked at: near, but with space to turn."""
+    return robot.radius + min(0.35, 0.4 * robot.reach)
+
+
+def _view(grid: GridView, ways: Routes, cell: IntArray, faces: Faces, face: int) -> View:
+    """The view from a cell (2,) of a face and of those around it that are visible from there."""
+    path = grid.centres(ways.path_to((int(cell[0]), int(cell[1]))))
+    stand = path[-1]
+    offset = stand - faces.middles
+    steep = np.sum(offset * faces.normals, axis=1) >= _GRAZING * np.hypot(*offset.T)
+    near = np.hypot(*(faces.middles - faces.middles[face]).T) <= _PART
+    part = steep & near & _in_sight(grid, np.broadcast_to(stand, faces.middles.shape), faces)
+    part[face] = True
+    return View(faces.select(part), stand, path, grid.cell)
+
+
+def _in_sight(grid: GridView, stands: FloatArray, faces: Faces) -> BoolArray:
+    """Whether each face (n,) is visible from its place (n, 2), m, over free cells."""
+    shares = np.linspace(0.0, 1.0, _SIGHT_POINTS)[:, None, None]
+    ends = faces.middles + 0.5 * grid.cell * faces.normals
+    cells = grid.cells((stands + shares * (ends - stands)).reshape(-1, 2))
+    cells = np.clip(cells, 0, np.array(grid.values.shape) - 1)
+    is_free = (grid.values[cells[:, 0], cells[:, 1]] > 0).reshape(_SIGHT_POINTS, -1)
+    # The smoothed normal of a face at a corner may point into the wall.
+    return np.asarray(is_free[:-2].all(axis=0))
+
+
+def _same(faces: Faces, others: Faces) -> BoolArray:
+    """Whether each of n faces is at the place of each of m others (n, m)."""
+    offset = faces.middles[:, None] - others.middles
+    near = np.hypot(offset[..., 0], offset[..., 1]) < _SAME_FACE
+    return np.asarray(near & (faces.normals @ others.normals.T > 0.0))

@@ -1,0 +1,302 @@
+"""WallPolicy and its parts: which stretch it looks at, from where, how it sweeps, and that it always ends."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.beliefs import BLOCKED, CONFIG, ROBOT, belief_of, drive
+
+from limslam_agent.belief import Belief
+from limslam_agent.config.exploration import PolicyConfig
+from limslam_agent.config.presets import preset, with_until
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.unfinished import Faces
+from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.wall_look import Look, Sweep, readings_for, sweep_along
+from limslam_agent.policies.wall_policy import WallPolicy, explorer
+from limslam_agent.policies.wall_views import LookMemory, View, next_view
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.team import LimSlamTeam
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.robots import e_puck
+from limslam_env.worlds.world import World
+
+CELL = 0.1
+# A room of 3 m by 2.4 m: its grid, and its walls.
+COLUMNS, ROWS = 30, 24
+_VALUES = np.full((ROWS + 2, COLUMNS + 2), -4, dtype=np.int16)
+_VALUES[1:-1, 1:-1] = 2
+ROOM = GridView(np.full(2, -CELL), CELL, _VALUES)
+WALLS = np.array([[0.0, 0.0, 3.0, 0.0], [3.0, 0.0, 3.0, 2.4], [3.0, 2.4, 0.0, 2.4], [0.0, 2.4, 0.0, 0.0]])
+
+
+def with_gap(side: int, start: float, length: float) -> FloatArray:
+    """The walls of the room, with a gap in one of them."""
+    wall = WALLS[side]
+    along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
+    low, high = wall[:2] + start * along, wall[:2] + (start + length) * along
+    return np.vstack((np.delete(WALLS, side, axis=0), [*wall[:2], *low], [*high, *wall[2:]]))
+
+
+def belief_at(pose: FloatArray, walls: FloatArray, ranges: FloatArray = ROBOT.max_ranges) -> Belief:
+    return replace(belief_of(np.asarray(pose, dtype=float), ROOM, ranges), segments=walls)
+
+
+def crossed_by(belief: Belief, view: View) -> set[int]:
+    """The beams that point at a view's middle within a degree, and reach it."""
+    offset = view.middle - belief.pose[:2]
+    bearing = math.atan2(offset[1], offset[0])
+    turns = wrap_angle(bearing - float(belief.pose[2]) - ROBOT.beam_angles)
+    return set(np.flatnonzero(np.abs(turns) < math.radians(2.0)).tolist()) if np.hypot(*offset) < ROBOT.reach else set()
+
+
+def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
+    assert next_view(belief_at([1.5, 1.2, 0.0], WALLS), LookMemory(), ROBOT, CONFIG) is None
+    policy = WallPolicy(ROBOT, CONFIG)
+    np.testing.assert_array_equal(policy.act(belief_at([1.5, 1.2, 0.0], WALLS)), [0.0, 0.0])
+    assert policy.stop_reason == "explored: no frontier is left, and all walls were looked at"
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    side=st.integers(0, 3),
+    start=st.floats(0.3, 1.3),
+    length=st.floats(0.35, 0.8),
+    place=st.tuples(st.floats(0.3, 2.7), st.floats(0.3, 2.1)),
+)
+def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, start, length, place) -> None:
+    walls = with_gap(side, start, length)
+    view = next_view(belief_at([*place, 0.0], walls), LookMemory(), ROBOT, CONFIG)
+    assert view is not None
+    wall = WALLS[side]
+    along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
+    assert start < (view.middle - wall[:2]) @ along < start + length
+    assert np.abs(np.hypot(*(view.path[0] - place))) < CELL
+    np.testing.assert_allclose(view.path[-1], view.stand)
+    # The robot can turn there, and a beam reaches the wall at a steep angle.
+    assert (np.minimum(view.stand, [3.0, 2.4] - view.stand) >= ROBOT.radius).all()
+    away = view.stand - view.middle
+    assert np.hypot(*away) <= ROBOT.radius + 0.7 * ROBOT.reach
+    assert abs(away @ along) <= 0.9 * np.hypot(*away)
+
+
+def test_the_nearest_of_two_stretches_comes_first_and_one_not_looked_at_before_others() -> None:
+    walls = np.vstack((with_gap(1, 0.9, 0.5)[:-2], with_gap(3, 0.9, 0.5)[-2:], with_gap(1, 0.9, 0.5)[-2:]))
+    walls = walls[[0, 1, *range(3, len(walls))]]
+    belief, memory = belief_at([0.8, 1.2, 0.0], walls), LookMemory()
+    first = next_view(belief, memory, ROBOT, CONFIG)
+    assert first is not None
+    assert first.middle[0] == pytest.approx(0.0)
+    memory.add(first.faces, first.stand)
+    second = next_view(belief, memory, ROBOT, CONFIG)
+    assert second is not None
+    assert second.middle[0] == pytest.approx(3.0)
+    memory.add(second.faces, second.stand)
+    # The second look at a stretch is taken from another place.
+    again = next_view(belief, memory, ROBOT, CONFIG)
+    assert again is not None
+    assert again.middle[0] == pytest.approx(0.0)
+    assert np.hypot(*(again.stand - first.stand)) >= 0.2
+    assert next_view(belief, memory, ROBOT, replace(CONFIG, looks=1)) is None
+
+
+def test_a_short_stretch_is_looked_at_once() -> None:
+    belief, memory = belief_at([1.5, 1.2, 0.0], with_gap(0, 1.3, 0.35)), LookMemory()
+    view = next_view(belief, memory, ROBOT, CONFIG)
+    assert view is not None
+    memory.add(view.faces, view.stand)
+    assert next_view(belief, memory, ROBOT, CONFIG) is None
+    assert next_view(belief, memory, ROBOT, replace(CONFIG, min_stretch_again=0.1)) is not None
+
+
+def test_a_stretch_behind_a_wall_is_not_looked_at() -> None:
+    # The right half of the room is open ground, but the robot cannot get there.
+    values = ROOM.values.copy()
+    values[:, 15] = -4
+    walls = np.vstack((with_gap(1, 0.9, 0.5), [1.4, 0.0, 1.4, 2.4]))
+    belief = replace(belief_at([0.5, 1.2, 0.0], walls), grid=GridView(ROOM.low, CELL, values))
+    assert next_view(belief, LookMemory(), ROBOT, CONFIG) is None
+
+
+def view_of(middle: FloatArray, count: int, stand: FloatArray) -> View:
+    """A view of a stretch that lies along x, of ``count`` faces."""
+    offset = CELL * (np.arange(count) - 0.5 * (count - 1))
+    middles = np.column_stack((middle[0] + offset, np.full(count, middle[1])))
+    faces = Faces(middles, np.tile([0.0, 1.0], (count, 1)))
+    return View(faces, stand, stand[None], CELL)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    heading=st.floats(-math.pi, math.pi),
+    count=st.integers(2, 8),
+    away=st.floats(0.3, 0.9),
+    std=st.sampled_from([0.005, 0.02, 0.04]),
+)
+def test_a_sweep_lets_a_beam_pass_over_the_whole_stretch(heading, count, away, std) -> None:
+    view = view_of(np.array([1.0, 0.0]), count, np.array([1.0, away]))
+    sweep = sweep_along(view, np.array([1.0, away, heading]), ROBOT, std)
+    first, width = view.bearings(view.stand)
+    assert width == pytest.approx(2.0 * math.atan2(0.5 * CELL * count, away), rel=0.3)
+    headings = np.linspace(sweep.start, sweep.end, 400)
+    pointing = headings[:, None] + ROBOT.beam_angles
+    inside = (wrap_angle(pointing - first) >= 0.0) & (wrap_angle(pointing - first) <= width)
+    swept = [beam for beam in range(6) if inside[0, beam] == inside[-1, beam] == False and inside[:, beam].any()]  # noqa: E712
+    assert swept
+    assert math.radians(1.0) < sweep.step <= math.radians(5.0)
+    assert sweep.left(sweep.start) == pytest.approx(abs(sweep.end - sweep.start), abs=1e-9)
+    assert sweep.left(sweep.end) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_noisy_ranges_and_short_walls_need_more_readings() -> None:
+    assert readings_for(0.3, 0.04) == pytest.approx(4.0 * readings_for(0.3, 0.02))
+    assert readings_for(0.3, 0.04) > readings_for(0.6, 0.04)
+    assert readings_for(0.2, 0.04) == readings_for(0.1, 0.04)
+    assert readings_for(0.3, 0.001) == 14
+    # The direction of a wall of 0.5 m, from that many readings, has a standard deviation of 2.8 degrees.
+    count = round(readings_for(0.5, 0.04))
+    positions = np.linspace(-0.25, 0.25, count)
+    assert 0.04 / math.sqrt(positions @ positions) == pytest.approx(math.radians(2.8), rel=0.1)
+
+
+def test_turns_past_the_half_circle_are_measured() -> None:
+    sweep = Sweep(math.radians(170.0), math.radians(230.0), math.radians(2.0))
+    assert (sweep.steps, sweep.direction) == (pytest.approx(30.0), 1.0)
+    assert math.degrees(sweep.left(math.radians(-175.0))) == pytest.approx(45.0)
+    back = Sweep(sweep.end, sweep.start, sweep.step)
+    assert math.degrees(back.left(math.radians(-175.0))) == pytest.approx(15.0)
+    assert math.degrees(back.left(math.radians(165.0))) == pytest.approx(-5.0)
+
+
+def test_a_look_drives_to_its_place_and_sweeps_the_stretch() -> None:
+    walls = with_gap(0, 0.8, 0.5)
+    pose = np.array([2.5, 1.9, math.radians(100.0)])
+    view = next_view(belief_at(pose, walls), LookMemory(), ROBOT, CONFIG)
+    assert view is not None
+    look, beams, steps = Look(view, ROBOT, CONFIG, 0.02), set(), 0
+    while not look.is_over and steps < 1000:
+        action = look.act(belief_at(pose, walls))
+        pose, steps = drive(pose, action), steps + 1
+        if action.sum() == pytest.approx(0.0, abs=1e-9):
+            beams |= crossed_by(belief_at(pose, walls), view)
+    assert not look.is_stuck
+    assert not look.is_needless
+    assert np.hypot(*(pose[:2] - view.stand)) < 0.1
+    assert beams
+    np.testing.assert_array_equal(look.act(belief_at(pose, walls)), [0.0, 0.0])
+
+
+def test_a_look_is_needless_when_the_wall_has_been_found_on_the_way() -> None:
+    walls = with_gap(0, 0.8, 0.5)
+    view = next_view(belief_at([2.5, 1.9, 0.0], walls), LookMemory(), ROBOT, CONFIG)
+    assert view is not None
+    look = Look(view, ROBOT, CONFIG, 0.02)
+    for _ in range(20):
+        look.act(belief_at([2.5, 1.9, 0.0], WALLS))
+    assert look.is_over
+    assert look.is_needless
+
+
+def test_a_robot_that_cannot_move_gives_every_look_up_and_ends() -> None:
+    policy = WallPolicy(ROBOT, CONFIG)
+    belief = belief_at([2.5, 1.9, 0.0], with_gap(0, 0.6, 0.8), BLOCKED)
+    steps = 0
+    while policy.stop_reason is None and steps < 3000:
+        policy.act(belief)
+        steps += 1
+    assert policy.stop_reason == "explored: no frontier is left, and all walls were looked at"
+    assert 2 * CONFIG.patience < steps < 1000
+    np.testing.assert_array_equal(policy.act(belief), [0.0, 0.0])
+    assert policy.goal is None
+    assert len(policy.plan) == 0
+
+
+def test_the_time_for_looking_at_walls_is_limited() -> None:
+    # No wall is ever found, and there is always another place to try.
+    policy = WallPolicy(ROBOT, replace(CONFIG, looks=1000, min_stretch_again=0.0))
+    pose, steps = np.array([1.5, 1.2, 0.0]), 0
+    while policy.stop_reason is None and steps < 3000:
+        pose, steps = drive(pose, policy.act(belief_at(pose, np.zeros((0, 4))))), steps + 1
+    assert policy.stop_reason == "explored: no frontier is left, and the time for looking at walls is over"
+    assert 600 <= steps < 1000
+
+
+def test_a_frontier_that_appears_is_explored_before_the_next_look() -> None:
+    policy = WallPolicy(ROBOT, CONFIG)
+    walls = with_gap(0, 0.8, 0.5)
+    pose = np.array([2.5, 1.9, 0.0])
+    policy.act(belief_at(pose, walls))
+    assert policy.goal is not None
+    values = ROOM.values.copy()
+    values[8:16, 30:32] = 0
+    opened = replace(belief_at(pose, WALLS), grid=GridView(ROOM.low, CELL, values))
+    for _ in range(30):
+        policy.act(opened)
+    assert policy.stop_reason is None
+    assert policy.goal is not None
+    assert policy.goal[0] > 2.6
+
+
+def test_the_settings_choose_the_policy() -> None:
+    config = preset("consistent")
+    assert isinstance(explorer(ROBOT, config), FrontierPolicy)
+    assert isinstance(explorer(ROBOT, with_until(config, "walls")), WallPolicy)
+    policies = LimSlamTeam(ROBOT, with_until(config, "walls"), 2).policies
+    assert [type(policy) for policy in policies] == [WallPolicy, WallPolicy]
+    for bad in ("wall", ""):
+        with pytest.raises(ValueError, match="until must be seen or walls, not"):
+            with_until(config, bad)
+        with pytest.raises(ValueError, match="until must be seen or walls, not"):
+            PolicyConfig(until=bad)
+
+
+def room_world() -> World:
+    """A room of 2.6 m by 2 m with a short wall, and a block of which each side is 0.4 m long."""
+    walls = [[0, 0, 2.6, 0], [2.6, 0, 2.6, 2], [2.6, 2, 0, 2], [0, 2, 0, 0], [1.9, 2, 1.9, 1.5]]
+    block = np.array([[1.0, 0.7], [1.4, 0.7], [1.4, 1.1], [1.0, 1.1]])
+    return World("room", (2.6, 2.0), np.array(walls, dtype=float), [block], starts=np.array([[0.4, 1.5, 0.0]]))
+
+
+def run(until: str | None, **changes: object):
+    return run_episode(RunConfig(room_world(), 0.02, "consistent", 100, 600.0, until=until, **changes))
+
+
+def test_a_run_until_the_walls_are_whole_finds_more_walls_and_says_so() -> None:
+    seen, walls = run("seen"), run("walls")
+    assert seen.stop_reason.startswith("explored: ")
+    assert "wall" not in seen.stop_reason
+    assert walls.is_finished
+    assert walls.stop_reason.startswith("explored: ")
+    assert walls.stop_reason.endswith(", and all walls were looked at")
+    assert not walls.contact.any()
+    # The walls are looked at after everything was seen, and until then nothing is different.
+    assert len(walls.time) > len(seen.time)
+    np.testing.assert_array_equal(walls.true[: len(seen.time)], seen.true)
+    lengths = [
+        np.hypot(*(run.snapshot.segments[:, 2:] - run.snapshot.segments[:, :2]).T).sum() for run in (seen, walls)
+    ]
+    assert lengths[1] > lengths[0] + 0.2
+
+
+def test_without_walls_a_run_is_that_of_the_frontier_policy() -> None:
+    by_default, by_name = run(None), run("seen")
+    np.testing.assert_array_equal(by_default.true, by_name.true)
+    assert by_default.stop_reason == by_name.stop_reason
+
+
+def test_two_robots_look_at_the_walls_together() -> None:
+    episode = run("walls", robots=2)
+    assert episode.is_finished
+    assert "all walls were looked at" in episode.stop_reason
+
+
+def test_a_robot_that_cannot_see_frontiers_does_not_look_at_walls() -> None:
+    walls = [[0, 0, 0.6, 0], [0.6, 0, 0.6, 0.6], [0.6, 0.6, 0, 0.6], [0, 0.6, 0, 0]]
+    box = World("box", (0.6, 0.6), np.array(walls), starts=np.array([[0.3, 0.3, 0.0]]))
+    episode = run_episode(RunConfig(box, robot=e_puck(), max_time=400.0, until="walls"))
+    assert episode.is_finished
+    assert episode.stop_reason.endswith("needs at least 0.175 m: not explored")
