@@ -33,7 +33,8 @@ def main() -> None:
     # The last four observations show how the robot moves.
     env = VecFrameStack(Sb3VecEnv(batch), n_stack=4)
     model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu", verbose=1)
-    model.learn(options.steps, log_interval=10)  # a table of progress every 20 000 steps
+    # Prints some twenty tables of its progress.
+    model.learn(options.steps, log_interval=max(options.steps // (20 * 32 * options.envs), 1))
     returns = [episode["r"] for episode in model.ep_info_buffer or []]
     reward = f"reward {sum(returns) / len(returns):.1f} an episode" if returns else "no episode has ended yet"
     needed = "" if returns else f" (needs about {EPISODE * options.envs} steps)"
