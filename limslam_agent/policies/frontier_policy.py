@@ -16,7 +16,7 @@ from limslam_agent.policies.goal_memory import GoalMemory
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.simple_policies import WallFollower
-from limslam_agent.policies.targets import Target, is_walled_in, islands, next_target, open_frontier
+from limslam_agent.policies.targets import Target, has_seen_little, is_walled_in, islands, next_target, open_frontier
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -147,7 +147,7 @@ class FrontierPolicy:
         while (target is None or (self._pursuit is None and not target.is_reachable)) and self._memory.release():
             target = self._target(belief)
         is_lost = target is None or not target.is_reachable
-        if is_lost and self._rounds < _MOST_ROUNDS and is_walled_in(belief.grid, belief.pose):
+        if is_lost and self._rounds < _MOST_ROUNDS and self._sees_no_way(belief):
             self._rounds += 1
             self._turning = math.ceil(2.0 * math.pi / (self._config.turn_rate * self._robot.control_period))
             self._drop()
@@ -156,6 +156,10 @@ class FrontierPolicy:
             self.stop_reason = self._reason(belief)
         else:
             self._take_up(belief.grid, target)
+
+    def _sees_no_way(self, belief: Belief) -> bool:
+        """Whether a turn on the spot may help: the robot seems walled in, or it faces a corner from nearby."""
+        return is_walled_in(belief.grid, belief.pose) or has_seen_little(belief.grid, self._robot.radius)
 
     def _target(self, belief: Belief) -> Target | None:
         ignored = self._memory.ignored_cells(belief.grid, self._step)

@@ -85,6 +85,11 @@ def is_walled_in(grid: GridView, pose: FloatArray) -> bool:
     return bool(2 * np.count_nonzero(own) < np.count_nonzero(labels))
 
 
+def has_seen_little(grid: GridView, radius: float) -> bool:
+    """Whether the free ground is hardly more than the ground under a robot of a radius, m."""
+    return bool(np.count_nonzero(grid.free) * grid.cell**2 < 4.0 * np.pi * radius**2)
+
+
 def next_target(
     belief: Belief, ignored: BoolArray, old_goal: FloatArray | None, robot: RobotSpec, config: PolicyConfig
 ) -> Target | None:

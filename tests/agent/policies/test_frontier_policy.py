@@ -89,6 +89,18 @@ def test_a_robot_that_seems_walled_in_looks_round_before_it_believes_it() -> Non
     assert policy.goal[0] > 2.5
 
 
+def test_a_robot_that_faces_a_corner_at_the_start_turns_round_before_it_stops() -> None:
+    corner = grid_of("#####", "#...#", "#...#", "#####")
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    actions = actions_until_stopped(policy, belief_of(place(2, 1), corner))
+    assert policy.stop_reason == "explored: no frontier is left"
+    spin = (actions[:, 1] - actions[:, 0]) * ROBOT.max_wheel_speed / ROBOT.axle
+    assert spin.sum() * ROBOT.control_period > 2.0 * math.pi
+    # In this floor plan, the robot starts in an acute corner, and beams that all touch walls see nothing but its body.
+    episode = run_episode(RunConfig("random:1", 0.02, preset="odometry", seed=1, max_time=25.0))
+    assert episode.coverage[-1] > 0.05
+
+
 def test_specks_of_free_ground_behind_walls_are_no_frontier() -> None:
     specks = grid_of("#" * 18, *["#" + "." * 10 + "#" + "..????"] * 4, *["#" + "." * 10 + "#" * 7] * 4, "#" * 18)
     policy = FrontierPolicy(ROBOT, CONFIG)
