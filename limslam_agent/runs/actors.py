@@ -141,10 +141,24 @@ def _first_argument(act: Any) -> str | None:
         return None
 
 
-class _PolicyDriver:
-    """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
+class _AgentDriver:
+    """Base of the drivers whose agent or team says when it is done."""
 
     can_stop = True
+    snapshot_source: Any
+
+    @property
+    def done(self) -> bool:
+        return bool(self.snapshot_source.done)
+
+    @property
+    def stop_reason(self) -> str | None:
+        reason: str | None = self.snapshot_source.stop_reason
+        return reason
+
+
+class _PolicyDriver(_AgentDriver):
+    """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
 
     def __init__(self, policy: Any, robot: RobotSpec, noise: NominalNoise | None) -> None:
         self._policy, self._robot, self._config = policy, robot, preset(DEFAULT_PRESET, noise)
@@ -166,19 +180,9 @@ class _PolicyDriver:
     def act(self, observations: Observations) -> Actions:
         return {name: self.snapshot_source.act(observation) for name, observation in observations.items()}
 
-    @property
-    def done(self) -> bool:
-        return self.snapshot_source.done
 
-    @property
-    def stop_reason(self) -> str | None:
-        return self.snapshot_source.stop_reason
-
-
-class _NamedDriver:
+class _NamedDriver(_AgentDriver):
     """The robots of ``limslam run --policy NAME``, with new policies in each episode."""
-
-    can_stop = True
 
     def __init__(self, name: str, robot: RobotSpec, noise: NominalNoise | None) -> None:
         self._name, self._robot, self._config = name, robot, preset(DEFAULT_PRESET, noise)
@@ -195,14 +199,6 @@ class _NamedDriver:
     def act(self, observations: Observations) -> Actions:
         self.snapshot_source.observe(list(observations.values()))
         return dict(zip(observations, self.snapshot_source.decide(), strict=True))
-
-    @property
-    def done(self) -> bool:
-        return self.snapshot_source.done
-
-    @property
-    def stop_reason(self) -> str | None:
-        return self.snapshot_source.stop_reason
 
 
 class _SingleActor:
