@@ -13,6 +13,8 @@ from stable_baselines3.common.vec_env import VecFrameStack
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_env.envs.sb3 import Sb3VecEnv
 
+EPISODE = 600  # steps
+
 
 def main() -> None:
     """Train on twenty floor plans."""
@@ -26,15 +28,17 @@ def main() -> None:
         autoreset_mode="SameStep",
         plans=20,
         sensor_noise=0.02,
-        max_episode_steps=600,
+        max_episode_steps=EPISODE,
     )
     # The last four observations show how the robot moves.
     env = VecFrameStack(Sb3VecEnv(batch), n_stack=4)
-    model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu")
-    model.learn(options.steps)
+    model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu", verbose=1)
+    # Prints some twenty tables of its progress.
+    model.learn(options.steps, log_interval=max(options.steps // (20 * 32 * options.envs), 1))
     returns = [episode["r"] for episode in model.ep_info_buffer or []]
-    mean = sum(returns) / len(returns) if returns else float("nan")
-    print(f"{model.num_timesteps} steps: reward {mean:.1f} an episode")
+    reward = f"reward {sum(returns) / len(returns):.1f} an episode" if returns else "no episode has ended yet"
+    needed = "" if returns else f" (needs about {EPISODE * options.envs} steps)"
+    print(f"{model.num_timesteps} steps: {reward}{needed}")
 
 
 if __name__ == "__main__":

@@ -26,8 +26,10 @@ def main() -> None:
     arguments.add_argument("--steps", type=int, default=100_000)
     arguments.add_argument("--out", default="")
     options = arguments.parse_args()
-    model = PPO("MlpPolicy", make_env(), n_steps=min(options.steps, 2048), batch_size=64, seed=0, device="cpu")
-    model.learn(options.steps)
+    model = PPO(
+        "MlpPolicy", make_env(), n_steps=min(options.steps, 2048), batch_size=64, seed=0, device="cpu", verbose=1
+    )
+    model.learn(options.steps)  # prints a table of its progress every 2048 steps
     mean, std = evaluate_policy(model, make_env(), n_eval_episodes=2)
     # The reward is the area seen, m^2, minus penalties for time and collisions.
     print(f"{model.num_timesteps} steps: reward {mean:.1f} +- {std:.1f}")

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
@@ -12,6 +12,9 @@ Setting: TypeAlias = float | tuple[float, float]
 NOISE_PRESETS_M = {"none": 0.0, "low": 0.02, "high": 0.04}
 """Standard deviations of the ranges in the paper's experiments, m."""
 
+
+# The smallest number above 0.
+_SMALLEST_GOAL = math.ulp(0.0)
 
 _BOUNDS = {
     "sensor_noise": (0.0, 1e3),
@@ -82,8 +85,7 @@ class NoiseConfig:
                 object.__setattr__(self, name, tuple(value))
         for name, value in vars(self).items():
             lowest, highest = _BOUNDS[name]
-            low, high = bounds_of(value)
-            if not lowest <= low <= high <= highest:
+            if not _lies_within(value, lowest, highest):
                 raise ValueError(
                     f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such numbers, not {value}"
                 )
@@ -169,8 +171,16 @@ class TaskConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        if self.coverage_goal is not None and not 0.0 < self.coverage_goal <= 1.0:
+        if self.coverage_goal is not None and not _lies_within(self.coverage_goal, _SMALLEST_GOAL, 1.0):
             raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {self.coverage_goal}")
+
+
+def _lies_within(setting: Any, lowest: float, highest: float) -> bool:
+    try:
+        low, high = bounds_of(setting)
+        return bool(lowest <= low <= high <= highest)
+    except (TypeError, ValueError):
+        return False
 
 
 def bounds_of(setting: Setting) -> tuple[float, float]:

@@ -6,6 +6,7 @@ it gives access to the ground truth.
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, NotRequired, Self, TypedDict
@@ -279,3 +280,8 @@ class NominalNoise:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"noise ({name}) must be a number of 0 or more, not {value:g}")
+
+
+def largest_noise(noises: Sequence[NominalNoise]) -> NominalNoise:
+    """The noise that one filter for several robots is told: the largest of each kind."""
+    return NominalNoise(max(one.range_std for one in noises), max(one.wheel_variance for one in noises))

@@ -34,5 +34,10 @@ def described(value: object) -> str:
     return one_line(text, LONGEST_VALUE)
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: "1 lap", "4 laps"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def _escaped(letter: str) -> str:
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")

@@ -7,6 +7,7 @@ from typing import Literal
 from benchmarks.analysis.groups import ORACLE, PUBLISHED, Group, Setting, Value, centimetres, metric
 from benchmarks.analysis.sheets import MISSING, Sheet, written
 from benchmarks.analysis.statistics import Comparison, Pairs, comparisons, paired
+from limslam_env.messages import counted
 
 _READING = (
     "Medians over pairs of runs that share world, noise and seed, with 95 % bootstrap intervals. Left out: pairs of "
@@ -134,7 +135,7 @@ def _lines(matched: Sequence[tuple[Group, Group]]) -> list[_Line]:
 
 
 def _world(setting: Setting) -> str:
-    return f"{setting.world}, {setting.laps} laps" if setting.laps else setting.world
+    return f"{setting.world}, {counted(setting.laps, 'lap')}" if setting.laps else setting.world
 
 
 def _paired(line: _Line, measure: Measure) -> Pairs:

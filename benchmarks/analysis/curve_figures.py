@@ -30,6 +30,7 @@ from benchmarks.analysis.series import Series, distance, read_series
 from benchmarks.analysis.statistics import medians
 from benchmarks.suite.jobs import LAPS_POLICY
 from benchmarks.suite.store import Row
+from limslam_env.messages import counted
 
 _SWEPT: tuple[tuple[str, Value, str], ...] = (
     ("aligned F1", metric("wall_f1_aligned"), "linear"),
@@ -40,6 +41,7 @@ _SWEPT: tuple[tuple[str, Value, str], ...] = (
     ("exploration time, s", metric("exploration_time_s"), "linear"),
 )
 _COMPONENTS = (("x, m", 1.0), ("y, m", 1.0), ("heading, deg", math.degrees(1.0)))
+_LAP_STYLE: dict[str, Any] = {"color": "0.6", "linewidth": 0.8, "linestyle": (0, (2, 2))}
 _ACROSS = _DOWN = 3
 _MOMENTS = 300
 
@@ -68,7 +70,7 @@ def _errors(setting: Setting, found: Sequence[tuple[Row, Series]], shown: Row) -
             axis.axhline(0.0, color="0.5", linewidth=0.8)
             axis.set_xlim(0.0, length)
             for lap in range(1, setting.laps):
-                axis.axvline(length * lap / setting.laps, color="0.75", linewidth=0.8, linestyle=(0, (2, 2)))
+                axis.axvline(length * lap / setting.laps, **_LAP_STYLE)
     for axis, name in zip(axes[0], ("without the EKF: odometry alone", f"with the EKF: {setting.method}"), strict=True):
         axis.set_title(name, fontsize=10, parse_math=False)
     for axis in (axes[0][0], axes[0][1], axes[1][0], axes[1][1]):
@@ -76,15 +78,16 @@ def _errors(setting: Setting, found: Sequence[tuple[Row, Series]], shown: Row) -
     for axis in axes[2]:
         axis.set_xlabel("distance driven, m", fontsize=9)
     title = (
-        f"Errors over {setting.laps} laps of {setting.world}, {centimetres(setting.noise)}: "
+        f"Errors over {counted(setting.laps, 'lap')} of {setting.world}, {centimetres(setting.noise)}: "
         f"seed {shown.seed} (median ATE) of {len(found)}"
     )
     headline(figure, title)
+    ends_of_laps = [Line2D([], [], **_LAP_STYLE, label="end of a lap")] if setting.laps > 1 else []
     legend_below(figure, [
         Line2D([], [], color=COLOURS[0], label=f"seed {shown.seed}"),
         Line2D([], [], color=FAINT, linewidth=0.7, label="other seeds"),
         Line2D([], [], color=COLOURS[0], linewidth=7, alpha=2 * BAND, label="twice the filter's standard deviation"),
-        Line2D([], [], color="0.6", linestyle=(0, (2, 2)), label="laps"),
+        *ends_of_laps,
     ])  # fmt: skip
     name = f"errors_{file_word(setting.world)}_{1000.0 * setting.noise:g}mm{method_suffix(setting.method)}"
     alt = (

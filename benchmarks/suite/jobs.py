@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, TypeAlias
 
 from limslam_env.geometry import FloatArray
+from limslam_env.messages import counted
 
 LOG_POLICY, LAPS_POLICY = "replay", "laps"
 RANDOM, PLAN, LOG = "random:", "plan:", "log:"
@@ -89,7 +90,7 @@ class Job:
         if self.robots > 1:
             parts.insert(1, f"{self.robots} robots")
         if self.laps:
-            parts.append(f"{self.laps} laps")
+            parts.append(counted(self.laps, "lap"))
         return ", ".join(parts)
 
 

@@ -255,7 +255,10 @@ def read_rows(path: Path) -> list[Row]:
     ValueError
         If the file does not exist, or a line is not a valid row; the message names file and line.
     """
+    below = sorted(each.parent for each in path.glob(f"*/{RESULTS}")) if path.is_dir() else []
     path = path / RESULTS if path.is_dir() else path
+    if below and not path.exists():
+        raise ValueError(one_line(f"{path}: no results there; there are some in {', '.join(map(str, below))}"))
     try:
         content = read_limited(path, MAX_RESULTS_BYTES)
     except OSError as error:

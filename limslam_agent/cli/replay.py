@@ -102,7 +102,10 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     _warn(log_warnings(job.log))
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
         with progress_bar("replaying", count) as advance:
-            result = replay_log(job.log, job.config, lambda done: advance(done, f"{done} of {count} events"))
+            result = replay_log(
+                job.log, job.config, lambda done: advance(done, f"{done} of {count} events"),
+                lambda stage: advance(count, f"smoothing: {stage}"),
+            )  # fmt: skip
         scores = _scores(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
         content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())

@@ -72,6 +72,8 @@ def carry_out(given: Given, options: RunOptions) -> None:
         progress_bar(task, total) as advance,
     ):
         episode = _filmed_run(config, advance, options)
+        if config.agent.line_smoothing is not None:
+            advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
         result = write_episode(folder.beside, episode)
         write_run_settings(folder.beside, options, config)
     for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):

@@ -135,7 +135,9 @@ class Given:
         unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables)
         if unknown:
             known = ", ".join([*(field.name for field in fields(defaults)), *(f"[{name}]" for name in tables)])
-            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {known}")
+            raise SettingsError(
+                f"{self.path}: {min(unknown)}: there is no such setting{self._hint(unknown)}; there are {known}"
+            )
         options = updated(
             defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
         )
@@ -143,6 +145,12 @@ class Given:
             name: self.beside_file(value) for name, value in asdict(options).items() if isinstance(value, Path)
         }
         return replace(options, **paths)
+
+    def _hint(self, unknown: set[str]) -> str:
+        """Which command the file is of, if its unknown keys are options of another command."""
+        commands = {"run": RunOptions, "replay": ReplayOptions}
+        others = [name for name, kind in commands.items() if unknown & {field.name for field in fields(kind)}]
+        return f": this is a file of limslam {others[0]}" if others else ""
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""

@@ -47,11 +47,19 @@ def check(
     from limslam_env.messages import LONGEST_VALUE, one_line
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.regions import start_region
+    from limslam_env.worlds.world import OpenWorldError, WorldError
 
     if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
         raise ValueError(f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not {radius:g}")
     place = load_world(world)
-    place.check(radius)
+    try:
+        place.check(radius)
+    except OpenWorldError as error:
+        gap = start_region(place, radius).gap
+        where = f"; the outer wall is open near ({gap[0]:.1f}, {gap[1]:.1f})" if gap else ""
+        raise WorldError(f"{world}: {error}{where}") from error
+    except WorldError as error:
+        raise WorldError(f"{world}: {error}") from error
     region = start_region(place, radius)
     width, height = place.size
     typer.echo(
@@ -60,7 +68,7 @@ def check(
         f"{_count(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
     if region.warning:
-        typer.echo(f"limslam: warning: {region.warning}", err=True)
+        typer.echo(one_line(f"limslam: warning: {world}: {region.warning}"), err=True)
 
 
 @worlds.command()

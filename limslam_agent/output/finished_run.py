@@ -13,7 +13,7 @@ from limslam_agent.output.claims import OutputError, hidden, repair
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.messages import one_line
+from limslam_env.messages import counted, one_line
 
 RESULT, MAP, LOG, PICTURE = "result.json", "map.json", "log.npz", "map.png"
 
@@ -79,7 +79,7 @@ class FinishedRun:
             f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
             " ".join(filter(None, (str(preset), config.get("ablation")))),
             str(config["policy"]).replace("_", " ") if config.get("policy", "frontier") != "frontier" else "",
-            f"{config['laps']} laps" if config.get("laps") else "",
+            counted(config["laps"], "lap") if config.get("laps") else "",
             f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
         )
         return ", ".join(filter(None, parts))

@@ -98,8 +98,7 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
     if _has(metrics, "ate_smoothed_m"):
         lines.append(f"smoothed    {metrics['ate_smoothed_m']:.3f} m rms, by all that was known at the end")
     if _has(metrics, "limit_ate_m", "ate_over_limit"):
-        best, ratio = metrics["limit_ate_m"], metrics["ate_over_limit"]
-        lines.append(f"limit       {best:.3f} m rms, the optimum of the same log; the error is {ratio:.1f} times that")
+        lines += _limit(metrics)
     if _has(metrics, "landmarks", "wall_f1_aligned"):
         walls, f1 = metrics["landmarks"], metrics["wall_f1_aligned"]
         online = metrics.get("wall_f1_aligned_online")
@@ -110,6 +109,16 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
     return lines
 
 
+def _limit(metrics: Mapping[str, Any]) -> list[str]:
+    best, ratio = metrics["limit_ate_m"], metrics["ate_over_limit"]
+    smoothed = metrics.get("smoothed_over_limit")
+    after = f", smoothed is {smoothed:.1f} times that" if isinstance(smoothed, int | float) else ""
+    return [
+        f"limit       {best:.3f} m rms, the least-squares solution with known associations",
+        f"            the error is {ratio:.1f} times that{after}",
+    ]
+
+
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _status(metrics) + _errors(metrics)
@@ -117,9 +126,15 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
         "smoothed_": "smoothed, at the end", "": "filter, while driving", "odometry_": "odometry, corrected",
         "raw_odometry_": "odometry, raw",
     }  # fmt: skip
-    for prefix, words in trajectories.items():
-        if _has(metrics, f"{prefix}relation_error_m", f"{prefix}relation_error_deg"):
-            lines.append(f"relations   {words:21}" + _relation_text(metrics, prefix))
+    texts = {
+        prefix: _relation_text(metrics, prefix)
+        for prefix in trajectories
+        if _has(metrics, f"{prefix}relation_error_m", f"{prefix}relation_error_deg")
+    }
+    # Without a correction both are the same path.
+    if texts.get("odometry_") == texts.get("raw_odometry_"):
+        texts.pop("odometry_", None)
+    lines += [f"relations   {trajectories[prefix]:21}{text}" for prefix, text in texts.items()]
     if _has(metrics, "landmarks"):
         lines.append(f"map         {metrics['landmarks']} walls")
     return lines

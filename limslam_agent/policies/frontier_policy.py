@@ -64,20 +64,24 @@ class FrontierPolicy:
     Parameters
     ----------
     robot, config
-        Body and settings.
+        Body and settings. Those of the paper's robot and the default settings if left out.
     index
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
 
     Attributes
     ----------
+    robot
+        The robot that the policy drives.
     stop_reason
         Why there is nothing left to explore, in words. None while the policy is active.
     plan
         Path to the present goal (k, 2), m.
     """
 
-    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0) -> None:
-        self._robot, self._config = robot, config
+    def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None, index: int = 0) -> None:
+        robot = robot or RobotSpec()
+        config = config or PolicyConfig()
+        self.robot, self._robot, self._config = robot, robot, config
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None

@@ -82,16 +82,17 @@ class ReactivePolicy:
     Parameters
     ----------
     robot, config
-        Body and settings.
+        Body and settings. Those of the paper's robot and the default settings if left out.
     patience
         Time without new cells after which the policy stops, s.
     where
         Where nothing new was seen, for the stop reason.
     """
 
-    def __init__(self, robot: RobotSpec, config: PolicyConfig, patience: float, where: str) -> None:
-        self._robot, self._config = robot, config
-        self._collision_guard = CollisionGuard(robot)
+    def __init__(self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str) -> None:
+        self.robot = self._robot = robot or RobotSpec()
+        self._config = config or PolicyConfig()
+        self._collision_guard = CollisionGuard(self.robot)
         self._patience, self._where = patience, where
         self._known = self._since = 0
         self.stop_reason: str | None = None
@@ -126,7 +127,7 @@ class WallFollower(ReactivePolicy):
     Parameters
     ----------
     robot, config
-        Body and settings.
+        Body and settings. Those of the paper's robot and the default settings if left out.
     side
         Side of the robot on which the wall is kept, ``"left"`` or ``"right"``.
     distance
@@ -142,8 +143,8 @@ class WallFollower(ReactivePolicy):
 
     def __init__(
         self,
-        robot: RobotSpec,
-        config: PolicyConfig,
+        robot: RobotSpec | None = None,
+        config: PolicyConfig | None = None,
         side: Literal["left", "right"] = "right",
         distance: float = 0.25,
         patience: float = 90.0,
@@ -194,7 +195,7 @@ class RandomPolicy(ReactivePolicy):
     Parameters
     ----------
     robot, config
-        Body and settings.
+        Body and settings. Those of the paper's robot and the default settings if left out.
     seed
         Seed of the random numbers, or a generator.
     patience
@@ -202,7 +203,11 @@ class RandomPolicy(ReactivePolicy):
     """
 
     def __init__(
-        self, robot: RobotSpec, config: PolicyConfig, seed: int | np.random.Generator = 0, patience: float = 180.0
+        self,
+        robot: RobotSpec | None = None,
+        config: PolicyConfig | None = None,
+        seed: int | np.random.Generator = 0,
+        patience: float = 180.0,
     ) -> None:
         super().__init__(robot, config, patience, "by chance")
         self._generator = np.random.default_rng(seed)

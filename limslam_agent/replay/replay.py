@@ -115,7 +115,12 @@ class Replay:
     smoothed: "Smoothed | None" = None
 
 
-def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], None] | None = None) -> Replay:
+def replay_log(
+    log: RecordedLog,
+    config: AgentConfig,
+    progress: Callable[[int], None] | None = None,
+    report: Callable[[str], None] | None = None,
+) -> Replay:
     """Map from a log, event by event, as if the robot were driving now.
 
     Parameters
@@ -126,7 +131,10 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
         Settings.
     progress
         Called after each event with the number of events that are done.
+    report
+        Called at the start of each stage of the smoothing with the stage in words. Smoothing can take minutes.
     """
+    report = report or (lambda _: None)
     mapper = Mapper(log.robot, config, log.start_pose)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
     count, associations = len(log), list[AssociationRecord]()
@@ -163,10 +171,11 @@ def replay_log(log: RecordedLog, config: AgentConfig, progress: Callable[[int], 
     if log.odometry is not None and config.smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_graph
 
-        return smoothed_by_graph(replay, config.smoothing)
+        return smoothed_by_graph(replay, config.smoothing, report)
     if log.wheels is not None and config.run_smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_lines
 
+        report("all poses and walls")
         return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing)
     return replay
 

@@ -5,6 +5,7 @@ A log of odometry poses is smoothed by the graph of local maps, a log of wheel t
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -55,11 +56,14 @@ class Smoothed:
     seconds: float
 
 
-def smoothed_by_graph(replay: Replay, config: GraphConfig) -> Replay:
-    """The replay of a log of odometry poses with its log smoothed, and with the map drawn from the smoothed poses."""
+def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
+    """The replay of a log of odometry poses with its log smoothed, and with the map drawn from the smoothed poses.
+
+    ``report`` is called with each stage of the smoothing, in words.
+    """
     log, range_std = replay.log, replay.config.range_std
     begin = time.process_time()
-    found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config)
+    found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config, report)
     seconds = time.process_time() - begin
     cloud = point_cloud(found.keys, found.trajectory, config.links, range_std)
     landmarks = draw_walls(cloud, range_std)

@@ -10,6 +10,8 @@ import numpy as np
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import preset
+from limslam_agent.runs.oracle import policies_by_belief
+from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -57,7 +59,8 @@ def driver_of(
 ) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
-    A policy becomes the policy of a `LimSlamAgent` of the default preset for ``robot`` and ``noise``.
+    A policy becomes the policy of a `LimSlamAgent` of the default preset for ``robot`` and ``noise``. A text is the
+    name of a policy as in ``limslam run --policy``, which drives such an agent or team.
 
     Raises
     ------
@@ -69,6 +72,8 @@ def driver_of(
             raise ValueError("a dict of actors is for parallel environments; here one actor drives one robot")
         parts = {name: driver_of(part, is_team=False, robot=robot, noise=noise) for name, part in actor.items()}
         return _ActorPerRobot(parts)
+    if isinstance(actor, str):
+        return _NamedDriver(actor, robot or RobotSpec(), noise)
     if isinstance(actor, type):
         raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
     if is_policy(actor):
@@ -82,14 +87,20 @@ def driver_of(
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
         return _ModelActor(actor)
-    if callable(actor):
-        if _first_argument(actor) == "belief":
-            raise ValueError(
-                f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an observation: "
-                "a policy is an object with act(belief), stop_reason and plan"
-            )
-        return _SingleActor(actor, actor, is_team=is_team)
-    raise ValueError(f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable")
+    return _function_driver(actor, is_team=is_team)
+
+
+def _function_driver(actor: Any, *, is_team: bool) -> Driver:
+    if not callable(actor):
+        raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
+            f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable"
+        )
+    if _first_argument(actor) == "belief":
+        raise ValueError(
+            f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an observation: "
+            "a policy is an object with act(belief), stop_reason and plan"
+        )
+    return _SingleActor(actor, actor, is_team=is_team)
 
 
 def is_policy(actor: Any) -> bool:
@@ -130,10 +141,24 @@ def _first_argument(act: Any) -> str | None:
         return None
 
 
-class _PolicyDriver:
-    """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
+class _AgentDriver:
+    """Base of the drivers whose agent or team says when it is done."""
 
     can_stop = True
+    snapshot_source: Any
+
+    @property
+    def done(self) -> bool:
+        return bool(self.snapshot_source.done)
+
+    @property
+    def stop_reason(self) -> str | None:
+        reason: str | None = self.snapshot_source.stop_reason
+        return reason
+
+
+class _PolicyDriver(_AgentDriver):
+    """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
 
     def __init__(self, policy: Any, robot: RobotSpec, noise: NominalNoise | None) -> None:
         self._policy, self._robot, self._config = policy, robot, preset(DEFAULT_PRESET, noise)
@@ -155,13 +180,25 @@ class _PolicyDriver:
     def act(self, observations: Observations) -> Actions:
         return {name: self.snapshot_source.act(observation) for name, observation in observations.items()}
 
-    @property
-    def done(self) -> bool:
-        return self.snapshot_source.done
 
-    @property
-    def stop_reason(self) -> str | None:
-        return self.snapshot_source.stop_reason
+class _NamedDriver(_AgentDriver):
+    """The robots of ``limslam run --policy NAME``, with new policies in each episode."""
+
+    def __init__(self, name: str, robot: RobotSpec, noise: NominalNoise | None) -> None:
+        self._name, self._robot, self._config = name, robot, preset(DEFAULT_PRESET, noise)
+        self.snapshot_source = self._team(robots=1, seed=0)
+
+    def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
+        self.snapshot_source = self._team(robots=len(start_poses), seed=seed)
+        self.snapshot_source.reset(np.array(list(start_poses.values())), seed)
+
+    def _team(self, *, robots: int, seed: int) -> LimSlamTeam:
+        policies = policies_by_belief(self._name, self._robot, self._config, robots=robots, seed=seed)
+        return LimSlamTeam(self._robot, self._config, robots, policies)
+
+    def act(self, observations: Observations) -> Actions:
+        self.snapshot_source.observe(list(observations.values()))
+        return dict(zip(observations, self.snapshot_source.decide(), strict=True))
 
 
 class _SingleActor:
@@ -217,7 +254,16 @@ class _ModelActor:
         # Models without a recurrent state need not accept these arguments.
         state = self._states.get(name)
         memory = {} if state is None else {"state": state, "episode_start": np.zeros(1, dtype=bool)}
-        action, self._states[name] = self._model.predict(observation, deterministic=True, **memory)
+        try:
+            action, self._states[name] = self._model.predict(observation, deterministic=True, **memory)
+        except KeyError as error:
+            if isinstance(observation, Mapping) and error.args and error.args[0] not in observation:
+                raise ValueError(
+                    f"{type(self._model).__name__} looks for {error} in an observation that holds "
+                    f"{', '.join(observation)}: pass the wrappers of its training by wrap=, for example "
+                    "wrap=SlamObservation"
+                ) from error
+            raise
         return action
 
 

@@ -11,13 +11,16 @@ from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.policies.policy import NOT_EXPLORED
+from limslam_agent.runs.actor_checks import check_actor
 from limslam_agent.runs.actors import Actions, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
+from limslam_env.envs.argument_types import robot_of
 from limslam_env.geometry import FloatArray, no_rows
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.interface import NominalNoise
+from limslam_env.messages import described
 
 Result = dict[str, Any]
 """Metrics of one episode by their names in ``docs/metrics.md``, and its ``seed``."""
@@ -48,7 +51,8 @@ def evaluate(
         a callable. If the actor has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel
         environment an actor answers a dict of all robots' observations with a dict of their actions. In a dict of
         actors by robot names, each actor answers for its own robot. A model with ``predict`` answers for each robot in
-        turn.
+        turn. A **name** that ``limslam run --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the
+        agent of that command, and for its team in a parallel environment.
     env_id
         A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
@@ -71,17 +75,24 @@ def evaluate(
     Raises
     ------
     ValueError
-        If the environment does not exist, or the actor cannot act in it, or an answer of the actor is not an action.
+        If the environment does not exist, or the actor cannot act in it (because it was made for another robot or
+        trained on other observations, for example), or an answer of the actor is not an action.
     """
     if not max_time > 0.0:
         raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
+    if not isinstance(env_id, str):
+        raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
+            f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
+            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
+        )
     is_team = env_id.startswith(_TEAMS)
-    robot = arguments.get("robot") or RobotSpec()
+    robot = robot_of(arguments.get("robot"))
     driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments))
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
+        check_actor(actor, bare.unwrapped.robot, env)
         return [_scored(driver, _Robots(env, is_team=is_team), bare.unwrapped, int(seed)) for seed in seeds]
     finally:
         env.close()

@@ -163,6 +163,25 @@ def policies_for(
         return [Laps(robot, config.policy, world.loop, laps)] if laps else None
     if policy in _PRIVILEGED:
         return [_privileged_policy(policy, robot, config, world, laps=laps, seed=seed)]
+    return policies_by_belief(policy, robot, config, robots=robots, seed=seed)
+
+
+def policies_by_belief(
+    policy: str, robot: RobotSpec, config: AgentConfig, *, robots: int, seed: int
+) -> list[Policy] | None:
+    """A policy for each robot that acts on the belief alone. None for ``frontier``, whose policies a team makes itself.
+
+    Raises
+    ------
+    ValueError
+        If no policy has this name, or the policy knows the truth.
+    """
+    if policy not in POLICIES:
+        raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
+    if policy in _PRIVILEGED:
+        raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
+    if policy == "frontier":
+        return None
     return [_policy_for(policy, robot, config, number, seed) for number in range(robots)]
 
 

@@ -23,6 +23,7 @@ from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
+from limslam_env.messages import counted
 from limslam_env.metrics import metrics
 from limslam_env.metrics.association import (
     AssociationEvent,
@@ -193,6 +194,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         suffix = f"_{number}" if config.robots > 1 else ""
         write_tum(folder / f"trajectory_true{suffix}.tum", episode.time, episode.true[:, number])
         write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
+        write_tum(folder / f"trajectory_odometry{suffix}.tum", episode.time, episode.odometry[:, number])
         if episode.smoothed is not None:
             write_tum(folder / f"trajectory_smoothed{suffix}.tum", episode.time, episode.smoothed.poses[:, number])
     write_map(folder, episode.final_map)
@@ -237,7 +239,7 @@ def title_of(config: RunConfig) -> str:
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
     policy = f", {config.policy.replace('_', ' ')}" if config.policy != "frontier" else ""
-    driver = policy + (f", {config.laps} laps" if config.laps else "")
+    driver = policy + (f", {counted(config.laps, 'lap')}" if config.laps else "")
     noise = f"range noise {100 * config.noise:g} cm"
     return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{driver}, seed {config.seed}"
 

@@ -39,6 +39,7 @@ STAGES = ("predict", "collect", "find lines", "associate", "correct or add", "cl
 """Stages of the method in the order of a step."""
 
 _ROW = 19  # pixels from one line of small text to the next
+_SHORTEST_BAR = 14  # pixels
 _SCALE_WIDTH, _SCALE_HEIGHT = 46, 34  # space for the heat map's axes, pixels
 _RAMP = np.array(HEAT, dtype=float)
 
@@ -142,20 +143,23 @@ def draw_buffers(buffers: Sequence[BufferView], width: int, height: int) -> Imag
         y = 24 + line * row
         cv2.circle(panel, (8, y + 5), 5, robot_colour(robot), -1, cv2.LINE_AA)
         for buffer in (one for one in buffers if one.robot == robot):
-            x = 24 if buffer.side == "left" else width // 2 + 16
-            _draw_bar(panel, buffer, x, y, width // 2 - 18)
+            x = 20 if buffer.side == "left" else width // 2 + 14
+            _draw_bar(panel, buffer, x, y, width // 2 - 14)
     return panel
 
 
 def _draw_bar(panel: Image, buffer: BufferView, x: int, y: int, width: int) -> None:
     colour, words = side_colour(buffer.side), buffer.words
     # All bars have one length, with or without points that are kept.
-    length = width - (80 if buffer.new is None else 124)
+    length = max(width - (80 if buffer.new is None else 124), _SHORTEST_BAR)
     filled = round(length * min(buffer.filled / max(buffer.size, 1), 1.0))
     cv2.rectangle(panel, (x, y), (x + length, y + 9), mixed(colour, PAPER, 0.8), -1)
     if filled:
         cv2.rectangle(panel, (x, y), (x + filled, y + 9), colour, -1)
-    write(panel, words, (x + length + 6, y + 9), 11, TEXT)
+    room = width - length - 6
+    # In a narrow column the number of kept points has to do without its word.
+    words = words if width_of(words, 11) <= room else words.removesuffix(" kept")
+    write(panel, fitted(words, 11, room), (x + length + 6, y + 9), 11, TEXT)
 
 
 def draw_log(lines: Sequence[tuple[float, str, str]], width: int, height: int) -> Image:

@@ -1,5 +1,6 @@
 """A wrapper for learning agents: the observation is what the SLAM believes instead of raw readings."""
 
+from collections.abc import Sequence
 from typing import Any, SupportsFloat, TypeAlias
 
 import gymnasium as gym
@@ -8,12 +9,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, transform_points
 from limslam_env.geometry.shapes import places_around
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
 
 Observation: TypeAlias = dict[str, Any]
 
@@ -53,7 +55,8 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
     env
         A LimSlam environment for one robot whose observation holds unscaled `ranges` and `wheels`.
     agent_config
-        Settings of the SLAM, with the noise that the SLAM is told. The preset `consistent` by default.
+        Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph` with the nominal noise
+        of the environment (its ``nominal_noise``): the data sheets of the robot are no secret.
     size
         Side of the grid in cells.
 
@@ -71,7 +74,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         if not isinstance(robot, RobotSpec):
             raise ValueError(f"{env.unwrapped} has no LimSLAM robot")  # noqa: TRY004 (a wrong value)
         ranges = ranges_space(env.observation_space, robot)
-        self._mapper = Mapper(robot, agent_config)
+        self._mapper = Mapper(robot, agent_config or default_config([getattr(env.unwrapped, "nominal_noise", None)]))
         self._start = np.zeros(3)
         self.observation_space = belief_space(ranges, size)
         self._places, self._size = places_around(size, self._mapper.config.grid.cell), size
@@ -111,6 +114,12 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         crop = np.full(self._size**2, UNKNOWN, dtype=np.uint8)
         crop[is_inside] = np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[signs + 1]
         return crop.reshape(1, self._size, self._size)
+
+
+def default_config(noises: Sequence[NominalNoise | None]) -> AgentConfig:
+    """The default preset for environments with these nominal noises. None means that a noise is unknown."""
+    known = [noise for noise in noises if noise is not None]
+    return preset(DEFAULT_PRESET, largest_noise(known) if known else None)
 
 
 def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:

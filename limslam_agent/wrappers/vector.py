@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.batch.state import Capacity
-from limslam_agent.wrappers.single import Observation, belief_space, observed_covariance, observed_pose, ranges_space
+from limslam_agent.wrappers.single import (
+    Observation,
+    belief_space,
+    default_config,
+    observed_covariance,
+    observed_pose,
+    ranges_space,
+)
 from limslam_env.geometry import BoolArray
 from limslam_env.interface import RobotSpec
 
@@ -27,7 +34,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     env
         A vector of LimSlam environments for one robot each, whose observation holds unscaled `ranges` and `wheels`.
     agent_config
-        Settings of the SLAM, with the noise that the SLAM is told. The preset `consistent` by default.
+        Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph` with the nominal noise
+        of the environments (their ``nominal_noise``), the largest where they differ.
     size
         Side of the grid in cells.
     capacity
@@ -58,7 +66,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         self._spaces = dict(env.single_observation_space.items())  # type: ignore[attr-defined]
         self.single_observation_space = belief_space(ranges, size)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self.slam = BatchSlam(robot, agent_config, env.num_envs, capacity, num_threads, size)
+        config = agent_config or default_config(_values_of(env.unwrapped, "nominal_noise"))
+        self.slam = BatchSlam(robot, config, env.num_envs, capacity, num_threads, size)
         self._starts = np.zeros((env.num_envs, 3))
         self._ended = np.zeros(env.num_envs, dtype=bool)
         self._last: Observation = {}
@@ -141,20 +150,21 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
 
 def _robot_of(env: VectorEnv[Any, Any, Any]) -> RobotSpec:
     """The robot that all environments have."""
-    inner = env.unwrapped
-    robot = getattr(inner, "robot", None)
-    robots = [robot] if robot is not None else list(_robots_of(inner))
+    robots = _values_of(env.unwrapped, "robot")
     if not robots or not isinstance(robots[0], RobotSpec):
-        raise ValueError(f"{inner} has no LimSLAM robot")
+        raise ValueError(f"{env.unwrapped} has no LimSLAM robot")
     if any(other != robots[0] for other in robots):
         raise ValueError("all environments of a batch must have the same robot")
     first: RobotSpec = robots[0]
     return first
 
 
-def _robots_of(env: Any) -> tuple[Any, ...]:
+def _values_of(env: Any, name: str) -> list[Any]:
+    """An attribute of a batch, or of each of its environments. Empty if they do not have it."""
+    value = getattr(env, name, None)
+    if value is not None:
+        return [value]
     try:
-        found: tuple[Any, ...] = env.get_attr("robot")
+        return list(env.get_attr(name))
     except AttributeError:
-        return ()
-    return found
+        return []

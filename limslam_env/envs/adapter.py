@@ -11,8 +11,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
+from limslam_env.envs.argument_types import check_noise, nominal_noise, rewards_of, robot_of
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import Observation, RobotSpec
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.messages import described, one_line
 from limslam_env.rendering.overlay import Overlay
 from limslam_env.rendering.painter import Painter
@@ -216,11 +217,17 @@ class SimulationEnv:
         """Take an environment's arguments; its class documents them and the errors raised."""
         self.render_mode = render_mode
         self._painter = Painter(render_mode)
-        self.robot = robot or RobotSpec()
-        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
-        noise = noise or NoiseConfig()
+        self.robot = robot_of(robot)
+        self.task = TaskConfig(coverage_goal, rewards_of(rewards))
+        noise = NoiseConfig() if noise is None else noise
+        check_noise(noise)
         self.noise = noise if sensor_noise is None else replace(noise, sensor_noise=sensor_noise)
         self._episode = EpisodeSimulation(world, self.robot, num_robots, self.noise)
+
+    @property
+    def nominal_noise(self) -> NominalNoise:
+        """The noise that the robot's data sheets give: an agent may know it."""
+        return nominal_noise(self.noise)
 
     @property
     def world(self) -> World:

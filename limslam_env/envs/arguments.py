@@ -9,6 +9,7 @@ import numpy as np
 
 from limslam_env.config import NoiseConfig, Setting
 from limslam_env.envs.adapter import PlaceSource, is_random
+from limslam_env.envs.argument_types import check_noise
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
@@ -105,8 +106,8 @@ def noise_of_each(noise: NoiseSource, sensor_noise: SensorNoise, num_envs: int) 
     each: list[Any] = [NoiseConfig()] if noise is None else [noise]
     if _is_several(noise):
         each = list(noise)  # type: ignore[arg-type]
-    if not all(isinstance(one, NoiseConfig) for one in each):
-        raise ValueError(f"noise must be a NoiseConfig, or one for each environment, not {one_line(noise)}")
+    for one in each:
+        check_noise(one, ", or one for each environment")
     if len(each) not in {1, num_envs}:
         raise ValueError(f"{len(each)} noise settings for {num_envs} environments")
     if sensor_noise is None:

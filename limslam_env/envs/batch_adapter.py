@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_env.batch.batch import BatchReadings, BatchSimulation, BatchTruth
 from limslam_env.batch.places import Places
 from limslam_env.config import RewardConfig, TaskConfig
+from limslam_env.envs.argument_types import nominal_noise, rewards_of, robot_of
 from limslam_env.envs.arguments import (
     BatchSource,
     NoiseSource,
@@ -22,7 +23,7 @@ from limslam_env.envs.arguments import (
     worlds_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
 from limslam_env.simulation.reward import is_done, reward
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
@@ -89,8 +90,8 @@ class Batched:
         num_envs = whole("num_envs", num_envs)
         max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
         num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
-        self.robot = robot or RobotSpec()
-        self.task = TaskConfig(coverage_goal, rewards or RewardConfig())
+        self.robot = robot_of(robot)
+        self.task = TaskConfig(coverage_goal, rewards_of(rewards))
         self.noise = noise_of_each(noise, sensor_noise, num_envs)
         self._max_steps, self._num_robots, self.num_envs = max_steps, num_robots, num_envs
         places = Places(worlds_of(world, num_envs), self.robot, num_robots, num_envs, seeds_of(plans, world))
@@ -98,6 +99,11 @@ class Batched:
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._lengths, self._is_over = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
         self._is_running = False
+
+    @property
+    def nominal_noise(self) -> NominalNoise:
+        """The noise that the robots' data sheets give: the largest of all environments. An agent may know it."""
+        return largest_noise([nominal_noise(noise) for noise in self.noise])
 
     def seen(self, env: int) -> BoolArray:
         """The coverable cells (rows, columns) of an environment's coverage grid that have been seen."""

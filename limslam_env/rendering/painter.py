@@ -15,8 +15,7 @@ from limslam_env.simulation.simulation import Readings, Simulation, Truth
 if TYPE_CHECKING:
     from limslam_env.rendering.window import Window
 
-# What this installation can do: a window needs the extra `play`.
-RENDER_MODES = ("rgb_array", "human") if find_spec("pygame") else ("rgb_array",)
+RENDER_MODES = ("rgb_array", "human")
 RENDER_FPS = 10
 
 
@@ -44,7 +43,7 @@ class Painter:
     """
 
     def __init__(self, mode: str | None) -> None:
-        if mode == "human" and mode not in RENDER_MODES:
+        if mode == "human" and find_spec("pygame") is None:
             raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'")
         if mode is not None and mode not in RENDER_MODES:
             raise ValueError(f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}")

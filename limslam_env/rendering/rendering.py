@@ -20,6 +20,7 @@ HEIGHT = 640
 """Height of a picture in pixels; the width follows the world."""
 
 _MARGIN = 30
+_FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _NARROWEST, _WIDEST = 420, 1600
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _FAR = 100_000  # pixels
@@ -224,8 +225,7 @@ def _draw_scale(canvas: _Canvas) -> None:
     left = right - round(length * canvas.scale)
     cv2.line(canvas.image, (left, 20), (right, 20), _TEXT, 2)
     words = f"{length:g} m"
-    (width, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
-    _text(canvas.image, words, left - width - 8, 24)
+    _text(canvas.image, words, left - _text_width(words) - 8, 24)
 
 
 def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray, cell: float) -> Image:
@@ -298,7 +298,14 @@ def _draw_caption(image: Image, time: float, coverage: float) -> None:
 
 
 def _text(image: Image, words: str, x: int, y: int) -> None:
-    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _TEXT, 1, cv2.LINE_AA)
+    """Words whose baseline begins at (x, y). Each letter is placed by its own width, so that no letters touch."""
+    for letter in words:
+        cv2.putText(image, letter, (x, y), *_FONT, _TEXT, 1, cv2.LINE_AA)
+        x += _text_width(letter)
+
+
+def _text_width(words: str) -> int:
+    return sum(cv2.getTextSize(letter, *_FONT, 1)[0][0] for letter in words)
 
 
 def _robot_colour(number: int) -> Colour:

@@ -29,6 +29,10 @@ class WorldError(ValueError):
         super().__init__(one_line(message))
 
 
+class OpenWorldError(WorldError):
+    """A robot could leave the world."""
+
+
 @dataclass(frozen=True, eq=False)
 class World:
     """The geometry of a building. Arrays are read-only; lengths are in metres, angles in radians.
@@ -138,7 +142,7 @@ class World:
         for label, place in places:
             region = wide.region_of(place[:2])
             if not region.any() or wide.reaches_border(region):
-                raise WorldError(
+                raise OpenWorldError(
                     f"world {self.name!r}: {label} lies in a region that is not closed: "
                     f"a robot of {radius:g} m radius could leave the world"
                 )

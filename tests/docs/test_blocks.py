@@ -36,6 +36,7 @@ NOT_RUN = {
 OTHERS = {
     "ray": "Ray's own command line; a cluster is needed",
     "tensorboard": "TensorBoard's own command line; it serves until it is stopped",
+    "evo_ape": "another project's command, for trajectories of a finished run",
     "git": "changes a checkout",
     ".venv/bin/pytest": "these tests",
     "pytest": "these tests",

@@ -98,3 +98,21 @@ def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
     said = {words[0]: float(words[2]) for words in map(str.split, result.stdout.splitlines())}
     assert set(said) == {"bounce", "frontier"}
     assert 0.1 < said["bounce"] < said["frontier"]
+
+
+def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
+    example = EXAMPLES / "own_estimator.py"
+    if not example.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    folder = tmp_path / "run"
+    write = "import sys; from limslam_agent.cli.main import main; sys.exit(main())"
+    options = ["run", "--world", "env2", "--preset", "consistent", "--max-time", "20", "--out", str(folder)]
+    subprocess.run([sys.executable, "-c", write, *options], capture_output=True, text=True, check=True)
+    result = subprocess.run([sys.executable, str(example), str(folder)], capture_output=True, text=True, check=True)
+    found = {words[0]: float(words[1]) for words in map(str.split, result.stdout.splitlines())}
+    known = json.loads((folder / "result.json").read_text())["metrics"]
+    # The example is dead reckoning, and so its errors are those of odometry alone.
+    assert found["ate_m"] == pytest.approx(known["odometry_ate_m"], abs=1e-3)
+    assert found["heading_rmse_deg"] == pytest.approx(known["odometry_heading_rmse_deg"], abs=1e-3)
+    own, odometry = (np.loadtxt(folder / f"trajectory_{name}.tum") for name in ("own", "odometry"))
+    np.testing.assert_allclose(own, odometry, atol=1e-5)

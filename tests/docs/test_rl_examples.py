@@ -6,6 +6,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -39,4 +40,9 @@ def test_it_learns_for_some_steps(name, tmp_path):
     assert result.returncode == 0, result.stderr
     said = result.stdout.splitlines()[-1]
     assert int(re.match(r"(\d+) steps: ", said)[1]) >= 128
-    assert float(re.search(r"(?:reward |: )(-?[\d.]+|nan)", said)[1]) or "nan" in said
+    if name == "rl_batch":
+        assert said.endswith(": no episode has ended yet (needs about 2400 steps)")
+    else:
+        assert np.isfinite(float(re.search(r"(?:reward |: )(-?[\d.]+)", said)[1]))
+    if name in {"rl_sb3", "rl_batch"}:
+        assert "total_timesteps" in result.stdout, "no progress is printed"

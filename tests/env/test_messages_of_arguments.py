@@ -56,3 +56,54 @@ def test_very_many_long_walls_are_refused_before_they_take_minutes():
     ends = np.random.default_rng(0).uniform(0.0, 60.0, (MAX_EDGES - 1000, 4))
     with pytest.raises(WorldError, match=rf"km long; {MAX_LENGTH / 1e3:g} km can be used"):
         World("many", (60.0, 60.0), ends)
+
+
+MAKERS = {
+    "single": lambda **arguments: gym.make("LimSlam-Env1-v0", **arguments),
+    "batch": lambda **arguments: gym.make_vec("LimSlam-Env1-v0", num_envs=2, **arguments),
+    "parallel": lambda **arguments: limslam_env.parallel_env(world="env1", **arguments),
+    "parallel batch": lambda **arguments: limslam_env.parallel_vector_env(world="env1", num_envs=2, **arguments),
+}
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=list(MAKERS))
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"noise": 0.02}, r"noise must be a NoiseConfig.*, not 0\.02 \(did you mean sensor_noise=0\.02\?\)"),
+        ({"noise": (0.0, 0.02)}, r"noise must be a NoiseConfig"),
+        ({"noise": {"sensor_noise": 0.02}}, r"did you mean noise=NoiseConfig\(sensor_noise=0\.02\)\?"),
+        ({"noise": {}}, r"noise must be a NoiseConfig.*, not \{\}"),
+        ({"rewards": {"step": -0.1}}, r"rewards must be a RewardConfig.*mean rewards=RewardConfig\(step=-0\.1\)\?"),
+        ({"rewards": 1.0}, r"rewards must be a RewardConfig, not 1\.0"),
+        ({"robot": "e_puck"}, r"robot must be a RobotSpec, not 'e_puck' .*robot=limslam_env\.robots\.e_puck\(\)"),
+        ({"robot": "four-beam-drone"}, r"robot=limslam_env\.robots\.four_beam_drone\(\)"),
+        ({"robot": "wheel" * 200}, r"robot must be a RobotSpec"),
+        ({"robot": limslam_env.RobotSpec}, r"robot must be a RobotSpec, not <class"),
+        ({"sensor_noise": "0.02"}, r"sensor_noise must be a number"),
+        ({"sensor_noise": limslam_env.NoiseConfig()}, r"sensor_noise must be a number"),
+        ({"coverage_goal": "0.9"}, r"coverage_goal must lie in"),
+    ],
+)
+def test_an_argument_of_a_wrong_type(make, arguments, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        make(**arguments)
+    assert len(str(caught.value)) <= 500
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("make", [MAKERS["single"], MAKERS["parallel"]], ids=["single", "parallel"])
+def test_a_window_without_pygame_names_the_extra(monkeypatch, make):
+    monkeypatch.setattr("limslam_env.rendering.painter.find_spec", lambda _: None)
+    with pytest.raises(gym.error.DependencyNotInstalled, match=r"pip install 'limslam\[play\]'"):
+        make(render_mode="human")
+
+
+def test_the_nominal_noise_is_the_upper_end_of_what_a_reset_may_draw():
+    noise = limslam_env.NoiseConfig(sensor_noise=(0.01, 0.03), wheel_variance=(0.0, 1e-4), slip_rate=0.5)
+    assert MAKERS["single"](noise=noise).unwrapped.nominal_noise == limslam_env.NominalNoise(0.03, 1e-4)
+    assert MAKERS["parallel"](sensor_noise=0.02).nominal_noise == limslam_env.NominalNoise(0.02)
+    ideal = limslam_env.NoiseConfig(wheel_variance=0.0)
+    assert MAKERS["batch"](noise=ideal).nominal_noise == limslam_env.NominalNoise()
+    each = MAKERS["parallel batch"](noise=[noise, ideal], sensor_noise=np.array([0.01, 0.04]))
+    assert each.nominal_noise == limslam_env.NominalNoise(0.04, 1e-4)

@@ -48,7 +48,7 @@ class LearnedPolicy(ReactivePolicy):
     Parameters
     ----------
     robot, config
-        Body, and the settings that all policies share.
+        Body, and the settings that all policies share. Those of the paper's robot and the default settings if left out.
     network
         Network that scores directions. The shipped one by default.
     drive
@@ -63,8 +63,8 @@ class LearnedPolicy(ReactivePolicy):
 
     def __init__(
         self,
-        robot: RobotSpec,
-        config: PolicyConfig,
+        robot: RobotSpec | None = None,
+        config: PolicyConfig | None = None,
         network: DirectionNetwork | None = None,
         drive: DriveConfig | None = None,
         seed: int | np.random.Generator = 0,

@@ -11,6 +11,7 @@ Hough transforms, and can thereby change which loops are found. The search is th
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -130,7 +131,13 @@ class GraphResult:
     trajectory: Trajectory = field(repr=False)
 
 
-def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = None) -> GraphResult:
+Report = Callable[[str], None]
+"""Called with the stage that begins, in words."""
+
+
+def smooth_log(
+    data: LogData, start: FloatArray, config: GraphConfig | None = None, report: Report | None = None
+) -> GraphResult:
     """Smooth a log after its end.
 
     Parameters
@@ -141,16 +148,19 @@ def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = No
         Pose (3,) of the first event in the frame of the result.
     config
         The settings; the defaults serve all logs.
+    report
+        Called at the start of each frame and of each round, with the number of loops found so far.
     """
     config = config or GraphConfig()
-    best, known = _smoothed(data, start, config), np.zeros(3)
+    report = report or _silent
+    best, known = _smoothed(data, start, config, report), np.zeros(3)
     for _ in range(config.rounds.restarts):
         found = best.trajectory.bias
         if abs(found[0]) < config.rounds.restart:
             break
         # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
         data = replace(data, odometry=corrected_odometry(data.odometry, found))
-        again = _smoothed(data, start, config)
+        again = _smoothed(data, start, config, partial(_say, report, "odometry corrected"))
         if again.score <= best.score:
             break
         best, known = again, joined_bias(known, found)
@@ -158,18 +168,31 @@ def smooth_log(data: LogData, start: FloatArray, config: GraphConfig | None = No
     return replace(best, turn_bias=turn_bias, scale=scale, turn_gain=turn_gain)
 
 
-def _smoothed(data: LogData, start: FloatArray, config: GraphConfig) -> GraphResult:
+def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> GraphResult:
     """Smooth a log with odometry as it is."""
     keys = choose_keys(data, config.keys, config.motion)
     if len(keys) < 2 or not len(keys.point_key):
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
         return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
-    searches = _searched([each for turn in config.rounds.orientations for each in _begun(keys, data, config, turn)])
+    turns = config.rounds.orientations
+    begun = [
+        _begun(keys, data, config, turn, partial(_say, report, f"frame {number} of {len(turns)}"))
+        for number, turn in enumerate(turns, start=1)
+    ]
+    searches = _searched([search for each in begun for search in each])
     best = max(searches, key=lambda search: search.score)
     found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
     return _result(keys, best.name, found, scores)
+
+
+def _silent(_: str) -> None:
+    """Report nothing."""
+
+
+def _say(report: Report, where: str, what: str) -> None:
+    report(f"{where}, {what}")
 
 
 def _local(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> Trajectory:
@@ -259,6 +282,8 @@ class _Search:
         The name of the start, and the first heading in this frame, rad.
     found
         Loops along the way in the local trajectory, for the first round.
+    report
+        Called at the start of each round.
     rounds
         The completed rounds.
     """
@@ -267,6 +292,7 @@ class _Search:
     start: str
     turn: float
     found: list[Loop]
+    report: Report
     rounds: list[Round] = field(default_factory=list)
 
     @property
@@ -281,14 +307,15 @@ class _Search:
 
     def advanced(self, end: int) -> "_Search":
         """The search after ``end`` rounds."""
-        return replace(self, rounds=_rounds(self.log, self.rounds, self.found, self.start, end))
+        return replace(self, rounds=_rounds(self, end))
 
 
-def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> list[_Search]:
+def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float, report: Report) -> list[_Search]:
     """The first round of both starts, in the frame in which the first heading is ``turn`` (rad)."""
+    report("local smoothing")
     log = _Log(keys, _local(keys, data, config, turn), data, config)
     found = loops_along_the_way(log.chunks(log.local, 0))
-    return [_Search(log, start, turn, found).advanced(1) for start in _STARTS]
+    return [_Search(log, start, turn, found, report).advanced(1) for start in _STARTS]
 
 
 def _searched(searches: list[_Search]) -> list[_Search]:
@@ -311,10 +338,12 @@ def _best(rounds: list[Round], tie: float) -> Round:
     return [each for each in rounds if each.score >= highest - tie][-1]
 
 
-def _rounds(log: _Log, done: list[Round], found: list[Loop], start: str, end: int) -> list[Round]:
+def _rounds(search: _Search, end: int) -> list[Round]:
     """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
-    rounds = list(done)
-    for number in range(len(done), end):
+    log, found, start, rounds = search.log, search.found, search.start, list(search.rounds)
+    for number in range(len(rounds), end):
+        loops = sum(verdict.kept for verdict in rounds[-1].verdicts) if rounds else len(found)
+        search.report(f"start {start}, round {number + 1} of at most {len(log.config.rounds.hops)}, {loops} loops")
         trajectory = rounds[-1].trajectory if rounds else log.local
         rounds.append(_round(log, trajectory, number, None if rounds else found, start))
         if (

@@ -42,16 +42,20 @@ def test_a_floor_plan_is_run_by_its_seed(limslam, tmp_path):
 
 @pytest.mark.parametrize(("laps", "total", "most"), [(0, 1.0, 1.0), (1, 2.0, 2.0)])
 def test_exploring_advances_by_coverage_and_laps_by_time(limslam, tmp_path, monkeypatch, laps, total, most):
-    bars, dones = [], []
+    bars, told = [], []
 
     @contextmanager
     def bar(task, whole):
         bars.append((task, whole))
-        yield lambda done, _state: dones.append(done)
+        yield lambda done, state: told.append((done, state))
 
     monkeypatch.setattr(run_module, "progress_bar", bar)
     assert limslam("run", "--world", "env1", "--laps", laps, "--max-time", 2, "--out", tmp_path / "run")[0] == 0
     assert bars == [("driving" if laps else "exploring", total)]
+    # The bar is full while the run is smoothed.
+    *driving, last = told
+    assert last == (most, "smoothing, and writing the map")
+    dones = [done for done, _ in driving]
     assert dones == sorted(dones)
     assert (dones[-1] == most) == bool(laps)
 

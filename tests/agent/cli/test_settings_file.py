@@ -370,3 +370,17 @@ def test_a_run_with_uneven_wheels_says_what_it_found_and_its_file_repeats_it(tmp
     plain = limslam("run", "--noise", "0.02", "--max-time", "5", "--out", tmp_path / "plain")
     assert "calibrated" not in plain.stdout
     assert json.loads((tmp_path / "plain" / "result.json").read_text())["record"]["calibration"] == [None]
+
+
+@pytest.mark.parametrize(
+    ("text", "defaults", "other"),
+    [
+        ('world = "env1"\nseed = 3\n', ReplayOptions(), "run"),
+        ('log = "log.npz"\n', RunOptions(), "replay"),
+    ],
+)
+def test_a_file_of_another_command_is_recognised(tmp_path, text, defaults, other):
+    with pytest.raises(SettingsError, match=f"no such setting: this is a file of limslam {other}; there are"):
+        given(tmp_path, text).of_file(defaults, ("agent",))
+    with pytest.raises(SettingsError, match="unheard: there is no such setting; there are"):
+        given(tmp_path, "unheard = 1").of_file(defaults, ("agent",))

@@ -213,6 +213,19 @@ def test_a_summary_leaves_out_what_is_not_known():
     assert "loops" not in told[1]
     assert told[0].startswith("relations   filter, while driving  0.500 m")
     assert replay_summary({}) == []
+    same = {f"raw_{name}": value for name, value in relations.items() if name.startswith("odometry_")}
+    assert [line[12:].split("  ")[0] for line in replay_summary({**relations, **same})] == ["estimate", "odometry, raw"]
+    other = dict.fromkeys(same, 0.6)
+    assert sum("odometry" in line for line in replay_summary({**relations, **other})) == 2
+
+
+def test_the_limit_is_compared_with_the_filter_and_with_the_smoothed_path():
+    known = {**METRICS, "limit_ate_m": 0.02, "ate_over_limit": 2.5}
+    found = run_summary(known, {})
+    place = found.index("limit       0.020 m rms, the least-squares solution with known associations")
+    assert found[place + 1] == "            the error is 2.5 times that"
+    smoothed = run_summary({**known, "smoothed_over_limit": 0.8}, {})
+    assert smoothed[place + 1] == "            the error is 2.5 times that, smoothed is 0.8 times that"
 
 
 def spoil_json(folder):

@@ -94,9 +94,22 @@ def test_an_open_outer_wall_is_a_warning_with_its_place(limslam, tmp_path):
     code, out, error = limslam("worlds", "check", path)
     assert code == 0
     assert out.startswith("hall: 6 x 4 m, 7 walls")
-    assert error.startswith("limslam: warning: the outer wall is open near (3.")
+    assert error.startswith(f"limslam: warning: {path}: the outer wall is open near (3.")
     assert error.count("\n") == 1
-    assert limslam("run", "--world", path, "--max-time", 1, "--out", tmp_path / "run")[2] == error
+    assert limslam("run", "--world", path, "--max-time", 1, "--out", tmp_path / "run")[2] == error.replace(
+        f"{path}: ", ""
+    )
+
+
+def test_a_world_that_a_robot_could_leave_is_refused_with_the_file_and_the_place_of_the_gap(limslam, tmp_path):
+    path = tmp_path / "hall.toml"
+    walls = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]"
+    path.write_text(f'name = "hall"\nsize = [6.0, 4.0]\nwalls = {walls}\nstarts = [[1.0, 1.0, 0.0]]\n')
+    code, _, error = limslam("worlds", "check", path)
+    assert code == 2
+    assert f"{path}: world 'hall': starts[0] lies in a region that is not closed" in error
+    assert "; the outer wall is open near (3." in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", shipped_worlds())

@@ -39,7 +39,10 @@ def recorded():
 def smoothed():
     log, truth = recorded()
     config = replace(preset("graph", NominalNoise(0.01)), smoothing=TWO_ROUNDS)
-    return replay_log(log, config), truth
+    stages: list[str] = []
+    replay = replay_log(log, config, report=stages.append)
+    assert any("round 2" in stage for stage in stages)
+    return replay, truth
 
 
 def test_the_smoothed_path_is_right_and_the_filter_keeps_its_own(smoothed):

@@ -1,18 +1,27 @@
 """Anything that can act is scored, by the same metrics as the agent that comes with the package."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from limslam_agent import LimSlamAgent, LimSlamTeam, evaluate, medians, preset
 from limslam_agent.policies.frontier_policy import FrontierPolicy
+from limslam_agent.policies.learned.learned import LearnedPolicy
+from limslam_agent.policies.simple_policies import RandomPolicy, WallFollower
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.wrappers.single import SlamObservation
 from limslam_env import NominalNoise, RobotSpec
+from limslam_env.envs.env import LimSlamEnv
 from limslam_env.worlds.world import World
 
 ROBOT = RobotSpec()
 TOLD = preset("paper", NominalNoise(0.02))
+FAST = replace(ROBOT, max_wheel_speed=0.4)
+FLAT = spaces.Box(-1.0, 1.0, (8,))
+BELIEFS = SlamObservation(LimSlamEnv("env1")).observation_space
 DRIVE = {"path_m", "coverage_true", "time_to_50_s", "time_to_90_s", "time_to_95_s", "exploration_time_s", "collisions"}
 WALLS = [[0, 0, 3, 0], [3, 0, 3, 2], [3, 2, 0, 2], [0, 2, 0, 0]]
 ROOM = World("room", (3.0, 2.0), WALLS, starts=[[1.0, 1.0, 0.0], [2.0, 1.0, 2.0]])
@@ -43,6 +52,18 @@ class Forgetful:
     def predict(self, _observation, deterministic):
         assert deterministic
         return np.array([0.3, 0.3]), None
+
+
+class Trained:
+    """A model that was trained on the observations of a space. Without a space, on beliefs that it does not declare."""
+
+    def __init__(self, space):
+        if space is not None:
+            self.observation_space = space
+
+    def predict(self, observation, deterministic):
+        assert deterministic
+        return observation["pose"][:2], None
 
 
 def test_the_agent_gets_the_metrics_of_a_run():
@@ -169,6 +190,25 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
         (spin, "CartPole-v1", {}, "is not a LimSLAM environment"),
         (spin, "LimSlam-Env1-v0", {"max_time": 0.0}, "above 0 s"),
         (spin, "LimSlam-World-v0", {"world": "atlantis"}, "atlantis"),
+        (
+            spin,
+            LimSlamEnv("env1"),
+            {},
+            "env_id is a name such as 'LimSlam-Env1-v0', not .*: evaluate makes",
+        ),
+        (spin, "LimSlam-Env1-v0", {"robot": "e-puck"}, "robot must be a RobotSpec"),
+        (spin, "LimSlam-Env1-v0", {"rewards": 1.0}, "rewards must be a RewardConfig"),
+        (LimSlamAgent(FAST), "LimSlam-Env1-v0", {}, r"LimSlamAgent was made for another robot .*in max_wheel_speed\)"),
+        (LimSlamAgent(ROBOT), "LimSlam-Env1-v0", {"robot": FAST}, "was made for another robot"),
+        (FrontierPolicy(), "LimSlam-Env1-v0", {"robot": FAST}, "FrontierPolicy was made for another robot"),
+        (LimSlamTeam(FAST, TOLD), "limslam/Env1-v0", {}, "LimSlamTeam was made for another robot"),
+        ({"robot_0": spin, "robot_1": LimSlamAgent(FAST)}, "limslam/Env1-v0", {}, "LimSlamAgent was made for another"),
+        (Trained(BELIEFS), "LimSlam-Env1-v0", {}, r"other observations \(covariance, grid, pose, ranges\).*by wrap="),
+        (Trained(FLAT), "LimSlam-Env1-v0", {}, r"other observations \(shape \(8,\)\).*\(ranges, wheels\).*by wrap="),
+        (Trained(FLAT), "limslam/Env1-v0", {}, r"Trained was trained on other observations"),
+        (Trained(None), "LimSlam-Env1-v0", {}, r"Trained looks for 'pose' in an observation that holds ranges, wheels"),
+        ("fronteer", "LimSlam-Env1-v0", {}, "no policy is called 'fronteer'; there are frontier, "),
+        ("oracle", "LimSlam-Env1-v0", {}, "the policy 'oracle' knows the truth: use limslam run --policy oracle"),
     ],
 )
 def test_what_cannot_act_is_refused_in_one_line(actor, env_id, arguments, words):
@@ -277,3 +317,30 @@ def test_the_name_of_the_argument_makes_an_actor():
 
     (result,) = evaluate(Both(), "LimSlam-World-v0", [0], max_time=1.0, world=ROOM)
     assert "ate_m" not in result
+
+
+@pytest.mark.parametrize("policy", [FrontierPolicy(), WallFollower(), RandomPolicy(), LearnedPolicy()])
+def test_the_policies_of_the_package_need_no_arguments(policy):
+    (result,) = evaluate(policy, "LimSlam-Env2-v0", [0], max_time=6.0, sensor_noise=0.02)
+    assert result["path_m"] > 0.0
+    assert "ate_m" in result
+
+
+@pytest.mark.parametrize("name", ["frontier", "frontier_fast", "wall_follower", "random", "learned"])
+def test_a_name_stands_for_the_policy_of_a_run(name):
+    expected = score(run_episode(RunConfig("env2", 0.02, "consistent", seed=3, max_time=5.0, policy=name)))
+    (result,) = evaluate(name, "LimSlam-Env2-v0", [3], max_time=5.0, sensor_noise=0.02)
+    assert result.pop("seed") == 3
+    assert {each: expected[each] for each in result} == result
+
+
+def test_a_name_stands_for_a_team_in_a_parallel_environment():
+    expected = score(run_episode(RunConfig("env2", 0.02, "consistent", 3, 5.0, robots=2, policy="wall_follower")))
+    (result,) = evaluate("wall_follower", "limslam/Env2-v0", [3], max_time=5.0, sensor_noise=0.02)
+    assert result.pop("seed") == 3
+    assert {each: expected[each] for each in result} == result
+
+
+def test_a_model_with_the_observations_of_its_training_is_taken():
+    arguments = {"max_time": 0.5, "world": ROOM, "wrap": SlamObservation}
+    assert evaluate(Trained(BELIEFS), "LimSlam-World-v0", [0], **arguments)[0]["path_m"] >= 0.0

@@ -236,7 +236,20 @@ def test_bars_are_as_long_as_the_buffers_are_full():
     assert length(0) == 0
     assert length(15) == pytest.approx(0.5 * length(30), rel=0.02)
     assert length(60) == length(30)
-    assert length(30, robots=8) == pytest.approx(8 * 37 * 10, rel=0.1)  # eight bars, in half of the width
+    assert length(30, robots=8) == pytest.approx(8 * 41 * 10, rel=0.1)  # eight bars, in half of the width
+
+
+def test_the_bars_of_several_robots_leave_the_words_free():
+    points = np.zeros((15, 2))
+    buffers = [BufferView(robot, side, points, 12, 5) for robot in (0, 1) for side in ("left", "right")]
+    panel = belief_panels.draw_buffers(buffers, 268, belief_panels.buffers_height(2))
+    filled = (panel == np.array(video_style.LEFT)).all(axis=2)
+    beside = np.abs(panel.astype(int) - np.array(video_style.PAPER)).sum(axis=2) > 0
+    row = beside[24:34].any(axis=0)
+    assert 0 < filled.sum() < 200
+    # Between the end of the bar and the first letter there is some paper.
+    assert not row[20 + 14 + 1 : 20 + 14 + 5].any()
+    assert row[20 + 14 + 6 : 20 + 14 + 14].any()
 
 
 def test_words_are_cut_to_fit_and_may_lie_partly_outside():

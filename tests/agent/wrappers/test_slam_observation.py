@@ -182,3 +182,15 @@ def test_the_values_are_those_of_the_privileged_map() -> None:
     env = PrivilegedLocalMap(LimSlamEnv("env1"), size=20)
     values = set(np.unique(driven(env)[0][-1]["local_map"]))
     assert values == {UNKNOWN, FREE, OCCUPIED}
+
+
+def test_the_filter_is_told_the_nominal_noise_of_the_environment() -> None:
+    def make() -> gym.Env[Any, Any]:
+        return gym.make("LimSlam-Env1-v0", sensor_noise=0.02)
+
+    def poses(config: AgentConfig | None) -> Any:
+        return [seen["pose"] for seen in driven(SlamObservation(make(), config))[0]]
+
+    default = poses(None)
+    np.testing.assert_array_equal(default, poses(preset("graph", NominalNoise(0.02))))
+    assert not np.array_equal(default, poses(preset("graph")))

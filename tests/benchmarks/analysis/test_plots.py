@@ -45,6 +45,16 @@ def test_each_figure_says_what_is_to_be_seen(found):
         assert "\n" not in drawing.alt
 
 
+@pytest.mark.parametrize(("laps", "words"), [(1, "over 1 lap of"), (2, "over 2 laps of")])
+def test_the_end_of_a_lap_is_in_the_legend_where_it_is_drawn(tmp_path, laps, words):
+    rows = [row("square", 0.02, seed, laps=laps) for seed in range(2)]
+    run = write_folder(tmp_path / "run", rows)
+    (drawing,) = [each for each in drawings(read_rows(run), run) if each.name.startswith("errors_")]
+    assert words in drawing.title
+    (legend,) = drawing.figure.legends
+    assert ("end of a lap" in [text.get_text() for text in legend.get_texts()]) == (laps > 1)
+
+
 def test_maps_show_the_run_with_the_median_f1(found):
     rows = [each for each in grid(seeds=3) if (each.world, each.noise, each.robots) == ("env1", 0.0, 1)]
     middle = sorted(rows, key=lambda each: each.metrics["wall_f1"])[1]

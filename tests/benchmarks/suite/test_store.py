@@ -159,6 +159,14 @@ def test_no_results_there(tmp_path):
         read_rows(tmp_path)
 
 
+def test_a_parent_folder_lists_the_results_below_it(folder, tmp_path):
+    for name in ("suite-b", "suite-a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / RESULTS).write_bytes((folder / RESULTS).read_bytes())
+    with pytest.raises(ValueError, match=r"no results there; there are some in .*suite-a, .*suite-b$"):
+        read_rows(tmp_path)
+
+
 def test_ten_thousand_rows_can_be_read(folder):
     row = (folder / RESULTS).read_bytes().splitlines(keepends=True)[0]
     (folder / RESULTS).write_bytes(row * 10_000)

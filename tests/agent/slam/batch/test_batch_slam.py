@@ -406,3 +406,10 @@ def test_what_cannot_be_wrapped_is_refused() -> None:
         SlamVectorObservation(SyncVectorEnv([lambda: NormalizedObservation(LimSlamEnv("env1"))]))
     with pytest.raises(ValueError, match="preset consistent"):
         SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), preset("paper"))
+
+
+def test_the_filters_are_told_the_largest_nominal_noise_of_the_environments() -> None:
+    made = gym.make_vec("LimSlam-Env1-v0", num_envs=2, sensor_noise=np.array([0.01, 0.03]))
+    assert SlamVectorObservation(made, size=8, num_threads=1).slam.config.noise == NominalNoise(0.03)
+    separate = SyncVectorEnv([lambda: LimSlamEnv("env1", sensor_noise=0.02), lambda: LimSlamEnv("env1")])
+    assert SlamVectorObservation(separate, size=8, num_threads=1).slam.config.noise == NominalNoise(0.02)

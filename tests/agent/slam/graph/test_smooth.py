@@ -1,5 +1,6 @@
 """Whole logs: laps of a simulated corridor with wrong odometry come out right, and so do the recorded ones."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -87,9 +88,18 @@ def test_uncertainty_grows_with_the_way_from_the_start(two_laps):
     assert position[1:].min() > 0.01
 
 
-def test_the_same_log_gives_the_same_poses(two_laps):
+def test_the_same_log_gives_the_same_poses_and_the_stages_are_reported(two_laps):
     log, truth, result = two_laps
-    assert np.array_equal(smooth_log(log, truth[0], TWO_ROUNDS).poses, result.poses)
+    stages: list[str] = []
+    assert np.array_equal(smooth_log(log, truth[0], TWO_ROUNDS, stages.append).poses, result.poses)
+    turns = len(TWO_ROUNDS.rounds.orientations)
+    assert stages[0] == f"frame 1 of {turns}, local smoothing"
+    assert [stage for stage in stages if "local" in stage][-1].startswith(f"frame {turns} of {turns}")
+    rounds = [
+        re.fullmatch(r"frame \d+ of \d+, start \w+, round (\d) of at most 2, (\d+) loops", stage) for stage in stages
+    ]
+    assert {match[1] for match in rounds if match} == {"1", "2"}
+    assert max(int(match[2]) for match in rounds if match) >= 5
 
 
 def test_the_start_pose_only_moves_the_result(two_laps):

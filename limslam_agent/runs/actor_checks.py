@@ -1,0 +1,75 @@
+"""Whether an actor was made for the robot and the observations of an environment."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import gymnasium as gym
+from gymnasium import spaces
+
+from limslam_env.interface import RobotSpec
+from limslam_env.messages import one_line
+
+
+def check_actor(actor: Any, robot: RobotSpec, env: Any) -> None:
+    """Refuse an actor that was made for another robot, or a model that was trained on other observations.
+
+    Parameters
+    ----------
+    actor
+        What `evaluate` takes: an actor, a policy, a model, or a dict of them by robot names.
+    robot
+        The robot of the environment.
+    env
+        The environment as the actor sees it, with all wrappers.
+
+    Raises
+    ------
+    ValueError
+        If the actor has another ``robot``, or an ``observation_space`` of another form.
+    """
+    for name, part in actor.items() if isinstance(actor, Mapping) else [(None, actor)]:
+        _check_robot(part, robot)
+        _check_observations(part, _observation_space(env, name))
+
+
+def _check_robot(actor: Any, robot: RobotSpec) -> None:
+    own = getattr(actor, "robot", None)
+    if not isinstance(own, RobotSpec) or own == robot:
+        return
+    different = [part.name for part in fields(robot) if getattr(own, part.name) != getattr(robot, part.name)]
+    raise ValueError(
+        f"{type(actor).__name__} was made for another robot than that of the environment (they differ in "
+        f"{', '.join(different)}): give both the same robot, by the argument robot="
+    )
+
+
+def _check_observations(actor: Any, seen: Any) -> None:
+    trained = getattr(actor, "observation_space", None)
+    if not (isinstance(trained, gym.Space) and isinstance(seen, gym.Space)) or _form(trained) == _form(seen):
+        return
+    raise ValueError(
+        one_line(
+            f"{type(actor).__name__} was trained on other observations ({_described(trained)}) than the environment "
+            f"gives ({_described(seen)}): pass the wrappers of the training by wrap=, for example wrap=SlamObservation"
+        )
+    )
+
+
+def _observation_space(env: Any, name: str | None) -> Any:
+    """The observation space of a robot; of the first robot for None."""
+    names = getattr(env, "possible_agents", None)
+    if names is None:
+        return env.observation_space
+    return env.observation_space(names[0] if name not in names else name)
+
+
+def _form(space: Any) -> Any:
+    """Keys and sizes of a space. The order of the axes is left out, because libraries move the axes of pictures."""
+    if isinstance(space, spaces.Dict):
+        return {key: _form(part) for key, part in space.items()}
+    return sorted(space.shape or ())
+
+
+def _described(space: Any) -> str:
+    return ", ".join(space.keys()) if isinstance(space, spaces.Dict) else f"shape {space.shape}"
