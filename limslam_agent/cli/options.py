@@ -51,7 +51,8 @@ Policy = Annotated[
     str | None,
     _option(
         _AGENT,
-        "Policy that drives: frontier, frontier_fast, learned, wall_follower or random. "
+        "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
+        "or FILE.py:CLASS for your own (a class or a function that makes a policy). "
         "These policies use the true pose or the true map: learned_true_pose, tour, oracle.",
         _RUN.policy,
     ),
@@ -59,7 +60,15 @@ Policy = Annotated[
 Laps = Annotated[
     int | None, _option(_AGENT, "Drive this many laps of the world's loop instead of exploring.", _RUN.laps)
 ]
-Ablation = Annotated[str | None, _option(_AGENT, "Part of the method to switch off.", "none")]
+Ablation = Annotated[
+    str | None,
+    _option(
+        _AGENT,
+        "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, only-best-line or none. "
+        "All go with the preset paper, and no-loop-closing with every preset.",
+        "none",
+    ),
+]
 Limit = Annotated[
     bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).", None, "--limit/--no-limit")
 ]

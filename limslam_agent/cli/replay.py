@@ -45,7 +45,10 @@ def replay(
     arguments = locals()
     given = Given.read(arguments.pop("config"), arguments)
     options = given.merged(ReplayOptions(), ("agent",))
-    carry_out(options, replay_agent(given, options))
+    agent = replay_agent(given, options)
+    for warning in given.warnings(options.preset):
+        typer.echo(f"limslam: warning: {warning}", err=True)
+    carry_out(options, agent)
 
 
 @dataclass(frozen=True, eq=False)

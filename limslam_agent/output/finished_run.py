@@ -15,7 +15,7 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.messages import one_line
 
-RESULT, MAP, LOG, PICTURE = "result.json", "map.json", "log.npz", "map.png"
+RESULT, MAP, LOG, PICTURE, WORLD = "result.json", "map.json", "log.npz", "map.png", "world.toml"
 
 
 class FolderError(ValueError):
@@ -78,11 +78,16 @@ class FinishedRun:
             f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
             f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
             " ".join(filter(None, (str(preset), config.get("ablation")))),
-            str(config["policy"]).replace("_", " ") if config.get("policy", "frontier") != "frontier" else "",
+            policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
             f"{config['laps']} laps" if config.get("laps") else "",
             f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
         )
         return ", ".join(filter(None, parts))
+
+
+def policy_words(policy: str) -> str:
+    """The name of a policy in words. A policy of a file keeps the name of the file."""
+    return policy if ".py:" in policy else policy.replace("_", " ")
 
 
 def read_run(folder: Path) -> FinishedRun:

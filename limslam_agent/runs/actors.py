@@ -9,7 +9,7 @@ import numpy as np
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.default_preset import DEFAULT_PRESET
-from limslam_agent.config.presets import preset
+from limslam_agent.config.presets import AgentConfig, preset
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -53,11 +53,17 @@ class Driver(Protocol):
 
 
 def driver_of(
-    actor: Any, *, is_team: bool, robot: RobotSpec | None = None, noise: NominalNoise | None = None
+    actor: Any,
+    *,
+    is_team: bool,
+    robot: RobotSpec | None = None,
+    noise: NominalNoise | None = None,
+    preset_name: str | None = None,
 ) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
-    A policy becomes the policy of a `LimSlamAgent` of the default preset for ``robot`` and ``noise``.
+    A policy becomes the policy of a `LimSlamAgent` for ``robot`` and ``noise``, of the preset that is named or else of
+    the default preset.
 
     Raises
     ------
@@ -77,7 +83,7 @@ def driver_of(
                 f"{type(actor).__name__} is a policy for one robot: "
                 "pass LimSlamTeam(robot, config, num_robots, policies=[...]) with one policy for each robot"
             )
-        return _PolicyDriver(actor, robot or RobotSpec(), noise)
+        return _PolicyDriver(actor, robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise))
     if callable(getattr(actor, "act", None)):
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
@@ -135,8 +141,8 @@ class _PolicyDriver:
 
     can_stop = True
 
-    def __init__(self, policy: Any, robot: RobotSpec, noise: NominalNoise | None) -> None:
-        self._policy, self._robot, self._config = policy, robot, preset(DEFAULT_PRESET, noise)
+    def __init__(self, policy: Any, robot: RobotSpec, config: AgentConfig) -> None:
+        self._policy, self._robot, self._config = policy, robot, config
         self.snapshot_source = LimSlamAgent(robot, self._config, policy)
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:

@@ -19,7 +19,7 @@ from limslam_agent.runs.episode import RunConfig
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
-    "run.toml", "trajectory_smoothed.tum",
+    "run.toml", "world.toml",
 }  # fmt: skip
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
@@ -49,7 +49,8 @@ def short_run(tmp_path_factory):
 
 
 def test_a_run_writes_its_whole_folder_and_nothing_beside_it(short_run):
-    assert {path.name for path in short_run.iterdir()} == RUN_FILES
+    smoothed = {"trajectory_smoothed.tum", "map_online.json"}
+    assert {path.name for path in short_run.iterdir()} == RUN_FILES | smoothed
     assert [path.name for path in short_run.parent.iterdir()] == ["short"]
 
 

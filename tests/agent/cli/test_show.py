@@ -19,6 +19,7 @@ from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.formats.writing import write_world
 
 app = typer.Typer()
 app.command()(show)
@@ -108,8 +109,27 @@ def test_the_true_walls_are_those_of_the_world_that_was_run_in(real_run):
     np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
     run.result["config"]["world_digest"] = "another"
     assert true_edges(run) is None
+
+
+def test_without_a_file_of_the_world_only_a_world_that_ships_is_drawn(real_run, tmp_path):
+    run = read_run(shutil.copytree(real_run, tmp_path / "old", ignore=shutil.ignore_patterns("world.toml")))
+    np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
     run.result["config"]["world"] = "../env1.toml"
     assert true_edges(run) is None
+
+
+@pytest.mark.parametrize("world", ["random:17", "plan.toml"])
+def test_the_true_walls_of_a_world_that_does_not_ship_are_drawn(world, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_world(load_world("square"), "plan.toml")
+    write_episode(tmp_path, run_episode(RunConfig(world, 0.02, max_time=1.0)))
+    (tmp_path / "plan.toml").unlink()
+    np.testing.assert_array_equal(
+        true_edges(read_run(tmp_path)), load_world(world if world == "random:17" else "square").edges
+    )
+    (tmp_path / "world.toml").write_text("walls = 3")
+    with pytest.raises(ValueError, match=r"world\.toml: the key 'name' is missing"):
+        true_edges(read_run(tmp_path))
 
 
 def test_a_real_run_is_told_and_drawn(real_run, tmp_path):
