@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import WallsAndGrid, map_content, write_json, write_map, write_tum
-from limslam_agent.output.finished_run import WORLD, policy_words
+from limslam_agent.output.export import WallsAndGrid, map_content, write_covariances, write_json, write_map, write_tum
+from limslam_agent.output.finished_run import COVARIANCES, WORLD, policy_words
 from limslam_agent.output.summary import record_of
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
@@ -196,6 +196,8 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
         if episode.smoothed is not None:
             write_tum(folder / f"trajectory_smoothed{suffix}.tum", episode.time, episode.smoothed.poses[:, number])
+    smoothed = episode.smoothed
+    write_covariances(folder / COVARIANCES, episode.covariances, None if smoothed is None else smoothed.covariances)
     write_world(episode.world, folder / WORLD)
     write_map(folder, episode.final_map)
     if episode.smoothed is not None:

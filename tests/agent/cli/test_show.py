@@ -15,6 +15,7 @@ from limslam_agent.cli.show import show, true_edges
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.output.export import write_json, write_tum
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
+from limslam_agent.output.run_picture import draw_run
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
@@ -341,3 +342,39 @@ def test_numbers_of_another_version_do_no_harm(tmp_path):
     content["seed"], content["config"] = None, "none"
     write_json(folder / "result.json", content)
     assert "stopped" in run_show(folder)
+
+
+def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
+    episode = run_episode(RunConfig("env1", 0.02, max_time=12.0, seed=300))
+    write_episode(tmp_path, episode)
+    run = read_run(tmp_path)
+    np.testing.assert_allclose(run.covariances[0], episode.covariances[:, 0], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(run.smoothed_covariances[0], episode.smoothed.covariances[:, 0], rtol=1e-6, atol=1e-12)
+    figure = plt.figure()
+    try:
+        draw_run(figure, run, [])
+        upper, lower = figure.axes[1:3]
+        assert {"2 sigma, online", "2 sigma, smoothed"} <= {text.get_text() for text in upper.get_legend().get_texts()}
+        assert [len(axes.collections) for axes in (upper, lower)] == [2, 2]
+        top = upper.collections[0].get_paths()[0].vertices[:, 1].max()
+        covariances = episode.covariances[:, 0]
+        assert top == pytest.approx(2.0 * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]).max(), rel=1e-5)
+    finally:
+        plt.close(figure)
+
+
+def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused(real_run, tmp_path):
+    folder = shutil.copytree(real_run, tmp_path / "old")
+    (folder / "covariance_est.npz").unlink()
+    assert read_run(folder).covariances == []
+    np.savez(folder / "covariance_est.npz", estimated=np.zeros((3, 1, 3, 3)))
+    with pytest.raises(FolderError, match="its covariances do not fit the trajectories"):
+        read_run(folder)
+    (folder / "covariance_est.npz").write_bytes(b"PK")
+    with pytest.raises(FolderError, match="is damaged"):
+        read_run(folder)
+
+
+def test_the_nees_is_told_with_what_it_means():
+    told = run_summary({**METRICS, "anees": 1.23, "anees_smoothed": 0.9}, {})
+    assert "consistency NEES / 3 is 1.2, smoothed 0.9; 1 is right, more is overconfident" in told
