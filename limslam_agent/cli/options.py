@@ -74,7 +74,12 @@ Limit = Annotated[
 ]
 FilmSpeed = Annotated[
     float | None,
-    _option(_RESULTS, "How much faster the video is than the run.", f"{_RUN.film_speed:g}", "--film-speed"),
+    _option(
+        _RESULTS,
+        "How much faster the video is than the run, 1 to 100. Pauses for explanations make the video longer.",
+        f"{_RUN.film_speed:g}",
+        "--film-speed",
+    ),
 ]
 Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
 

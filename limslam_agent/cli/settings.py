@@ -46,7 +46,7 @@ class RunOptions(Bounded):
     ablation: str | None = None
     limit: bool = False
     video: Path | None = None
-    film_speed: Annotated[float, Bounds(2.5, 100.0)] = 5.0
+    film_speed: Annotated[float, Bounds(1.0, 100.0)] = 5.0
     out: Path | None = None
     force: bool = False
 
