@@ -162,7 +162,7 @@ def test_worlds_are_equal_by_content_and_cannot_be_changed():
         (with_key("obstacles", "[[[1, 1], [2, 1], [2, 1]]]"), r"obstacle edge 1 has no length"),
         (with_key("obstacles", "[[[1, 1, 1], [2, 1, 1], [2, 2, 1]]]"), r"obstacles must have 2 numbers a row"),
         (with_key("obstacles", "[[[1, 1], [2, nan], [2, 2]]]"), r"not finite"),
-        (with_key("obstacles", "[[1, 1], [2, 1], [2, 2]]"), rr"obstacles\[\d\] must be a list of lists"),
+        (with_key("obstacles", "[[1, 1], [2, 1], [2, 2]]"), r"obstacles\[\d\] must be a list of lists"),
         (with_key("obstacles", "false"), r"obstacles must be a list"),
         (with_key("obstacles", "7"), r"obstacles must be a list"),
         (with_key("doors", "[[1, 0, 2]]"), r"doors must have 4 numbers a row"),
