@@ -93,7 +93,8 @@ Policy = Annotated[
     str | None,
     _option(
         _AGENT,
-        "Policy that drives: frontier, frontier_fast, learned, wall_follower or random. "
+        "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
+        "or FILE.py:CLASS for your own (a class or a function that makes a policy). "
         "These policies use the true pose or the true map: learned_true_pose, tour, oracle.",
         _RUN.policy,
     ),
@@ -110,13 +111,26 @@ Until = Annotated[
 Laps = Annotated[
     int | None, _option(_AGENT, "Drive this many laps of the world's loop instead of exploring.", _RUN.laps)
 ]
-Ablation = Annotated[str | None, _option(_AGENT, "Part of the method to switch off.", "none")]
+Ablation = Annotated[
+    str | None,
+    _option(
+        _AGENT,
+        "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, only-best-line or none. "
+        "All go with the preset paper, and no-loop-closing with every preset.",
+        "none",
+    ),
+]
 Limit = Annotated[
     bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).", None, "--limit/--no-limit")
 ]
 FilmSpeed = Annotated[
     float | None,
-    _option(_RESULTS, "How much faster the video is than the run.", f"{_RUN.film_speed:g}", "--film-speed"),
+    _option(
+        _RESULTS,
+        "How much faster the video is than the run, 1 to 100. Pauses for explanations make the video longer.",
+        f"{_RUN.film_speed:g}",
+        "--film-speed",
+    ),
 ]
 Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
 

@@ -51,7 +51,10 @@ def replay(
     arguments = locals()
     given = Given.read(arguments.pop("config"), arguments)
     options = given.merged(ReplayOptions(), ("agent", "robot"))
-    carry_out(options, replay_agent(given, options), given.replay_robot())
+    agent = replay_agent(given, options)
+    for warning in given.warnings(options.preset):
+        typer.echo(f"limslam: warning: {warning}", err=True)
+    carry_out(options, agent, given.replay_robot())
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,7 +63,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_env.messages import printable
 
     config = run_config(given, options)
-    for warning in config.warnings:
+    for warning in [*given.warnings(options.preset), *config.warnings]:
         typer.echo(f"limslam: warning: {warning}", err=True)
     target = options.out or Path("runs") / _folder_name(config)
     task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
@@ -89,7 +89,7 @@ def _folder_name(config: "RunConfig") -> str:
     world = re.sub(r"[^A-Za-z0-9_.-]+", "_", load_world(config.world).name).strip(".") or "world"
     return (
         f"{world}-{100 * config.noise:g}cm-{config.preset}-seed{config.seed}"
-        + (f"-{config.policy}" if config.policy != "frontier" else "")
+        + (f"-{config.policy.rpartition(':')[2]}" if config.policy != "frontier" else "")
         + (f"-{config.laps}laps" if config.laps else "")
         + (f"-{config.robots}robots" if config.robots > 1 else "")
         + (f"-{config.ablation}" if config.ablation else "")

@@ -1,8 +1,10 @@
 """What a command is told: by its options, and by the file of ``--config``, over which options win."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from shutil import copyfile
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
@@ -28,6 +30,8 @@ _OUTPUT = {"out", "force", "video", "film_speed"}
 
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
+# The tables of an agent that belong to its preset.
+_OF_PRESET = ("estimator", "smoothing", "line_smoothing")
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class RunOptions(Bounded):
     ablation: str | None = None
     limit: bool = False
     video: Path | None = None
-    film_speed: Annotated[float, Bounds(2.5, 100.0)] = 5.0
+    film_speed: Annotated[float, Bounds(1.0, 100.0)] = 5.0
     out: Path | None = None
     force: bool = False
 
@@ -166,9 +170,9 @@ class Given:
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
             raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
         if base.preset != preset_in_file:
-            table.pop("estimator", None)
-            table.pop("smoothing", None)
-            table.pop("line_smoothing", None)
+            # A mistake in the file is a mistake, even if the table is not used.
+            updated(self._preset_in_file(preset_in_file, base), table, f"{self.path}: agent", fixed={"preset"})
+            table = {name: value for name, value in table.items() if name not in _OF_PRESET}
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
     def run_agent(self, base: "AgentConfig", preset_in_file: str) -> "AgentConfig":
@@ -178,6 +182,23 @@ class Given:
             variance = _wheel_variance(told["odometry_noise"])
             agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
         return _with_calibration(agent, enabled=told["calibration"]) if "calibration" in told else agent
+
+    def warnings(self, preset: str) -> list[str]:
+        """One line for tables of the file that are not used, because the run has another preset than the file."""
+        in_file, table = self.table.get("preset", preset), self.table.get("agent", {})
+        unused = ", ".join(f"[agent.{name}]" for name in _OF_PRESET if name in table)
+        if in_file == preset or not unused:
+            return []
+        words = f"{self.path}: the settings of {unused} are for the preset {in_file} and not used"
+        return [f"{words}: the preset is {preset}"]
+
+    def _preset_in_file(self, name: str, base: "AgentConfig") -> "AgentConfig":
+        from limslam_agent.config.presets import preset
+
+        try:
+            return preset(name, base.noise)
+        except ValueError as error:
+            raise SettingsError(f"{self.path}: preset: {error}") from error
 
     def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":
         """The true noise of the simulator besides that of the option ``noise``."""
@@ -306,7 +327,7 @@ def _with_calibration(agent: "AgentConfig", *, enabled: bool) -> "AgentConfig":
 
 
 def run_options(given: Given) -> RunOptions:
-    """The options of a run; the path of a world in the file is relative to the file.
+    """The options of a run; paths of a world and a policy in the file are relative to the file.
 
     Raises
     ------
@@ -314,8 +335,12 @@ def run_options(given: Given) -> RunOptions:
         If one of them is impossible, or the file has an unknown key.
     """
     options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
-    is_path_in_file = "world" not in given.options and "world" in given.table and Path(options.world).suffix
-    return replace(options, world=str(given.beside_file(Path(options.world)))) if is_path_in_file else options
+    for name, ends in (("world", r"\.\w+"), ("policy", r"\.py:\w+")):
+        value = getattr(options, name)
+        if name not in given.options and name in given.table and re.search(rf"{ends}$", value):
+            beside: dict[str, Any] = {name: str(given.beside_file(Path(value)))}
+            options = replace(options, **beside)
+    return replace(options, ablation=None) if options.ablation == "none" else options
 
 
 def run_config(given: Given, options: RunOptions) -> "RunConfig":
@@ -355,10 +380,20 @@ def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -
     noise = table_of(config.true_noise)
     del noise["sensor_noise"]
     table = {
-        **_option_table(options), "world": _named(options.world), "true_noise": noise,
+        **_option_table(options), "world": _named(options.world), "policy": _kept_policy(folder, options.policy),
+        "true_noise": noise,
         "robot": table_of(config.robot), "agent": _agent_table(agent, options.noise),
     }  # fmt: skip
     write_toml(folder / FILE, table, f"All settings of a run: limslam run --config {FILE} repeats it.")
+
+
+def _kept_policy(folder: Path, policy: str) -> str:
+    """The name of a policy. A policy's file is copied into the run's folder, so that the folder repeats the run."""
+    from limslam_agent.runs.policy_file import file_and_name, is_file_policy, short_name
+
+    if is_file_policy(policy):
+        copyfile(path := file_and_name(policy)[0], folder / path.name)
+    return short_name(policy)
 
 
 def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
@@ -408,8 +443,8 @@ def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:
 
 
 def _named(world: str) -> str:
-    """The name of a shipped world or a floor plan, or the absolute path of its file."""
+    """The name of a shipped world or a floor plan, or that of the file in the run's folder."""
+    from limslam_agent.output.finished_run import WORLD
     from limslam_env.worlds.formats.loading import RANDOM, shipped_worlds
 
-    is_name = world in shipped_worlds() or world.startswith(RANDOM)
-    return world if is_name else str(Path(world).absolute())
+    return world if world in shipped_worlds() or world.startswith(RANDOM) else WORLD

@@ -44,13 +44,23 @@ def show(
 
 
 def true_edges(run: "FinishedRun") -> "FloatArray | None":
-    """The walls (k, 4), m, of the world that was run in, if it ships with the package and has not changed since."""
+    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that ships unchanged.
+
+    Raises
+    ------
+    ValueError
+        If the file of the world in the folder cannot be read.
+    """
+    from limslam_agent.output.finished_run import WORLD
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
-    name = run.config.get("world")
-    if not isinstance(name, str) or name not in shipped_worlds():
+    name, path = run.config.get("world"), run.folder / WORLD
+    if path.is_file():
+        world = load_world(path)
+    elif isinstance(name, str) and name in shipped_worlds():
+        world = load_world(name)
+    else:
         return None
-    world = load_world(name)
     return world.edges if world.digest == run.config.get("world_digest") else None
 
 

@@ -19,6 +19,17 @@ def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
     np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
 
 
+def write_covariances(path: Path, estimated: FloatArray, smoothed: FloatArray | None) -> None:
+    """Write covariances (t, n, 3, 3) of the estimated poses of n robots, and of the smoothed poses if there are any.
+
+    Single precision is enough for pictures and keeps the file small.
+    """
+    arrays: dict[str, Any] = {"estimated": estimated.astype(np.float32)}
+    if smoothed is not None:
+        arrays["smoothed"] = smoothed.astype(np.float32)
+    np.savez_compressed(path, **arrays)
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write readable JSON. NaN and infinity are errors. Values that do not apply are ``null``."""
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")

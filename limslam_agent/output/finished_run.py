@@ -3,7 +3,7 @@
 import json
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.messages import counted, one_line
 
-RESULT, MAP, LOG, PICTURE = "result.json", "map.json", "log.npz", "map.png"
+RESULT, MAP, LOG, PICTURE, WORLD = "result.json", "map.json", "log.npz", "map.png", "world.toml"
+COVARIANCES = "covariance_est.npz"
 
 
 class FolderError(ValueError):
@@ -43,6 +44,8 @@ class FinishedRun:
         Estimated poses of each robot (n, 3), m and rad.
     odometry, true, smoothed
         Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
+    covariances, smoothed_covariances
+        Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
     """
 
     folder: Path
@@ -53,6 +56,8 @@ class FinishedRun:
     odometry: list[FloatArray]
     true: list[FloatArray]
     smoothed: list[FloatArray]
+    covariances: list[FloatArray] = field(default_factory=list)
+    smoothed_covariances: list[FloatArray] = field(default_factory=list)
 
     @property
     def is_replay(self) -> bool:
@@ -78,11 +83,16 @@ class FinishedRun:
             f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
             f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
             " ".join(filter(None, (str(preset), config.get("ablation")))),
-            str(config["policy"]).replace("_", " ") if config.get("policy", "frontier") != "frontier" else "",
+            policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
             counted(config["laps"], "lap") if config.get("laps") else "",
             f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
         )
         return ", ".join(filter(None, parts))
+
+
+def policy_words(policy: str) -> str:
+    """The name of a policy in words. A policy of a file keeps the name of the file."""
+    return policy if ".py:" in policy else policy.replace("_", " ")
 
 
 def read_run(folder: Path) -> FinishedRun:
@@ -119,7 +129,10 @@ def read_run(folder: Path) -> FinishedRun:
     )
     if not by_odometry and (folder / LOG).is_file():
         by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
-    return FinishedRun(folder, result, segments, time, poses, by_odometry, true_poses, at_the_end)
+    covariances, of_smoothed = _covariances(folder / COVARIANCES, len(poses), len(time))
+    return FinishedRun(
+        folder, result, segments, time, poses, by_odometry, true_poses, at_the_end, covariances, of_smoothed
+    )
 
 
 def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
@@ -130,6 +143,16 @@ def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
 def heading_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
     """Difference of the headings of poses (n, 3) and reference poses (n, 3), (n,), rad, with its sign."""
     return np.asarray(wrap_angle(poses[:, 2] - reference[:, 2]))
+
+
+def position_std(covariances: FloatArray) -> FloatArray:
+    """Root of the expected squared distance from the true position, (n,), m, by covariances (n, 3, 3)."""
+    return np.asarray(np.sqrt(np.maximum(covariances[:, 0, 0] + covariances[:, 1, 1], 0.0)))
+
+
+def heading_std(covariances: FloatArray) -> FloatArray:
+    """Standard deviation of the heading by covariances (n, 3, 3), (n,), rad."""
+    return np.asarray(np.sqrt(np.maximum(covariances[:, 2, 2], 0.0)))
 
 
 def _read_json(path: Path) -> dict[str, Any]:
@@ -193,6 +216,22 @@ def _read_tum(path: Path) -> FloatArray:
     table = np.array(rows)
     heading = wrap_angle(2.0 * np.arctan2(table[:, 6], table[:, 7]))
     return np.column_stack((table[:, :3], heading))
+
+
+def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Covariances (n, 3, 3) of each robot's estimated and smoothed poses. Earlier versions wrote no such file."""
+    if not path.is_file():
+        return [], []
+    names = ("estimated", "smoothed")
+    try:
+        arrays = load_arrays(path, names)
+        kinds = [np.asarray(arrays[name], dtype=float) for name in names if name in arrays]
+    except (OSError, ValueError) as error:
+        raise FolderError(f"{path}: is damaged: {error}") from error
+    if not kinds or any(kind.shape != (steps, robots, 3, 3) or not np.isfinite(kind).all() for kind in kinds):
+        raise FolderError(f"{path}: its covariances do not fit the trajectories")
+    estimated, smoothed = ([*kind.swapaxes(0, 1)] for kind in (*kinds, np.empty((0, 0, 3, 3)))[:2])
+    return estimated, smoothed
 
 
 def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatArray]) -> list[FloatArray]:

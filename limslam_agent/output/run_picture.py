@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from limslam_agent.output.drawing import MapPicture, legend, paint_map, path_colours
-from limslam_agent.output.finished_run import FinishedRun, heading_error, position_error
+from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
 from limslam_env.geometry import FloatArray
 
 SIZE = (12.0, 6.8)
@@ -73,6 +73,8 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
             upper.plot(time, position_error(poses, other), color=colour, linestyle=style, linewidth=1.2, label=of_whom)
             turned = np.degrees(heading_error(poses, other))
             lower.plot(time, _without_jumps(turned), color=colour, linestyle=style, linewidth=1.2)
+    if run.true:
+        _draw_bands(upper, lower, run)
     upper.set_ylabel(f"position {compared}, m", fontsize=9)
     lower.set_ylabel(f"heading {compared}, deg", fontsize=9)
     lower.set_xlabel("time, s", fontsize=9)
@@ -86,6 +88,22 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         upper.legend(fontsize=8, frameon=False, loc="upper left")
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
+
+
+def _draw_bands(upper: Axes, lower: Axes, run: FinishedRun) -> None:
+    """Shade what the estimate says of its own error: two standard deviations, online and smoothed.
+
+    An estimate that knows its error stays inside of its band most of the time.
+    """
+    time = run.time - run.time[0]
+    colours = path_colours(len(run.estimated))
+    kinds = (run.covariances, 0.15, "online"), (run.smoothed_covariances, 0.3, "smoothed")
+    for kind, alpha, name in kinds:
+        for number, covariances in enumerate(kind):
+            colour, label = colours[number][0], f"2 sigma, {name}" if number == 0 else None
+            of_place, of_heading = 2.0 * position_std(covariances), 2.0 * np.degrees(heading_std(covariances))
+            upper.fill_between(time, 0.0, of_place, color=colour, alpha=alpha, linewidth=0.0, label=label)
+            lower.fill_between(time, -of_heading, of_heading, color=colour, alpha=alpha, linewidth=0.0)
 
 
 def _without_jumps(degrees: FloatArray) -> FloatArray:

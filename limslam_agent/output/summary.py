@@ -152,7 +152,11 @@ def _status(metrics: Mapping[str, Any]) -> list[str]:
 def _errors(metrics: Mapping[str, Any]) -> list[str]:
     if not _has(metrics, "ate_m", "odometry_ate_m"):
         return []
-    return [f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m"]
+    lines = [f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m"]
+    if _has(metrics, "anees"):
+        smoothed = f", smoothed {metrics['anees_smoothed']:.2g}" if _has(metrics, "anees_smoothed") else ""
+        lines.append(f"consistency NEES / 3 is {metrics['anees']:.2g}{smoothed}; 1 is right, more is overconfident")
+    return lines
 
 
 def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:

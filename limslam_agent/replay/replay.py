@@ -15,7 +15,8 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import write_json, write_map, write_tum
+from limslam_agent.output.export import write_covariances, write_json, write_map, write_tum
+from limslam_agent.output.finished_run import COVARIANCES
 from limslam_agent.output.summary import record_of
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
@@ -221,6 +222,8 @@ def write_replay(
     write_tum(folder / "trajectory_est.tum", log.time, replay.estimated)
     write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
     smoothed = replay.smoothed
+    of_smoothed = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    write_covariances(folder / COVARIANCES, replay.covariances[:, None], of_smoothed)
     if smoothed is not None:
         write_tum(folder / "trajectory_smoothed.tum", log.time, smoothed.poses)
         if smoothed.loops is not None:

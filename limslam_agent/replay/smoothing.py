@@ -48,12 +48,15 @@ class Smoothed:
         smoother, which finds loops by merging lines.
     seconds
         CPU time of the smoothing, s.
+    covariances
+        Covariances of the poses (n, 3, 3). None from the graph of local maps, which computes none.
     """
 
     poses: FloatArray
     figures: dict[str, Any]
     loops: list[dict[str, Any]] | None
     seconds: float
+    covariances: FloatArray | None = None
 
 
 def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
@@ -145,7 +148,7 @@ def smoothed_by_lines(
     if found is None:
         return replay
     poses = found.poses[:, 0]
-    smoothed = Smoothed(poses, _line_figures(found), None, time.process_time() - begin)
+    smoothed = Smoothed(poses, _line_figures(found), None, time.process_time() - begin, found.covariances[:, 0])
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, poses), smoothed=smoothed
     )

@@ -1,5 +1,6 @@
-"""Whether an actor was made for the robot and the observations of an environment."""
+"""What kind of object an actor is, and whether it was made for the robot and the observations of an environment."""
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -73,3 +74,41 @@ def _form(space: Any) -> Any:
 
 def _described(space: Any) -> str:
     return ", ".join(space.keys()) if isinstance(space, spaces.Dict) else f"shape {space.shape}"
+
+
+def is_policy(actor: Any) -> bool:
+    """Whether an object is a policy, which acts on a belief, and not an actor, which acts on an observation.
+
+    The name of the argument of ``act`` decides: ``belief`` or ``observation``. With another name, an object is a policy
+    if it has ``stop_reason`` and ``plan``.
+
+    Raises
+    ------
+    ValueError
+        If a policy is incomplete, or if nothing tells which of both the object is.
+    """
+    name, argument = type(actor).__name__, first_argument(getattr(actor, "act", None))
+    missing = [part for part in ("stop_reason", "plan") if not hasattr(actor, part)]
+    if argument == "belief":
+        if missing:
+            raise ValueError(
+                f"{name} is a policy, because act takes a belief, but it has no {' and no '.join(missing)}: "
+                "write stop_reason = None and plan = np.zeros((0, 2)) in the class"
+            )
+        return True
+    if argument is None or argument.startswith("observation") or missing:
+        return False
+    if any(hasattr(actor, part) for part in ("reset", "done", "predict", "snapshot")):
+        raise ValueError(
+            f"{name} may be a policy or an actor: call the argument of act belief if it is a policy, "
+            "and observation if it is an actor"
+        )
+    return True
+
+
+def first_argument(act: Any) -> str | None:
+    """The name of the first argument of a function. None if there is no such function or its arguments are unknown."""
+    try:
+        return next(iter(inspect.signature(act).parameters), None)
+    except (TypeError, ValueError):
+        return None

@@ -1,7 +1,6 @@
 """One interface for anything that can act: from the observations of all robots to the actions of all robots."""
 
 import copy
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -9,7 +8,8 @@ import numpy as np
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.default_preset import DEFAULT_PRESET
-from limslam_agent.config.presets import preset
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.runs.actor_checks import first_argument, is_policy
 from limslam_agent.runs.oracle import policies_by_belief
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry import FloatArray
@@ -55,12 +55,18 @@ class Driver(Protocol):
 
 
 def driver_of(
-    actor: Any, *, is_team: bool, robot: RobotSpec | None = None, noise: NominalNoise | None = None
+    actor: Any,
+    *,
+    is_team: bool,
+    robot: RobotSpec | None = None,
+    noise: NominalNoise | None = None,
+    preset_name: str | None = None,
 ) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
-    A policy becomes the policy of a `LimSlamAgent` of the default preset for ``robot`` and ``noise``. A text is the
-    name of a policy as in ``limslam run --policy``, which drives such an agent or team.
+    A policy becomes the policy of a `LimSlamAgent` for ``robot`` and ``noise``, of the preset that is named or else of
+    the default preset. A text is the name of a policy as in ``limslam run --policy``, which drives such an
+    agent or team.
 
     Raises
     ------
@@ -73,7 +79,7 @@ def driver_of(
         parts = {name: driver_of(part, is_team=False, robot=robot, noise=noise) for name, part in actor.items()}
         return _ActorPerRobot(parts)
     if isinstance(actor, str):
-        return _NamedDriver(actor, robot or RobotSpec(), noise)
+        return _NamedDriver(actor, robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise))
     if isinstance(actor, type):
         raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
     if is_policy(actor):
@@ -82,7 +88,7 @@ def driver_of(
                 f"{type(actor).__name__} is a policy for one robot: "
                 "pass LimSlamTeam(robot, config, num_robots, policies=[...]) with one policy for each robot"
             )
-        return _PolicyDriver(actor, robot or RobotSpec(), noise)
+        return _PolicyDriver(actor, robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise))
     if callable(getattr(actor, "act", None)):
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
@@ -95,50 +101,12 @@ def _function_driver(actor: Any, *, is_team: bool) -> Driver:
         raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
             f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable"
         )
-    if _first_argument(actor) == "belief":
+    if first_argument(actor) == "belief":
         raise ValueError(
             f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an observation: "
             "a policy is an object with act(belief), stop_reason and plan"
         )
     return _SingleActor(actor, actor, is_team=is_team)
-
-
-def is_policy(actor: Any) -> bool:
-    """Whether an object is a policy, which acts on a belief, and not an actor, which acts on an observation.
-
-    The name of the argument of ``act`` decides: ``belief`` or ``observation``. With another name, an object is a policy
-    if it has ``stop_reason`` and ``plan``.
-
-    Raises
-    ------
-    ValueError
-        If a policy is incomplete, or if nothing tells which of both the object is.
-    """
-    name, argument = type(actor).__name__, _first_argument(getattr(actor, "act", None))
-    missing = [part for part in ("stop_reason", "plan") if not hasattr(actor, part)]
-    if argument == "belief":
-        if missing:
-            raise ValueError(
-                f"{name} is a policy, because act takes a belief, but it has no {' and no '.join(missing)}: "
-                "write stop_reason = None and plan = np.zeros((0, 2)) in the class"
-            )
-        return True
-    if argument is None or argument.startswith("observation") or missing:
-        return False
-    if any(hasattr(actor, part) for part in ("reset", "done", "predict", "snapshot")):
-        raise ValueError(
-            f"{name} may be a policy or an actor: call the argument of act belief if it is a policy, "
-            "and observation if it is an actor"
-        )
-    return True
-
-
-def _first_argument(act: Any) -> str | None:
-    """The name of the first argument of a function. None if there is no such function or its arguments are unknown."""
-    try:
-        return next(iter(inspect.signature(act).parameters), None)
-    except (TypeError, ValueError):
-        return None
 
 
 class _AgentDriver:
@@ -160,8 +128,8 @@ class _AgentDriver:
 class _PolicyDriver(_AgentDriver):
     """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
 
-    def __init__(self, policy: Any, robot: RobotSpec, noise: NominalNoise | None) -> None:
-        self._policy, self._robot, self._config = policy, robot, preset(DEFAULT_PRESET, noise)
+    def __init__(self, policy: Any, robot: RobotSpec, config: AgentConfig) -> None:
+        self._policy, self._robot, self._config = policy, robot, config
         self.snapshot_source = LimSlamAgent(robot, self._config, policy)
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
@@ -184,8 +152,8 @@ class _PolicyDriver(_AgentDriver):
 class _NamedDriver(_AgentDriver):
     """The robots of ``limslam run --policy NAME``, with new policies in each episode."""
 
-    def __init__(self, name: str, robot: RobotSpec, noise: NominalNoise | None) -> None:
-        self._name, self._robot, self._config = name, robot, preset(DEFAULT_PRESET, noise)
+    def __init__(self, name: str, robot: RobotSpec, config: AgentConfig) -> None:
+        self._name, self._robot, self._config = name, robot, config
         self.snapshot_source = self._team(robots=1, seed=0)
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:

@@ -18,6 +18,7 @@ from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
+from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.core.motion import OdometryCalibration
@@ -70,7 +71,8 @@ class RunConfig:
     policy
         Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
         network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
-        ``random`` are simple baselines. ``tour`` and ``oracle`` know the true map and the true pose, while the
+        ``random`` are simple baselines. ``FILE.py:NAME`` is a class or a function of that file, which makes a policy.
+        ``tour`` and ``oracle`` know the true map and the true pose, while the
         estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
         and back, and ``oracle`` drives past everything as fast as possible.
     limit
@@ -282,7 +284,8 @@ def run_episode(
             on_association(record)
 
     team.mapper.on_restart = associations.clear
-    rows = _drive(config, env, team, note_association, watch)
+    with naming_lines_of(config.policy):
+        rows = _drive(config, env, team, note_association, watch)
     return Episode(
         config=config,
         world=world,

@@ -1,6 +1,7 @@
 """Scores anything that can act by the metrics of ``limslam run``."""
 
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.policies.policy import NOT_EXPLORED
-from limslam_agent.runs.actor_checks import check_actor
+from limslam_agent.runs.actor_checks import check_actor, is_policy
 from limslam_agent.runs.actors import Actions, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
@@ -33,9 +34,10 @@ _ALONE = "robot_0"
 def evaluate(
     actor: Any,
     env_id: str = "LimSlam-Env1-v0",
-    seeds: Iterable[int] = range(10),
+    seeds: int | Iterable[int] = range(10),
     *,
     max_time: float = 1800.0,
+    preset: str | None = None,
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> list[Result]:
@@ -56,13 +58,17 @@ def evaluate(
     env_id
         A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
-        One episode is driven for each seed.
+        One episode is driven for each seed. A number n means the seeds 0 to n - 1.
     max_time
         Longest simulated time of an episode, s.
+    preset
+        The settings of the agent that gets a policy: ``graph`` (the default), ``paper``, ``consistent`` or
+        ``odometry``. An actor has its own settings.
     wrap
         Wraps the bare environment into the one that the actor sees.
     **arguments
-        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is None by
+        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. A number as ``noise`` is the
+        ``sensor_noise``. ``coverage_goal`` is None by
         default for an actor that says itself when it is ``done``, and 0.99 for other actors, which have to be stopped.
 
     Returns
@@ -85,9 +91,12 @@ def evaluate(
             f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
             "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
         )
+    seeds, arguments = _seeds(seeds), _with_plain_noise(arguments)
     is_team = env_id.startswith(_TEAMS)
     robot = robot_of(arguments.get("robot"))
-    driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments))
+    if preset is not None and not _has_agent(actor):
+        raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
+    driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset)
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
@@ -114,6 +123,29 @@ def medians(results: Sequence[Result]) -> dict[str, float | None]:
                 column.append(np.inf)
     middles = {name: float(np.median(column)) for name, column in columns.items() if column}
     return {name: middle if np.isfinite(middle) else None for name, middle in middles.items()}
+
+
+def _seeds(seeds: Any) -> list[int]:
+    """The seeds, of which a number n means 0 to n - 1."""
+    listed = range(seeds) if isinstance(seeds, int) and not isinstance(seeds, bool) else seeds
+    if isinstance(listed, str | bytes) or not isinstance(listed, Iterable):
+        raise ValueError(f"seeds must be a number of episodes or a list of seeds, not {seeds!r}")  # noqa: TRY004 (a value)
+    found = list(listed)
+    if not found or not all(isinstance(seed, int | np.integer) and seed >= 0 for seed in found):
+        raise ValueError(f"seeds must be whole numbers from 0, at least one of them, not {seeds!r}")
+    return [int(seed) for seed in found]
+
+
+def _with_plain_noise(arguments: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of the environment, with a number that was given as ``noise`` as ``sensor_noise``."""
+    noise = arguments.get("noise")
+    if noise is None or isinstance(noise, NoiseConfig):
+        return arguments
+    if not isinstance(noise, int | float) or isinstance(noise, bool):
+        raise ValueError(f"noise must be a NoiseConfig or a standard deviation of the ranges, m, not {noise!r}")  # noqa: TRY004
+    if "sensor_noise" in arguments:
+        raise ValueError("noise as a number and sensor_noise are the same: give only one of them")
+    return {name: value for name, value in arguments.items() if name != "noise"} | {"sensor_noise": noise}
 
 
 def _nominal_noise(arguments: dict[str, Any]) -> NominalNoise:
@@ -158,6 +190,11 @@ class _Robots:
         return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
 
 
+def _has_agent(actor: Any) -> bool:
+    """Whether `evaluate` makes the agent itself, for a policy or for the name of one."""
+    return isinstance(actor, str) or (not isinstance(actor, Mapping | type) and is_policy(actor))
+
+
 def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
     try:
         if env_id.startswith(_TEAMS):
@@ -168,6 +205,11 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
         raise ValueError(f"there is no environment {env_id!r}") from error
     except gym.error.Error as error:
         raise ValueError(str(error)) from error
+    except TypeError as error:
+        unknown = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+        if unknown is None or unknown[1] not in arguments:
+            raise
+        raise ValueError(f"{unknown[1]} is an argument neither of evaluate nor of {env_id}") from error
     if not isinstance(env.unwrapped, SimulationEnv):
         env.close()
         raise ValueError(f"{env_id!r} is not a LimSLAM environment")  # noqa: TRY004 (a wrong value)

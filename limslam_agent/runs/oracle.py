@@ -19,6 +19,7 @@ from limslam_agent.policies.learned.network import load_network
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
 from limslam_agent.policies.wall_policy import explorer
+from limslam_agent.runs.policy_file import file_and_name, file_policies, is_file_policy
 from limslam_env.bounds.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray
@@ -136,8 +137,10 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
     ValueError
         If it does not exist or cannot.
     """
-    if policy not in POLICIES:
-        raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
+    if is_file_policy(policy):
+        file_and_name(policy)
+    elif policy not in POLICIES:
+        raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}, or a file: FILE.py:CLASS")
     if laps and policy not in {"frontier", "tour"}:
         raise ValueError(f"laps go with the policies frontier and tour, not with {policy!r}")
     if robots > 1 and (laps or policy in _PRIVILEGED):
@@ -176,6 +179,8 @@ def policies_by_belief(
     ValueError
         If no policy has this name, or the policy knows the truth.
     """
+    if is_file_policy(policy):
+        return file_policies(policy, robot, config.policy, robots=robots, seed=seed)
     if policy not in POLICIES:
         raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
     if policy in _PRIVILEGED:

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import WallsAndGrid, map_content, write_json, write_map, write_tum
+from limslam_agent.output.export import WallsAndGrid, map_content, write_covariances, write_json, write_map, write_tum
+from limslam_agent.output.finished_run import COVARIANCES, WORLD, policy_words
 from limslam_agent.output.summary import calibration_record, record_of
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
+from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.smoothing import online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
@@ -33,6 +35,7 @@ from limslam_env.metrics.association import (
 )
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.formats.writing import write_world
 from limslam_env.worlds.world import World
 
 
@@ -197,6 +200,9 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         write_tum(folder / f"trajectory_odometry{suffix}.tum", episode.time, episode.odometry[:, number])
         if episode.smoothed is not None:
             write_tum(folder / f"trajectory_smoothed{suffix}.tum", episode.time, episode.smoothed.poses[:, number])
+    smoothed = episode.smoothed
+    write_covariances(folder / COVARIANCES, episode.covariances, None if smoothed is None else smoothed.covariances)
+    write_world(episode.world, folder / WORLD)
     write_map(folder, episode.final_map)
     if episode.smoothed is not None:
         write_json(folder / "map_online.json", map_content(online_map(episode)))
@@ -204,7 +210,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
-        "policy": config.policy, "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
+        "policy": short_name(config.policy), "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
         "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
@@ -238,7 +244,7 @@ def title_of(config: RunConfig) -> str:
     """The settings of a run in one line."""
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
-    policy = f", {config.policy.replace('_', ' ')}" if config.policy != "frontier" else ""
+    policy = f", {policy_words(short_name(config.policy))}" if config.policy != "frontier" else ""
     driver = policy + (f", {counted(config.laps, 'lap')}" if config.laps else "")
     noise = f"range noise {100 * config.noise:g} cm"
     return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{driver}, seed {config.seed}"

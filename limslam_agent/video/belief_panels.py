@@ -132,7 +132,12 @@ def buffers_height(robots: int) -> int:
 def draw_buffers(buffers: Sequence[BufferView], width: int, height: int) -> Image:
     """How full the buffers are, as bars one below the other. For several robots one row per robot."""
     panel = blank(width, height)
-    write(panel, "Points in the scan buffers", (0, 13), 13, INK, bold=True)
+    title = "Points in the scan buffers"
+    if any(buffer.new is not None for buffer in buffers):
+        title = "Scan buffers"
+        begin = width_of(title, 13, bold=True) + 10
+        write(panel, fitted("new/needed + kept unused", 11, width - begin), (begin, 13), 11, FAINT)
+    write(panel, title, (0, 13), 13, INK, bold=True)
     robots = sorted({buffer.robot for buffer in buffers})
     row = min(19, (height - 24) // max(len(robots), 2))
     if len(robots) <= 1:

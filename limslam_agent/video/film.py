@@ -27,8 +27,8 @@ FPS = 25
 """Frames per second of the video."""
 SPEED = 5.0
 """How much faster the video is than the run, by default."""
-SLOWEST, FASTEST = 2.5, 100.0
-"""Limits of the speed of a video. A frame is at least one step of 0.1 s."""
+SLOWEST, FASTEST = 1.0, 100.0
+"""Limits of the speed of a video. Below 2.5, a step of 0.1 s is shown for several frames."""
 
 _GAP, _TOP, _FOOT = 16, 80, 134
 _SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
@@ -126,7 +126,7 @@ class Film:
             raise ValueError(f"the speed of a film must be {SLOWEST:g} to {FASTEST:g} times the run's, not {speed:g}")
         self._writer, self._corners, self._title, self._speed = writer, (low, high), title, speed
         self._narrator = Narrator(speed, explain=explain)
-        self._next = 0.0
+        self._next, self._shown = 0.0, 0
         self._last: tuple[Image, BeliefFrame, Scene] | None = None
 
     def is_due(self, time: float) -> bool:
@@ -151,10 +151,17 @@ class Film:
         for moment in self._narrator.hear(frame):
             caption = moment.caption
             scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0, self._speed)
-            # Only the walls of the current caption are highlighted.
-            shown = replace(frame, events=() if caption.event is None else (caption.event,))
+            # Only the walls of the current caption are highlighted, and the votes are those that it speaks of.
+            events = () if caption.event is None else (caption.event,)
+            shown = replace(frame, events=events, hough=caption.hough or frame.hough)
             self._last = (cropped, shown, scene)
-            self._writer.write(compose(*self._last), moment.pause)
+            self._writer.write(compose(*self._last), moment.pause or self._hold(frame.time))
+
+    def _hold(self, time: float) -> float:
+        """How long the frame of a simulated time is shown, s of the video. 0 is the time of one frame."""
+        frames = max(round(time / self._speed * FPS) + 1 - self._shown, 1)
+        self._shown += frames
+        return frames / FPS if frames > 1 else 0.0
 
     def finish(self, words: str) -> None:
         """Show the last frame for a while, with the reason why the run ended."""

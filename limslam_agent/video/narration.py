@@ -1,11 +1,11 @@
 """The text of a video: captions for current events, and a short explanation of each kind of event."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from limslam_agent.video.belief_frame import BeliefFrame, Event
+from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView
 
 _LEAST_HOLD, _HOLD = 0.7, 1.8  # s of the video before a more important caption, and before any caption, may follow
 _MOVED_GOAL = 1.0  # m, so that a goal that moves along a frontier is not a new goal
@@ -29,12 +29,16 @@ class Caption:
         The text.
     event
         The event that the caption is about, if it is about walls.
+    hough
+        The votes that the caption is about. They stay in the picture as long as the caption, although newer votes may
+        follow. None shows the latest votes.
     """
 
     stages: tuple[int, ...]
     headline: str
     explanation: str = ""
     event: Event | None = None
+    hough: HoughView | None = field(default=None, compare=False)
 
     @property
     def reading_time(self) -> float:
@@ -223,8 +227,9 @@ def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption
         whose = f"robot {hough.robot + 1}'s {hough.side}" if several else f"the {hough.side}"
         lines = "1 line has" if count == 1 else f"{count} lines have"
         said["hough"] = Caption(
-            (2,), f"Find lines: {whose} buffer is full, and {lines} enough votes.",
-            f"Its {len(hough.points)} points voted. Each peak above the threshold is a line: a corner gives two.",
+            (2,), f"Find lines: {whose} buffer was full, and {lines} enough votes.",
+            f"Its {len(hough.points)} points voted. Each ring is a line: a corner gives two. The buffer fills again.",
+            hough=hough,
         )  # fmt: skip
     if frame.warning:
         said["warning"] = Caption(
@@ -232,7 +237,7 @@ def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption
             "Many readings that contradict the map, or an uncertain heading, show that the pose may be wrong.",
         )  # fmt: skip
     for event in frame.events:
-        said[event.kind] = _caption_of(event, _whose(event.robot, several))
+        said[event.kind] = replace(_caption_of(event, _whose(event.robot, several)), hough=frame.hough)
     return said
 
 

@@ -176,7 +176,8 @@ def test_a_command_runs_or_has_options_that_exist(words):
         pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
     parsed(APPS[name], arguments)
     short = SHORT.get((name, arguments[0]))
-    is_there = all(Path(word).exists() for word in arguments if word.endswith((".yaml", ".json")))
+    files = [word.rpartition(":")[0] if ".py:" in word else word for word in arguments]
+    is_there = all(Path(word).exists() for word in files if word.endswith((".yaml", ".json", ".py")))
     if short is not None and is_there and not NOT_SHORT.keys() & set(arguments):
         APPS[name]([*arguments, *short], standalone_mode=False)
 

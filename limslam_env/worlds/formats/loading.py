@@ -1,6 +1,7 @@
 """Reads any world: a shipped one by its name, a random floor plan by its seed, or a file in any supported format."""
 
 import os
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import TypeAlias
@@ -25,7 +26,8 @@ WorldSource: TypeAlias = str | os.PathLike[str] | World
 def load_world(source: WorldSource) -> World:
     """A world by the name of a shipped one, by the path of a file, or as it is.
 
-    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the default radius.
+    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the default radius. It is
+    the world's name, too.
 
     Raises
     ------
@@ -63,7 +65,8 @@ def _random_world(name: str) -> World:
     seed = name.removeprefix(RANDOM)
     if not (seed.isascii() and seed.isdigit() and len(seed) <= _MOST_DIGITS):
         raise WorldError(f"{name[:60]!r} names no floor plan: a seed is needed, as in random:17")
-    return floor_plan(FloorPlanConfig(), np.random.default_rng(int(seed)), RobotSpec().radius)
+    plan = floor_plan(FloorPlanConfig(), np.random.default_rng(int(seed)), RobotSpec().radius)
+    return replace(plan, name=f"{RANDOM}{int(seed)}")
 
 
 def _load_file(path: Path) -> World:

@@ -52,10 +52,11 @@ def number_array(value: Any, key: str, dimensions: int) -> Any:
 
     if not is_number_list(value, dimensions):
         raise WorldError(f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}")
-    try:
-        return np.array(value, dtype=float)
-    except ValueError as error:
-        raise WorldError(f"{key}: rows of different lengths") from error
+    counts = [len(row) for row in value] if dimensions > 1 else []
+    odd = next((row for row, count in enumerate(counts) if count != counts[0]), None)
+    if odd is not None:
+        raise WorldError(f"{key}[{odd}] has {counts[odd]} numbers, and {key}[0] has {counts[0]}")
+    return np.array(value, dtype=float)
 
 
 def replace_file(path: Path, content: bytes) -> None:

@@ -36,7 +36,10 @@ def parse_world(text: str, label: str) -> World:
             name=table["name"],
             size=tuple(number_array(table["size"], "size", 1)),
             walls=number_array(table["walls"], "walls", 2),
-            obstacles=tuple(number_array(polygon, "obstacles", 2) for polygon in table.get("obstacles", [])),
+            obstacles=tuple(
+                number_array(polygon, f"obstacles[{number}]", 2)
+                for number, polygon in enumerate(table.get("obstacles", []))
+            ),
             **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
         )
 

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +20,8 @@ from limslam_env.worlds.world import WorldError
 
 
 def test_a_floor_plan_has_the_name_of_its_seed():
-    expected = floor_plan(FloorPlanConfig(), np.random.default_rng(17), RobotSpec().radius)
+    drawn = floor_plan(FloorPlanConfig(), np.random.default_rng(17), RobotSpec().radius)
+    expected = replace(drawn, name="random:17")
     assert load_world("random:17") == expected
     env = gym.make("LimSlam-World-v0", world="random:17")
     assert env.unwrapped.world == expected

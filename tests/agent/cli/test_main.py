@@ -19,7 +19,7 @@ from limslam_agent.runs.episode import RunConfig
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
-    "run.toml", "trajectory_odometry.tum",
+    "run.toml", "world.toml", "covariance_est.npz", "trajectory_odometry.tum",
 }  # fmt: skip
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.

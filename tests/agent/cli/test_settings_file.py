@@ -23,10 +23,13 @@ from limslam_agent.cli.settings import (
     run_config,
     run_options,
 )
+from limslam_agent.config.ablations import ABLATIONS
 from limslam_agent.config.tables import SettingsError
 from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.formats.writing import write_world
 
 SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}
 
@@ -90,6 +93,30 @@ def test_a_run_with_settings_of_every_kind_is_repeated_by_its_file(tmp_path):
     assert written["agent"]["noise"]["range_std"] == 0.03
     assert written["true_noise"]["wheel_mismatch"] == 0.01
     assert len(written["robot"]["beams"]) == 6
+
+
+def test_a_run_in_a_world_of_a_file_can_be_handed_on_and_repeated(tmp_path):
+    path = tmp_path / "plans" / "mine.toml"
+    path.parent.mkdir()
+    write_world(load_world("square"), path)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert limslam("run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first).exit_code == 0
+    assert tomllib.loads((first / "run.toml").read_text())["world"] == "world.toml"
+    path.unlink()
+    moved = first.rename(tmp_path / "moved")
+    assert limslam("run", "--config", moved / "run.toml", "--out", second).exit_code == 0
+    assert_same(moved, second)
+
+
+def test_a_random_floor_plan_keeps_its_name(tmp_path):
+    assert limslam("run", "--world", "random:17", "--max-time", "1", "--out", tmp_path / "run").exit_code == 0
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["config"]["world"] == "random:17"
+    assert tomllib.loads((tmp_path / "run" / "run.toml").read_text())["world"] == "random:17"
+
+
+def test_the_help_lists_all_ablations():
+    words = limslam("run", "--help").output
+    assert [name for name in ABLATIONS if name not in words] == []
 
 
 def test_the_file_of_a_replay_repeats_it(tmp_path):
@@ -181,6 +208,34 @@ def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
     assert (by_file.noise, by_file.agent.noise.range_std) == (0.01, 0.03)
     assert (by_option.noise, by_option.agent.noise.range_std) == (0.04, 0.04)
     assert by_option.agent.noise.wheel_variance == 1e-4
+
+
+def test_tables_of_another_preset_than_that_of_the_command_line_are_named_in_a_warning(tmp_path):
+    text = 'preset = "paper"\n[agent.estimator.buffer]\nsize = 50\n[agent.policy]\nspeed = 0.1\n'
+    assert given(tmp_path, text).warnings("paper") == []
+    assert given(tmp_path, "[agent.estimator.buffer]\nsize = 50\n").warnings("consistent") == []
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    result = limslam("run", "--config", path, "--preset", "consistent", "--max-time", "1", "--out", tmp_path / "out")
+    assert result.exit_code == 0
+    assert result.stderr.splitlines()[0] == (
+        f"limslam: warning: {path}: the settings of [agent.estimator] are for the preset paper and not used: "
+        "the preset is consistent"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('preset = "paper"\n[agent.estimator.buffer]\nsise = 50\n', "agent.estimator.buffer.sise"),
+        ('preset = "papers"\n[agent.estimator.buffer]\nsize = 50\n', "preset: no preset"),
+    ],
+)
+@pytest.mark.parametrize("kind", [RunOptions, ReplayOptions])
+def test_a_table_is_checked_although_another_preset_is_asked_for(kind, text, words, tmp_path):
+    asked = given(tmp_path, text, preset="consistent")
+    with pytest.raises(SettingsError, match=f"mine.toml: ({words})"):
+        config_of(asked) if kind is RunOptions else replay_agent(asked, asked.merged(ReplayOptions(), ("agent",)))
 
 
 def test_another_preset_on_the_command_line_brings_its_own_estimator(tmp_path):

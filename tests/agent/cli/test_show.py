@@ -16,11 +16,13 @@ from limslam_agent.cli.show import show, true_edges
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.output.export import write_json, write_tum
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
+from limslam_agent.output.run_picture import draw_run
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.formats.writing import write_world
 
 app = typer.Typer()
 app.command()(show)
@@ -110,8 +112,27 @@ def test_the_true_walls_are_those_of_the_world_that_was_run_in(real_run):
     np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
     run.result["config"]["world_digest"] = "another"
     assert true_edges(run) is None
+
+
+def test_without_a_file_of_the_world_only_a_world_that_ships_is_drawn(real_run, tmp_path):
+    run = read_run(shutil.copytree(real_run, tmp_path / "old", ignore=shutil.ignore_patterns("world.toml")))
+    np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
     run.result["config"]["world"] = "../env1.toml"
     assert true_edges(run) is None
+
+
+@pytest.mark.parametrize("world", ["random:17", "plan.toml"])
+def test_the_true_walls_of_a_world_that_does_not_ship_are_drawn(world, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_world(load_world("square"), "plan.toml")
+    write_episode(tmp_path, run_episode(RunConfig(world, 0.02, max_time=1.0)))
+    (tmp_path / "plan.toml").unlink()
+    np.testing.assert_array_equal(
+        true_edges(read_run(tmp_path)), load_world(world if world == "random:17" else "square").edges
+    )
+    (tmp_path / "world.toml").write_text("walls = 3")
+    with pytest.raises(ValueError, match=r"world\.toml: the key 'name' is missing"):
+        true_edges(read_run(tmp_path))
 
 
 def test_a_real_run_is_told_and_drawn(real_run, tmp_path):
@@ -349,3 +370,39 @@ def test_a_folder_with_the_map_of_a_live_robot_names_its_picture(limslam, tmp_pa
     assert said.rstrip().endswith(
         "there is no result.json; it holds the map of a live robot, which is drawn in map.png"
     )
+
+
+def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
+    episode = run_episode(RunConfig("env1", 0.02, max_time=12.0, seed=300))
+    write_episode(tmp_path, episode)
+    run = read_run(tmp_path)
+    np.testing.assert_allclose(run.covariances[0], episode.covariances[:, 0], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(run.smoothed_covariances[0], episode.smoothed.covariances[:, 0], rtol=1e-6, atol=1e-12)
+    figure = plt.figure()
+    try:
+        draw_run(figure, run, [])
+        upper, lower = figure.axes[1:3]
+        assert {"2 sigma, online", "2 sigma, smoothed"} <= {text.get_text() for text in upper.get_legend().get_texts()}
+        assert [len(axes.collections) for axes in (upper, lower)] == [2, 2]
+        top = upper.collections[0].get_paths()[0].vertices[:, 1].max()
+        covariances = episode.covariances[:, 0]
+        assert top == pytest.approx(2.0 * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]).max(), rel=1e-5)
+    finally:
+        plt.close(figure)
+
+
+def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused(real_run, tmp_path):
+    folder = shutil.copytree(real_run, tmp_path / "old")
+    (folder / "covariance_est.npz").unlink()
+    assert read_run(folder).covariances == []
+    np.savez(folder / "covariance_est.npz", estimated=np.zeros((3, 1, 3, 3)))
+    with pytest.raises(FolderError, match="its covariances do not fit the trajectories"):
+        read_run(folder)
+    (folder / "covariance_est.npz").write_bytes(b"PK")
+    with pytest.raises(FolderError, match="is damaged"):
+        read_run(folder)
+
+
+def test_the_nees_is_told_with_what_it_means():
+    told = run_summary({**METRICS, "anees": 1.23, "anees_smoothed": 0.9}, {})
+    assert "consistency NEES / 3 is 1.2, smoothed 0.9; 1 is right, more is overconfident" in told

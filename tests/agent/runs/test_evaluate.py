@@ -344,3 +344,50 @@ def test_a_name_stands_for_a_team_in_a_parallel_environment():
 def test_a_model_with_the_observations_of_its_training_is_taken():
     arguments = {"max_time": 0.5, "world": ROOM, "wrap": SlamObservation}
     assert evaluate(Trained(BELIEFS), "LimSlam-World-v0", [0], **arguments)[0]["path_m"] >= 0.0
+
+
+class Ahead:
+    """A policy that drives ahead."""
+
+    stop_reason, plan = None, ()
+
+    def act(self, belief):
+        del belief
+        return 0.3, 0.3
+
+
+def test_what_is_obviously_meant_is_taken():
+    (first, second) = evaluate(straight, seeds=2, max_time=2.0, noise=0.03)
+    assert [first, second] == evaluate(straight, seeds=[0, 1], max_time=2.0, sensor_noise=0.03)
+
+
+def test_a_policy_may_drive_an_agent_of_any_preset():
+    by_default, odometry = (
+        evaluate(Ahead(), "LimSlam-Env1-v0", 1, max_time=30.0, sensor_noise=0.05, preset=name)[0]
+        for name in (None, "odometry")
+    )
+    assert odometry["ate_m"] == odometry["odometry_ate_m"]
+    assert by_default["ate_m"] != odometry["ate_m"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"seeds": "abc"}, "seeds must be a number of episodes or a list of seeds, not 'abc'"),
+        ({"seeds": 2.5}, "seeds must be a number of episodes or a list of seeds, not 2.5"),
+        ({"seeds": 0}, "seeds must be whole numbers from 0, at least one of them, not 0"),
+        ({"seeds": ["a"]}, "seeds must be whole numbers from 0"),
+        ({"noise": "much"}, "noise must be a NoiseConfig or a standard deviation of the ranges, m, not 'much'"),
+        ({"noise": 0.1, "sensor_noise": 0.1}, "noise as a number and sensor_noise are the same"),
+        ({"preset": "paper"}, "preset='paper' is for a policy: an actor brings its own settings"),
+        ({"colour": 3}, "colour is an argument neither of evaluate nor of LimSlam-Env1-v0"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        evaluate(straight, **({"max_time": 1.0} | arguments))
+
+
+def test_a_preset_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match="no preset is called 'papers'"):
+        evaluate(Ahead(), preset="papers")

@@ -10,6 +10,7 @@ from PIL import Image as Pictures
 
 from limslam_agent.output import style as video_style
 from limslam_agent.video import belief_panels, video
+from limslam_agent.video import film as film_module
 from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, hough_image, hough_view, wall_bands
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.film import FPS, HEIGHT, SPEED, WIDTH, Film, Scene, compose, cropped_truth, layout_for
@@ -451,19 +452,42 @@ def test_a_film_has_a_frame_every_fifth_of_a_second_and_pauses_to_explain():
         assert not (image == np.array([255, 0, 0])).all(axis=2).any()
 
 
-@pytest.mark.parametrize(("speed", "frames"), [(2.5, 21), (5.0, 11), (10.0, 6)])
+@pytest.mark.parametrize(("speed", "frames"), [(1.0, 51), (2.0, 26), (2.5, 21), (5.0, 11), (10.0, 6)])
 def test_a_film_is_as_fast_as_it_is_asked_to_be(speed, frames):
     collector = Collector()
     film = Film(collector, np.zeros(2), np.array([4.0, 4.0]), explain=False, speed=speed)
     for step in range(21):
         if film.is_due(0.1 * step):
             film.add(truth_picture(), frame_with(time=0.1 * step))
-    assert len(collector.frames) == frames
+    assert sum(max(round(hold * FPS), 1) for _, hold in collector.frames) == frames
 
 
-@pytest.mark.parametrize("speed", [0.0, 1.0, 101.0, np.nan])
+def extraction(time, count):
+    line = np.array([0.8, 0.3])
+    points = on_line(*line, np.linspace(0.2, 1.2, count))
+    return hough_view(points, line[None], points[None, [0, -1]], np.zeros(3), time=time, side="left", threshold=8)
+
+
+def test_the_votes_stay_those_that_the_caption_speaks_of(monkeypatch):
+    shown = []
+    page = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    monkeypatch.setattr(film_module, "compose", lambda _truth, frame, scene: shown.append((frame, scene)) or page)
+    film = Film(Collector(), np.zeros(2), np.array([4.0, 4.0]), explain=False, speed=5.0)
+    votes = [extraction(time=1.0 + 2.0 * number, count=20 + number) for number in range(3)]
+    for step in range(60):
+        seen = [each for each in votes if each.time <= 0.2 * step]
+        film.add(truth_picture(), replace(frame_with(time=0.2 * step), hough=seen[-1] if seen else None))
+    spoken = [(frame, scene) for frame, scene in shown if "buffer was full" in scene.caption.headline]
+    assert len(spoken) > 10
+    for frame, scene in spoken:
+        assert f"Its {len(frame.hough.points)} points voted" in scene.caption.explanation
+    # Newer votes do not replace the votes of a caption that still stands.
+    assert any(frame.hough is votes[1] and frame.time > votes[2].time for frame, _ in spoken)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.9, 101.0, np.nan])
 def test_a_film_that_cannot_be_so_slow_or_so_fast_is_refused(speed):
-    with pytest.raises(ValueError, match=r"must be 2\.5 to 100 times"):
+    with pytest.raises(ValueError, match=r"must be 1 to 100 times"):
         Film(Collector(), np.zeros(2), np.ones(2), speed=speed)
 
 

@@ -464,7 +464,7 @@ class TestPlans:
             (b'{"id": "n", "walls": [0, 0, 1, 1]}', "walls must be a list of lists of numbers"),
             (b'{"id": "n", "walls": {"0": [0, 0, 1, 1]}}', "walls must be a list of lists of numbers"),
             (b'{"id": "n", "walls": null}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [[0, 0, 1, 1], [0, 0, 1]]}', "walls: rows of different lengths"),
+            (b'{"id": "n", "walls": [[0, 0, 1, 1], [0, 0, 1]]}', r"walls\[1\] has 3 numbers, and walls\[0\] has 4"),
             (b'{"id": "n", "walls": [[0, 0, 1]]}', "walls must have 4 numbers a row, not 3"),
             (b'{"id": "n", "walls": []}', "walls is empty"),
             (b'{"id": "n", "walls": [[]]}', "walls is empty"),

@@ -1,0 +1,150 @@
+"""Policies from a Python file that the user names: ``FILE.py:NAME``, a class or a function that makes a policy."""
+
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.policies.policy import Policy
+from limslam_agent.runs.actor_checks import is_policy
+from limslam_env.interface import RobotSpec
+
+OFFERED = ("robot", "config", "seed")
+"""Arguments that a class or a function may take, each by its name. None of them has to be taken."""
+
+
+class PolicyFileError(ValueError):
+    """A policy cannot be loaded from its file, or code in the file has raised an error. The message names the line."""
+
+
+def is_file_policy(policy: str) -> bool:
+    """Whether a policy is named by a file, and not by its name."""
+    return ".py:" in policy or policy.endswith(".py")
+
+
+def short_name(policy: str) -> str:
+    """The name of a policy, and for a file the name without the folder: ``mine.py:Turn``."""
+    if not is_file_policy(policy):
+        return policy
+    path, name = file_and_name(policy)
+    return f"{path.name}:{name}"
+
+
+def file_and_name(policy: str) -> tuple[Path, str]:
+    """The file, and the name of the class or the function in it.
+
+    Raises
+    ------
+    PolicyFileError
+        If there is no such file, or no name is given.
+    """
+    path, _, name = policy.rpartition(":")
+    if not path.endswith(".py"):
+        raise PolicyFileError(f"{policy}: the name of the policy in the file is missing: FILE.py:CLASS")
+    if not name.isidentifier():
+        raise PolicyFileError(f"{policy}: {name!r} cannot be the name of a class or a function")
+    if not Path(path).is_file():
+        raise PolicyFileError(f"{path}: no such file")
+    return Path(path), name
+
+
+def file_policies(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int) -> list[Policy]:
+    """A new policy of a file for each robot. Each has its own random generator as ``seed``.
+
+    Raises
+    ------
+    PolicyFileError
+        If the file cannot be loaded, or what it has by that name makes no policy.
+    """
+    path, name = file_and_name(policy)
+    with naming_lines_of(policy):
+        maker = _maker(_loaded(path), path, name)
+        made = [
+            maker({"robot": robot, "config": config, "seed": np.random.default_rng([seed, number])})
+            for number in range(robots)
+        ]
+    return [_checked(each, f"{path}: {name}") for each in made]
+
+
+@contextmanager
+def naming_lines_of(policy: str) -> Iterator[None]:
+    """Turn an error that code of a policy's file raises into one line with its place. Other errors are unchanged.
+
+    Raises
+    ------
+    PolicyFileError
+        For any error that has passed through a line of the file.
+    """
+    try:
+        yield
+    except Exception as error:  # a policy may raise anything
+        place = _place_in_file(error, policy) if is_file_policy(policy) else None
+        if place is None:
+            raise
+        raise PolicyFileError(f"{place}: {type(error).__name__}: {error}") from error
+
+
+def _place_in_file(error: Exception, policy: str) -> str | None:
+    """The last line of a policy's file that an error has passed through. None if there is no such line."""
+    path = str(policy.rpartition(":")[0])
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(Path(path).absolute())
+    ]
+    if isinstance(error, SyntaxError):
+        return f"{path}, line {error.lineno}" if error.filename == str(Path(path).absolute()) else None
+    if not frames:
+        return None
+    where = "" if frames[-1].name == "<module>" else f", in {frames[-1].name}"
+    return f"{path}, line {frames[-1].lineno}{where}"
+
+
+def _loaded(path: Path) -> ModuleType:
+    """The module of a file. Like a script, it can import files that lie beside it."""
+    place = path.absolute()
+    if str(place.parent) not in sys.path:
+        sys.path.insert(0, str(place.parent))
+    name = f"_limslam_policy_{place.stem}"
+    spec = importlib.util.spec_from_file_location(name, place)
+    assert spec is not None  # noqa: S101 (the suffix is .py)
+    assert spec.loader is not None  # noqa: S101
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def _maker(module: ModuleType, path: Path, name: str) -> Callable[[dict[str, Any]], Any]:
+    """Calls a class or a function of a file with those of the offered arguments that it takes."""
+    maker = getattr(module, name, None)
+    if maker is None:
+        raise PolicyFileError(f"{path}: has no class and no function {name}")
+    if not (inspect.isclass(maker) or inspect.isfunction(maker)):
+        raise PolicyFileError(f"{path}: {name} is neither a class nor a function that makes a policy")
+    parameters = inspect.signature(maker).parameters.values()
+    named = {part.name for part in parameters if part.kind in {part.POSITIONAL_OR_KEYWORD, part.KEYWORD_ONLY}}
+    needed = [part.name for part in parameters if part.default is part.empty and part.name in named - set(OFFERED)]
+    if needed:
+        raise PolicyFileError(
+            f"{path}: {name} needs the argument {needed[0]}: a policy is made without arguments, "
+            f"or with some of {', '.join(OFFERED)}"
+        )
+    return lambda offered: maker(**{key: value for key, value in offered.items() if key in named})
+
+
+def _checked(policy: Any, label: str) -> Policy:
+    try:
+        is_one = is_policy(policy)
+    except ValueError as error:
+        raise PolicyFileError(f"{label}: {error}") from error
+    if not is_one:
+        raise PolicyFileError(f"{label} makes no policy: a policy has act(belief), stop_reason and plan")
+    made: Policy = policy
+    return made

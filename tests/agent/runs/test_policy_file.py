@@ -1,0 +1,134 @@
+"""A policy from a file that the user names drives a run; what cannot be is refused in one line with its place."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from support.command_line import call
+
+from limslam_agent.cli.main import main
+
+GOOD = '''
+import dataclasses
+import numpy as np
+
+@dataclasses.dataclass
+class Ahead:
+    """Drives ahead and stops after some steps."""
+    left: int = 8
+    stop_reason: str | None = None
+    def __post_init__(self):
+        self.plan = np.zeros((0, 2))
+    def act(self, belief):
+        self.left -= 1
+        if self.left == 0:
+            self.stop_reason = "enough"
+        return np.array([0.5, 0.4])
+
+def random_ahead(robot, seed):
+    assert robot.max_wheel_speed > 0.0
+    return Ahead(left=int(seed.integers(5, 9)))
+
+class Divides(Ahead):
+    def act(self, belief):
+        return self.left / (self.left - self.left)
+
+class Says(Ahead):
+    def act(self, belief):
+        return "left"
+
+class Needs(Ahead):
+    def __init__(self, speed):
+        pass
+
+class Raises(Ahead):
+    def __init__(self):
+        raise KeyError("boom")
+
+class Listener:
+    def act(self, observation):
+        return 0.0, 0.0
+
+class Half:
+    def act(self, belief):
+        return 0.0, 0.0
+
+number = 3
+'''
+EXAMPLE = Path(__file__).parents[3] / "examples" / "my_policy.py"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(GOOD)
+    (tmp_path / "wrong.py").write_text("import math\ndef f(:\n")
+    (tmp_path / "lacks.py").write_text("import math\nimport no_such_module\n")
+    return tmp_path
+
+
+def test_a_policy_of_a_file_gets_everything_that_a_run_gets(folder):
+    done = call(main, "run", "--policy", "mine.py:Ahead", "--out", "first", "--video", "first.gif", "--seed", "4")
+    assert done.returncode == 0, done.stderr
+    assert "stopped     enough" in done.stdout
+    assert (folder / "first" / "map.png").is_file()
+    assert (folder / "first.gif").is_file()
+    result = json.loads((folder / "first" / "result.json").read_text())
+    assert (result["config"]["policy"], result["record"]["steps"]) == ("mine.py:Ahead", 8)
+    assert "mine.py:Ahead" in call(main, "show", "first", "--out", "sheet.png").stdout.splitlines()[0]
+
+
+def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
+    assert call(main, "run", "--policy", folder / "mine.py:random_ahead", "--out", "first").returncode == 0
+    (folder / "mine.py").unlink()
+    (folder / "first").rename(folder / "handed out")
+    assert tomllib.loads((folder / "handed out" / "run.toml").read_text())["policy"] == "mine.py:random_ahead"
+    again = call(main, "run", "--config", folder / "handed out" / "run.toml", "--out", "second")
+    assert again.returncode == 0, again.stderr
+    one, other = (Path(name, "trajectory_true.tum").read_bytes() for name in ("handed out", "second"))
+    assert one == other
+
+
+def test_each_robot_has_a_policy_of_its_own(folder):
+    done = call(main, "run", "--policy", "mine.py:Ahead", "--robots", "2", "--out", "two")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((folder / "two" / "result.json").read_text())["record"]["steps"] == 8
+
+
+def test_a_run_without_an_out_has_the_name_in_its_folder(folder):
+    assert call(main, "run", "--policy", "mine.py:Ahead").returncode == 0
+    assert [path.name for path in (folder / "runs").iterdir()] == ["env1-2cm-graph-seed0-Ahead"]
+
+
+@pytest.mark.parametrize(
+    ("policy", "words"),
+    [
+        ("nix.py:Ahead", "nix.py: no such file"),
+        ("mine.py", "mine.py: the name of the policy in the file is missing: FILE.py:CLASS"),
+        ("mine.py:Nobody", "mine.py: has no class and no function Nobody"),
+        ("mine.py:number", "mine.py: number is neither a class nor a function that makes a policy"),
+        ("mine.py:Listener", "mine.py: Listener makes no policy: a policy has act(belief), stop_reason and plan"),
+        ("mine.py:Half", "mine.py: Half: Half is a policy, because act takes a belief, but it has no stop_reason"),
+        ("mine.py:Needs", "mine.py: Needs needs the argument speed: a policy is made without arguments"),
+        ("mine.py:Raises", "mine.py, line 36, in __init__: KeyError: 'boom'"),
+        ("mine.py:Divides", "mine.py, line 24, in act: ZeroDivisionError: division by zero"),
+        ("mine.py:Says", "Says: act must return two finite numbers"),
+        ("wrong.py:f", "wrong.py, line 2: SyntaxError"),
+        ("lacks.py:f", "lacks.py, line 2: ModuleNotFoundError: No module named 'no_such_module'"),
+    ],
+)
+def test_what_cannot_drive_is_refused_in_one_line(policy, words, folder):
+    done = call(main, "run", "--policy", policy, "--max-time", "2", "--out", "out")
+    assert done.returncode == 2
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"limslam: {words}")
+    assert not (folder / "out").exists()
+
+
+def test_the_example_drives(tmp_path):
+    if not EXAMPLE.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    done = call(main, "run", "--policy", f"{EXAMPLE}:TurnFromWalls", "--max-time", "5", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "runs").glob("*TurnFromWalls/map.png"))) == 1
