@@ -25,8 +25,11 @@ from limslam_env.interface import Observation, RobotSpec
 RESTART_WITHIN = 600
 """Number of first steps within which a mapper starts again when the SLAM finds constant errors of the odometry."""
 
-TOO_FAST = 30.0
-"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused."""
+TOO_FAST = 300.0
+"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused.
+
+A jump of the odometry by a few metres is no such error: it makes the status ``lost``.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +94,8 @@ class Mapper:
         Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings. Read-only; each
         step makes a new array.
     longest_travel
-        Longest travel of a wheel in one step that is accepted, m: 30 times what the robot's largest wheel speed allows
-        in a control period. Set it higher if observations may be farther apart than 30 control periods.
+        Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
+        in a control period. Set it higher if observations may be farther apart than 300 control periods.
     slam_ms
         Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
     on_restart

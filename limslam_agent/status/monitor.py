@@ -180,7 +180,10 @@ class StatusMonitor:
         lateness = self._late_beams.evidence(steps, ranges, usable, predicted)
         # Readings of neighbouring steps show nearly the same, so that only the latest ones are tested.
         last, expected = sights[-1], (predicted.ranges[-1], predicted.stds[-1])
-        outcome = compare(robot, last.pose, last.ranges, last.measured, known, *expected, self._std, settings)
+        # A reading that saw nothing, after one that saw a wall, may be a dropout of the sensor.
+        nothing = ranges[-2:] >= robot.too_far
+        measured = last.measured & ~(nothing[-1] & ~nothing[0]) if len(sights) > 1 else last.measured
+        outcome = compare(robot, last.pose, last.ranges, measured, known, *expected, self._std, settings)
         self._checks.append(_Check(self._place, outcome.counts, lateness))
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:

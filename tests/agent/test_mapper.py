@@ -233,10 +233,10 @@ def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(trave
 
 def test_the_longest_travel_of_a_step_can_be_raised():
     mapper = Mapper(ROBOT, CONFIG)
-    assert mapper.longest_travel == pytest.approx(0.9)
-    mapper.longest_travel = 2.0
-    mapper.step({"wheels": np.array([1.5, 1.5])})
-    assert mapper.belief.pose[0] == pytest.approx(1.5)
+    assert mapper.longest_travel == pytest.approx(9.0)
+    mapper.longest_travel = 20.0
+    mapper.step({"wheels": np.array([15.0, 15.0])})
+    assert mapper.belief.pose[0] == pytest.approx(15.0)
 
 
 def test_a_snapshot_keeps_its_moment_and_is_saved_as_a_map(drive, tmp_path):

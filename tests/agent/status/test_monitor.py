@@ -54,6 +54,20 @@ def test_a_robot_in_a_right_map_is_ok():
     assert not watched.added_covariance.any()
 
 
+@pytest.mark.parametrize(("together", "level"), [(1, "ok"), (2, "lost")])
+def test_dropouts_are_no_contradictions_and_beams_that_keep_seeing_nothing_are(together, level):
+    watched = monitor()
+    for number in range(60):
+        pose, ranges = place(number), ranges_at(place(number), WALLS)
+        lost = np.where(np.arange(len(ranges)) == number % len(ranges), ROBOT.max_ranges, ranges)
+        for step in range(3):
+            is_lost = step >= 3 - together
+            sight = Sight(pose, lost if is_lost else ranges, EVERY, (0.11 if step == 2 else 0.0, 0.0))
+            if watched.observe(sight, is_busy=True):
+                watched.check(SURE, KNOWN)
+    assert watched.status.level == level
+
+
 @pytest.mark.parametrize(("is_busy", "motion"), [(True, CONFIG.spacing), (False, CONFIG.longest_spacing)])
 def test_readings_are_compared_after_a_motion_and_not_at_each_step(is_busy, motion):
     watched = monitor()
