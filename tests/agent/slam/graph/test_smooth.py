@@ -45,7 +45,7 @@ def results_of_searches(monkeypatch, two_laps, scores, biases):
     log, truth, result = two_laps
     given, seen = iter(zip(scores, biases, strict=True)), []
 
-    def smoothed(data, _start, _config):
+    def smoothed(data, *_others):
         seen.append(data.odometry)
         score, bias = next(given)
         trajectory = replace(result.trajectory, bias=np.array([np.radians(bias), 0.0, 0.0]))
