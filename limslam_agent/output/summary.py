@@ -146,7 +146,9 @@ def _status(metrics: Mapping[str, Any]) -> list[str]:
     if not isinstance(level, str):
         return []
     lost = f"; lost for {metrics['lost_s']:.0f} s" if _has(metrics, "lost_s") and metrics["lost_s"] > 0.0 else ""
-    return [f"status      {level}{f': {reason}' if reason else ''}{lost}"]
+    # A smoothed path can be right where the filter was lost.
+    then = " while driving" if any("smoothed" in name for name in metrics) else ""
+    return [f"status      {level}{then}{f': {reason}' if reason else ''}{lost}"]
 
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:

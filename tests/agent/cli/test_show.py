@@ -225,6 +225,8 @@ def test_a_summary_leaves_out_what_is_not_known():
     lost = {"status": "lost", "status_reason": "9 of 90 readings contradict the map", "lost_s": 12.3}
     assert replay_summary(lost) == ["status      lost: 9 of 90 readings contradict the map; lost for 12 s"]
     assert run_summary({**METRICS, "status": "ok", "status_reason": "", "lost_s": 0.0}, {})[3] == "status      ok"
+    smoothed = {**METRICS, "status": "ok", "status_reason": "", "ate_smoothed_m": 0.1}
+    assert run_summary(smoothed, {})[3] == "status      ok while driving"
     relations = {
         f"{prefix}relation_error_{unit}": 0.5 for prefix in ("", "loop_", "odometry_") for unit in ("m", "deg")
     }
