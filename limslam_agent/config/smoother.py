@@ -113,6 +113,9 @@ class MendingConfig(Bounded):
         A line is cut where it was not read for this distance driven, m.
     max_offset, max_angle, min_overlap
         Largest differences of segments that may be one wall, m and rad, and the least length of their overlap, m.
+    most_lines
+        A move that begins with more lines than this is not tried, because its time grows with the third power of their
+        number.
     dropped_share, dropped_least
         A line is dropped if the number of beams that contradict it exceeds ``dropped_least``, and also this share of
         its readings.
@@ -139,6 +142,7 @@ class MendingConfig(Bounded):
     max_offset: NonNegative = 0.8
     max_angle: Angle = 0.4
     min_overlap: NonNegative = 0.10
+    most_lines: Count = 400
     dropped_share: Share = 0.2
     dropped_least: CountOrNone = 5
     unexplained: NonNegative = 4.0

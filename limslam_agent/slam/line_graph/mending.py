@@ -106,6 +106,8 @@ class _Mender:
         """The results of a move, and the results with new lines for unexplained readings."""
         try:
             state, labels = self._begun(move)
+            if np.count_nonzero(np.bincount(labels[labels >= 0])) > self._config.mending.most_lines:
+                return
             settled = self._settled(state, labels, self._config.reassociation.rounds)
             first = list(self._both(settled, move))
             yield from first

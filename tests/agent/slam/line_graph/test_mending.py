@@ -113,6 +113,12 @@ def test_mending_does_a_healthy_run_no_harm(noise):
     assert position_error(kept[-1].association.state, poses) < 1.3 * position_error(best.state, poses) + 0.002
 
 
+def test_moves_that_begin_with_too_many_lines_are_not_tried():
+    problem, _, best = truth(7)
+    few = replace(CONFIG, mending=replace(CONFIG.mending, most_lines=1, gain=0.0))
+    assert len(mend(problem, best, few)) == 1
+
+
 def test_the_map_has_the_walls_and_leaves_the_door_open():
     walls = np.vstack((room(0.0, 0.0, 3.0, 2.4)[1:], [[0.0, 0.0, 1.2, 0.0], [1.7, 0.0, 3.0, 0.0]]))
     problem, _, found = truth(9, 0.02, walls=walls)
