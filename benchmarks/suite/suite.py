@@ -1,7 +1,6 @@
 """Suite files: TOML files that define jobs. Unknown content raises an error and is never ignored."""
 
 import itertools
-import math
 import re
 import tomllib
 from collections import Counter
@@ -56,7 +55,8 @@ class _Kind:
 
 _TEXT = _Kind("texts", lambda value: isinstance(value, str) and bool(value))
 _WHOLE = _Kind("whole numbers", lambda value: type(value) is int)
-_NUMBER = _Kind("numbers", lambda value: type(value) in {int, float} and math.isfinite(value))
+# The comparison is false for nan, and works for whole numbers that no float can hold.
+_NUMBER = _Kind("numbers", lambda value: type(value) in {int, float} and abs(value) < 1e300)
 
 _AXES: dict[str, tuple[str, _Kind, list[Any] | None]] = {
     "worlds": ("world", _TEXT, None),

@@ -81,7 +81,8 @@ class FinishedRun:
         parts = (
             str(config.get("world", self.folder.name)),
             f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
-            f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) else "",
+            # A damaged file may hold a whole number that no float can hold.
+            f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) and abs(noise) < 1e6 else "",
             " ".join(filter(None, (str(preset), config.get("ablation")))),
             policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
             counted(config["laps"], "lap") if config.get("laps") else "",

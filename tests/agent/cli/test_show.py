@@ -361,9 +361,10 @@ def test_a_picture_is_only_replaced_by_force_and_must_be_of_a_known_kind(tmp_pat
 def test_numbers_of_another_version_do_no_harm(tmp_path):
     folder = write_folder(tmp_path / "run", metrics={"ate_m": "small", "landmarks": None, "new": [1]})
     content = json.loads((folder / "result.json").read_text())
-    content["seed"], content["config"] = None, "none"
-    write_json(folder / "result.json", content)
-    assert "stopped" in run_show(folder)
+    for config in ("none", {"noise": 10**400}):
+        content["seed"], content["config"] = None, config
+        write_json(folder / "result.json", content)
+        assert "stopped" in run_show(folder)
 
 
 def test_a_folder_with_the_map_of_a_live_robot_names_its_picture(limslam, tmp_path):

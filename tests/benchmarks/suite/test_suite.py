@@ -83,6 +83,7 @@ def test_floor_plans_by_seed():
             "[[grid]] 1: noises: noise (range_std) must be a number of 0 or more, not -0.02",
         ),
         (GRID.replace("0.02", "nan"), "[[grid]] 1: noises: must be a list of numbers"),
+        (GRID.replace("0.02", "1" + 400 * "0"), "[[grid]] 1: noises: must be a list of numbers"),
         (GRID.replace("0.02", "true"), "[[grid]] 1: noises: must be a list of numbers"),
         (GRID.replace("[0.02]", "0.02"), "[[grid]] 1: noises: must be a list of numbers"),
         (GRID.replace("[0.02]", "[]"), "[[grid]] 1: noises: must be a list of numbers with at least one in it"),
