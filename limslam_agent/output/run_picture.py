@@ -1,5 +1,6 @@
 """Draws a finished run on one sheet: its map, and its errors over time."""
 
+import textwrap
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -13,6 +14,8 @@ from limslam_env.geometry import FloatArray
 
 SIZE = (12.0, 6.8)
 """Size of the sheet, inches."""
+
+_COLUMNS = 78  # letters beside each other in the text of a sheet
 
 _Style: TypeAlias = str | tuple[float, tuple[float, ...]]
 _DASHES: _Style = (0, (4, 2))
@@ -51,9 +54,14 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
     words = figure.add_subplot(grid[2, 1])
     words.set_axis_off()
     words.text(
-        0.0, 1.0, "\n".join(lines), va="top", fontsize=8, family="monospace", transform=words.transAxes,
+        0.0, 1.0, "\n".join(_wrapped(lines)), va="top", fontsize=8, family="monospace", transform=words.transAxes,
         parse_math=False,
     )  # fmt: skip
+
+
+def _wrapped(lines: Sequence[str]) -> list[str]:
+    """The lines, with long ones continued below their second column."""
+    return [part for line in lines for part in textwrap.wrap(line, _COLUMNS, subsequent_indent=12 * " ") or [""]]
 
 
 def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:

@@ -395,6 +395,21 @@ def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
         plt.close(figure)
 
 
+def test_long_lines_of_text_do_not_push_the_curves_aside(real_run):
+    figure = plt.figure()
+    try:
+        draw_run(
+            figure, read_run(real_run), ["stopped     " + "because of many things, " * 10, "            after 2 s"]
+        )
+        (told,) = figure.axes[3].texts
+        lines = told.get_text().splitlines()
+        assert max(map(len, lines)) <= 78
+        assert len(lines) == 5
+        assert all(line.startswith(12 * " ") for line in lines[1:])
+    finally:
+        plt.close(figure)
+
+
 def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused(real_run, tmp_path):
     folder = shutil.copytree(real_run, tmp_path / "old")
     (folder / "covariance_est.npz").unlink()
