@@ -82,7 +82,7 @@ class Mapper:
     robot
         Body and beams of each robot.
     config
-        Settings of every stage. The preset ``consistent`` by default.
+        Settings of every stage. The preset ``graph`` by default.
     start_pose
         Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n robots (n, 3).
 

@@ -55,7 +55,7 @@ class LimSlamTeam:
     robot
         Body and beams of each robot.
     config
-        Settings of every stage. The preset ``consistent`` by default.
+        Settings of every stage. The preset ``graph`` by default.
     num_robots
         Number of robots.
     policies

@@ -20,7 +20,7 @@ from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
-from limslam_agent.runs.smoothing import online_map, smoothed_scores
+from limslam_agent.runs.smoothing import FinalMap, online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
@@ -66,9 +66,14 @@ def score(episode: Episode) -> dict[str, Any]:
         **limit,
         **smoothed_scores(episode, limit.get("limit_ate_m")),
         **map_scores(
-            episode.world, config.robot, episode.coverage_grid, episode.final_map, episode.true, episode.final_map.poses
+            episode.world,
+            config.robot,
+            episode.coverage_grid,
+            episode.final_map,
+            episode.true,
+            episode.final_map.poses,
+            None if episode.smoothed is None else online_map(episode),
         ),
-        **_online_map_scores(episode),
         **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
         **association_metrics(events, len(episode.world.edges)),
         **closure_metrics(events, closed, len(episode.world.edges)),
@@ -121,12 +126,20 @@ def map_scores(
     final: WallsAndGrid,
     true: FloatArray,
     estimated: FloatArray,
+    online: FinalMap | None = None,
 ) -> dict[str, float | None]:
-    """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it with the world."""
+    """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it with the world.
+
+    If the map is a smoothed one, ``online`` is what the robots knew when the run stopped. The metrics of its walls end
+    in ``_online``.
+    """
     segments, grid = final.segments, final.grid
     claimed = grid.centres(np.argwhere(grid.free))
+    visible = metrics.visible_samples(world, robot.radius, robot.reach)
+    before = {} if online is None else _wall_scores(world, visible, online.segments, true, online.poses)
     return {
-        **_wall_scores(world, robot, segments, true, estimated),
+        **_wall_scores(world, visible, segments, true, estimated),
+        **{f"{name}_online": value for name, value in before.items()},
         "doors_open": metrics.doors_open(world.doors, segments),
         **metrics.coverage_claims(claimed, grid.cell, covered.coverable, covered.low, CELL),
         "landmarks": len(segments),
@@ -134,21 +147,11 @@ def map_scores(
 
 
 def _wall_scores(
-    world: World, robot: RobotSpec, segments: FloatArray, true: FloatArray, estimated: FloatArray
-) -> dict[str, float | None]:
+    world: World, visible: metrics.WallSamples, segments: FloatArray, true: FloatArray, estimated: FloatArray
+) -> dict[str, float]:
     # All robots share one map, so one rigid motion aligns it.
     alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
-    visible = metrics.visible_samples(world, robot.radius, robot.reach)
-    return {**metrics.wall_metrics(visible, world.edges, segments, alignment)}
-
-
-def _online_map_scores(episode: Episode) -> dict[str, float | None]:
-    """Metrics of the walls that the robots knew when the run stopped, where the map of the run is a smoothed one."""
-    if episode.smoothed is None:
-        return {}
-    segments = episode.snapshot.segments
-    scores = _wall_scores(episode.world, episode.config.robot, segments, episode.true, episode.estimated)
-    return {f"{name}_online": value for name, value in scores.items()}
+    return metrics.wall_metrics(visible, world.edges, segments, alignment)
 
 
 def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
