@@ -1,4 +1,4 @@
-"""The command line: ``limslam run``, ``replay``, ``show``, ``play``, ``warmup`` and ``worlds``.
+"""The command line: ``limslam run``, ``replay``, ``show``, ``score``, ``play``, ``warmup`` and ``worlds``.
 
 Modules that take long to import are imported inside the commands, so that help appears at once.
 """
@@ -12,6 +12,7 @@ import typer
 
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
+from limslam_agent.cli.score import score
 from limslam_agent.cli.show import show
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
@@ -25,6 +26,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(replay)
 app.command()(show)
+app.command()(score)
 app.command()(warmup)
 app.add_typer(worlds)
 
