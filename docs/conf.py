@@ -38,6 +38,7 @@ myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4
 
 nb_execution_mode = "cache"
+nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_merge_streams = True
