@@ -255,8 +255,7 @@ class Mapper:
 
     def _watch(self, number: int, pose: FloatArray, motion: FloatArray, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
-        x, y, turn = motion.tolist()
         monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
-        sight = Sight(pose, front.ranges, front.measured, (math.hypot(x, y), abs(turn)))
+        sight = Sight(pose, front.ranges, front.measured, motion)
         if monitor.observe(sight, is_busy=is_busy):
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))
