@@ -124,12 +124,37 @@ class RecoveryConfig(Bounded):
 
 
 @dataclass(frozen=True)
+class SmoothedStatusConfig(Bounded):
+    """When the result of the smoother of a finished run is unsure or lost.
+
+    Attributes
+    ----------
+    unsure_share, lost_share
+        The result is unsure or lost if this share of the readings contradicts the smoothed map.
+    doubted_share
+        The same as ``unsure_share`` for a run in which the robot was unsure or lost at any time.
+    moved, moved_nees
+        The result is unsure if the smoother moved a pose by more than ``moved``, m, and the mean NEES / 3 of the filter
+        against the smoothed path exceeds ``moved_nees``.
+    unsure_heading
+        The result is unsure if the smoothed heading's standard deviation exceeds this at any step, rad.
+    """
+
+    unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.005
+    lost_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.03
+    doubted_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.002
+    moved: NonNegative = 0.30
+    moved_nees: Positive = 5.0
+    unsure_heading: Angle = math.radians(4.0)
+
+
+@dataclass(frozen=True)
 class StatusConfig(Bounded):
     """All settings of the status.
 
     Attributes
     ----------
-    contradictions, late_beams, sudden_changes, recovery
+    contradictions, late_beams, sudden_changes, recovery, smoothed
         Settings of the parts.
     spacing, longest_spacing, turn_length
         The readings are compared with the map when the robot has moved by ``spacing``, m, and the estimator extracts
@@ -153,6 +178,7 @@ class StatusConfig(Bounded):
     late_beams: LateBeamConfig = field(default_factory=LateBeamConfig)
     sudden_changes: SuddenChangeConfig = field(default_factory=SuddenChangeConfig)
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
+    smoothed: SmoothedStatusConfig = field(default_factory=SmoothedStatusConfig)
     spacing: Positive = 0.10
     longest_spacing: Positive = 0.30
     turn_length: NonNegative = 0.40
