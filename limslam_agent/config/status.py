@@ -84,6 +84,9 @@ class SuddenChangeConfig(Bounded):
         The robot is lost if at least this number of readings, and at least this share of them, change in one step.
     max_distance, max_turn
         Only steps with a smaller motion count, m and rad.
+    fewest_misfits, fewest_expected
+        With this number of changes the robot is also lost, if at least ``fewest_expected`` readings should end at walls
+        of the map afterwards.
     fitting
         The robot is not lost if a larger share of the readings that should end at walls of the map do so afterwards.
     """
@@ -94,6 +97,8 @@ class SuddenChangeConfig(Bounded):
     share: Share = 0.6
     max_distance: NonNegative = 0.05
     max_turn: Angle = 0.08
+    fewest_misfits: Count = 3
+    fewest_expected: Count = 2
     fitting: Share = 0.34
 
 
@@ -140,9 +145,9 @@ class SmoothedStatusConfig(Bounded):
         The result is unsure if the smoothed heading's standard deviation exceeds this at any step, rad.
     """
 
-    unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.005
+    unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.01
     lost_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.03
-    doubted_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.002
+    doubted_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.0025
     moved: NonNegative = 0.30
     moved_nees: Positive = 5.0
     unsure_heading: Angle = math.radians(4.0)

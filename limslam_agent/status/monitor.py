@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.status import StatusConfig
-from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
+from limslam_agent.status.contradictions import Comparison, KnownMap, compare, expected_ranges
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_agent.status.sudden_changes import changed_at_once
@@ -101,7 +101,8 @@ class StatusMonitor:
         self._late_beams = LateBeams(robot, config.late_beams, config.contradictions, range_std)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
-        self._changed = (0, 0)
+        # How many readings changed at once, of how many, and how many then should have ended at a wall, and did.
+        self._changed = (0, 0, 0, 0)
         self.status = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -143,7 +144,7 @@ class StatusMonitor:
             The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        self._look_for_sudden_changes()
+        self._look_for_sudden_changes(covariance, self._reference or present)
         self._compare(covariance, self._reference or present)
         self._look_for_late_beams(covariance, present.segments)
         longest = max(self._config.window, self._config.recovery.window)
@@ -164,8 +165,8 @@ class StatusMonitor:
         heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
-    def _look_for_sudden_changes(self) -> None:
-        """Note how many readings changed at once since the last comparison."""
+    def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap) -> None:
+        """Note how many readings changed at once since the last comparison, and how many fitted the map after that."""
         sights = [sight for _, sight in self._sights]
         if self._before is not None and self._before[0] == self._sights[0][0] - 1:
             sights.insert(0, self._before[1])
@@ -174,28 +175,41 @@ class StatusMonitor:
             ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
             motions = np.array([each.increment for each in sights[1:]])
             motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))
-            self._changed = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
+            changed, count, step = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
+            self._changed = (changed, count, 0, 0)
+            if changed >= self._config.sudden_changes.fewest_misfits:
+                counts = self._compared(sights[step], sights[step].measured, covariance, known)[0].counts
+                self._changed = (changed, count, *counts[2:])
 
     def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
         """Compare the latest readings with a map, and note the outcome.
 
         Readings of neighbouring steps show nearly the same, so that only the latest ones count.
         """
-        settings, robot, last = self._config.contradictions, self._robot, self._sights[-1][1]
-        predicted = expected_ranges(robot, last.pose[None], covariance, known.segments, self._std, settings)
+        robot, last = self._robot, self._sights[-1][1]
         # A reading that saw nothing, after one that saw a wall, may be a dropout of the sensor.
         saw_nothing = [sight.ranges >= robot.too_far for _, sight in list(self._sights)[-2:]]
         measured = last.measured & ~(saw_nothing[-1] & ~saw_nothing[0])
         if self._late_beams.found is not None:
             measured[self._late_beams.found.beam] = False
-        expected = predicted.ranges[0], predicted.stds[0]
-        outcome = compare(robot, last.pose, last.ranges, measured, known, *expected, self._std, settings)
+        outcome, predicted = self._compared(last, measured, covariance, known)
         beams = np.flatnonzero(outcome.through | outcome.in_free)
-        reached = np.where(outcome.through, np.minimum(expected[0], robot.max_ranges), last.ranges)[beams]
+        reached = np.where(outcome.through, np.minimum(predicted, robot.max_ranges), last.ranges)[beams]
         points = transform_points(
             last.pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams]
         )
         self._checks.append(_Check(self._place, outcome.counts, beams, points))
+
+    def _compared(
+        self, sight: Sight, measured: BoolArray, covariance: FloatArray, known: KnownMap
+    ) -> tuple[Comparison, FloatArray]:
+        """The readings of one step beside a map, and the ranges (n_beams,), m, that the map predicts."""
+        settings, robot = self._config.contradictions, self._robot
+        predicted = expected_ranges(robot, sight.pose[None], covariance, known.segments, self._std, settings)
+        expected = predicted.ranges[0], predicted.stds[0]
+        return compare(
+            robot, sight.pose, sight.ranges, measured, known, *expected, self._std, settings
+        ), predicted.ranges[0]
 
     def _look_for_late_beams(self, covariance: FloatArray, segments: FloatArray) -> None:
         """Pass the steps since the last comparison to the search for late beams, which is made now and then."""
@@ -222,10 +236,10 @@ class StatusMonitor:
         """The status by the last metres of the drive, with the most serious reason."""
         if self._jump:
             return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
-        changes, (changed, count) = self._config.sudden_changes, self._changed
-        _, _, expected, fitting = self._checks[-1].counts
-        is_elsewhere = fitting <= changes.fitting * expected
-        if is_elsewhere and changed >= max(changes.fewest, changes.share * count):
+        changes, (changed, count, expected, fitting) = self._config.sudden_changes, self._changed
+        is_misfit = changed >= changes.fewest_misfits and expected >= changes.fewest_expected
+        are_many = changed >= max(changes.fewest, changes.share * count)
+        if (is_misfit or are_many) and fitting <= changes.fitting * expected:
             return Status("lost", f"{changed} of {count} readings changed at once, and the robot hardly moved")
         contradictions = self._by_contradictions()
         if contradictions.level != "lost" and self._late_beams.found is not None:
