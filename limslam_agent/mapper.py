@@ -13,7 +13,6 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.slam.slam import Extraction, LineSlam
 from limslam_agent.status.contradictions import KnownMap
 from limslam_agent.status.monitor import Sight, StatusMonitor
@@ -226,11 +225,11 @@ class Mapper:
         begin = time.perf_counter()
         self.slam.step(*observations)
         self.slam_ms += 1e3 * (time.perf_counter() - begin)
-        motions = [self._motion(seen) for seen in observations]
+        motions, poses = self.slam.increments, self.slam.poses
         extraction, self._extraction = self._extraction, self.slam.last_extraction
         for number, motion in enumerate(motions):
-            self._watch(number, motion, is_busy=extraction is not self._extraction)
-        for pose, front in zip(self.slam.poses, self.slam.robots, strict=True):
+            self._watch(number, poses[number], motion, is_busy=extraction is not self._extraction)
+        for pose, front in zip(poses, self.slam.robots, strict=True):
             self._grid.update(pose, self.robot, front.ranges, front.measured)
         return motions
 
@@ -249,19 +248,14 @@ class Mapper:
         for observations in early:
             self._process(observations)
 
-    def _motion(self, observation: Observation) -> FloatArray:
-        """The motion (3,) that an observation reports, in the frame of the robot before it."""
-        return motion_of(observation, self.robot, self.config.noise, self.config.odometry).increment
-
     def _watch_anew(self) -> None:
         """Begin to monitor the estimate of each robot."""
         self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
         self._extraction = None
 
-    def _watch(self, number: int, motion: FloatArray, *, is_busy: bool) -> None:
+    def _watch(self, number: int, pose: FloatArray, motion: FloatArray, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
-        x, y, turn = motion.tolist()
         monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
-        sight = Sight(slam.poses[number], front.ranges, front.measured, (math.hypot(x, y), abs(turn)))
+        sight = Sight(pose, front.ranges, front.measured, motion)
         if monitor.observe(sight, is_busy=is_busy):
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))

@@ -44,18 +44,31 @@ class LateBeamConfig(Bounded):
 
     Attributes
     ----------
-    delay
-        Delay that is tested, s.
+    window
+        Time of which the readings are tested, s.
+    longest_delay
+        Longest delay that is tested, s.
     sigmas
         Largest residual that counts, in standard deviations. It limits the effect of a single reading.
     evidence
-        A beam is late if the expected ranges of ``delay`` ago fit its readings better than the present ones, by at
-        least this sum of squared residuals in variances.
+        A beam is late if the ranges that the map predicts for the poses of a while ago fit its readings better than
+        those for the present poses, by at least this sum of squared residuals in variances.
+    beyond_end
+        A reading may show a wall up to this far beyond the wall's known end, m.
+    max_correction, max_turn_correction
+        If the estimator corrects the pose by more than this in one step, m and rad, the readings before are not used.
+    every
+        The search is made at each comparison with this number.
     """
 
-    delay: Positive = 1.0
+    window: Positive = 12.0
+    longest_delay: Positive = 2.0
     sigmas: Positive = 2.0
-    evidence: Positive = 25.0
+    evidence: Positive = 30.0
+    beyond_end: NonNegative = 1.0
+    max_correction: Positive = 0.05
+    max_turn_correction: Angle = math.radians(2.0)
+    every: Annotated[int, Bounds(1, 1000)] = 2
 
 
 @dataclass(frozen=True)
@@ -71,6 +84,11 @@ class SuddenChangeConfig(Bounded):
         The robot is lost if at least this number of readings, and at least this share of them, change in one step.
     max_distance, max_turn
         Only steps with a smaller motion count, m and rad.
+    fewest_misfits, fewest_expected
+        With this number of changes the robot is also lost, if at least ``fewest_expected`` readings should end at walls
+        of the map afterwards.
+    fitting
+        The robot is not lost if a larger share of the readings that should end at walls of the map do so afterwards.
     """
 
     change: NonNegative = 0.20
@@ -79,6 +97,9 @@ class SuddenChangeConfig(Bounded):
     share: Share = 0.6
     max_distance: NonNegative = 0.05
     max_turn: Angle = 0.08
+    fewest_misfits: Count = 3
+    fewest_expected: Count = 2
+    fitting: Share = 0.34
 
 
 @dataclass(frozen=True)
@@ -108,12 +129,37 @@ class RecoveryConfig(Bounded):
 
 
 @dataclass(frozen=True)
+class SmoothedStatusConfig(Bounded):
+    """When the result of the smoother of a finished run is unsure or lost.
+
+    Attributes
+    ----------
+    unsure_share, lost_share
+        The result is unsure or lost if this share of the readings contradicts the smoothed map.
+    doubted_share
+        The same as ``unsure_share`` for a run in which the robot was unsure or lost at any time.
+    moved, moved_nees
+        The result is unsure if the smoother moved a pose by more than ``moved``, m, and the mean NEES / 3 of the filter
+        against the smoothed path exceeds ``moved_nees``.
+    unsure_heading
+        The result is unsure if the smoothed heading's standard deviation exceeds this at any step, rad.
+    """
+
+    unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.01
+    lost_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.03
+    doubted_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.0025
+    moved: NonNegative = 0.30
+    moved_nees: Positive = 5.0
+    unsure_heading: Angle = math.radians(4.0)
+
+
+@dataclass(frozen=True)
 class StatusConfig(Bounded):
     """All settings of the status.
 
     Attributes
     ----------
-    contradictions, late_beams, sudden_changes, recovery
+    contradictions, late_beams, sudden_changes, recovery, smoothed
         Settings of the parts.
     spacing, longest_spacing, turn_length
         The readings are compared with the map when the robot has moved by ``spacing``, m, and the estimator extracts
@@ -124,8 +170,9 @@ class StatusConfig(Bounded):
         many, and from at least this many places.
     unsure_share, lost_share
         The estimate is unsure or lost if this share of the readings contradicts the map.
-    fewest_contradictions
-        Least number of contradicting readings of a lost estimate.
+    fewest_contradictions, apart
+        Least number of contradicting readings of a lost estimate. They must be of two beams, and two of them must be
+        this far apart, m.
     unsure_heading
         The estimate is unsure if the heading's standard deviation exceeds this, rad.
     max_jump
@@ -136,6 +183,7 @@ class StatusConfig(Bounded):
     late_beams: LateBeamConfig = field(default_factory=LateBeamConfig)
     sudden_changes: SuddenChangeConfig = field(default_factory=SuddenChangeConfig)
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
+    smoothed: SmoothedStatusConfig = field(default_factory=SmoothedStatusConfig)
     spacing: Positive = 0.10
     longest_spacing: Positive = 0.30
     turn_length: NonNegative = 0.40
@@ -145,5 +193,6 @@ class StatusConfig(Bounded):
     unsure_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.03
     lost_share: Annotated[float, Bounds(1e-6, 1.0)] = 0.06
     fewest_contradictions: Count = 3
+    apart: NonNegative = 0.3
     unsure_heading: Angle = math.radians(4.0)
     max_jump: Positive = 1.0

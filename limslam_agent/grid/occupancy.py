@@ -112,11 +112,14 @@ class OccupancyGrid:
         ends = transform_points(pose, origins + length[:, None] * directions)
         passed = transform_points(pose, self._samples(origins, directions, length))
         body = pose[:2] + robot.radius * BODY
-        self._reach(np.vstack((passed, ends, body)))
-        ends_cells = self._indices(ends[hit])
-        crossed = np.setdiff1d(self._indices(np.vstack((passed, body))), ends_cells)
-        self._add(crossed, self._config.seen_through)
-        self._add(np.unique(ends_cells), -self._config.hit)
+        self._reach(np.concatenate((passed, body, ends)))
+        crossed = self._indices(np.concatenate((passed, body)))
+        ended = self._indices(ends[hit])
+        # All new values are computed before any value changes, so that a cell changes once, however often it is listed.
+        seen_through, hits = self._added(crossed, self._config.seen_through), self._added(ended, -self._config.hit)
+        flat = self._values.reshape(-1)
+        flat[crossed] = seen_through
+        flat[ended] = hits
 
     def _samples(self, origins: FloatArray, directions: FloatArray, lengths: FloatArray) -> FloatArray:
         step = 0.5 * self._config.cell
@@ -129,12 +132,13 @@ class OccupancyGrid:
         cells = np.floor(points / self._config.cell).astype(np.int64) - self._low
         return np.asarray(cells[:, 1] * self._values.shape[1] + cells[:, 0])
 
-    def _add(self, indices: IntArray, amount: int) -> None:
-        flat = self._values.reshape(-1)
+    def _added(self, indices: IntArray, amount: int) -> IntArray:
+        """The values of some cells after an amount has been added."""
         limit = self._config.limit
-        value = np.clip(flat[indices] + amount, -limit, limit)
+        value = np.minimum(np.maximum(self._values.reshape(-1)[indices] + amount, -limit), limit)
         # The value 0 is reserved for unknown cells.
-        flat[indices] = np.where(value == 0, np.sign(amount), value)
+        value[value == 0] = 1 if amount > 0 else -1
+        return value
 
     def _reach(self, points: FloatArray) -> None:
         """Extend the grid to cover points (n, 2), m, with a margin so that it seldom has to grow."""

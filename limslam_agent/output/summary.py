@@ -146,8 +146,12 @@ def _status(metrics: Mapping[str, Any]) -> list[str]:
     if not isinstance(level, str):
         return []
     lost = f"; lost for {metrics['lost_s']:.0f} s" if _has(metrics, "lost_s") and metrics["lost_s"] > 0.0 else ""
-    # A smoothed path can be right where the filter was lost.
-    then = " while driving" if any("smoothed" in name for name in metrics) else ""
+    then, note = "", metrics.get("status_note")
+    if isinstance(note, str):
+        # A smoothed path can be right where the filter was lost.
+        lost = f"; {note}" if note else ""
+    elif any("smoothed" in name for name in metrics):
+        then = " while driving"
     return [f"status      {level}{then}{f': {reason}' if reason else ''}{lost}"]
 
 

@@ -22,7 +22,8 @@ from limslam_agent.output.tum import write_tum
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
-from limslam_agent.status.status import LEVELS, Status, status_scores
+from limslam_agent.status.smoothed_status import lost_note
+from limslam_agent.status.status import LEVELS, Status, final_status_scores, status_scores
 from limslam_env.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -241,7 +242,10 @@ def write_replay(
     )  # fmt: skip
     draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
-    statuses = status_scores(log.time, replay.levels[:, None], replay.status)
+    levels = replay.levels[:, None]
+    statuses = status_scores(log.time, levels, replay.status)
+    if smoothed is not None and smoothed.status is not None:
+        statuses |= final_status_scores(smoothed.status, replay.status, lost_note(log.time, levels))
     found = replay.self_calibration.figures if replay.self_calibration else {}
     cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)
     if smoothed is not None:

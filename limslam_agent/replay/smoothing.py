@@ -24,6 +24,8 @@ from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, smooth_log
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.status.smoothed_status import smoothed_status
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 
 # The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
@@ -50,6 +52,8 @@ class Smoothed:
         CPU time of the smoothing, s.
     covariances
         Covariances of the poses (n, 3, 3). None from the graph of local maps, which computes none.
+    status
+        Whether the smoothed path and map can be trusted. None from the graph of local maps.
     """
 
     poses: FloatArray
@@ -57,6 +61,7 @@ class Smoothed:
     loops: list[dict[str, Any]] | None
     seconds: float
     covariances: FloatArray | None = None
+    status: Status | None = None
 
 
 def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
@@ -148,7 +153,12 @@ def smoothed_by_lines(
     if found is None:
         return replay
     poses = found.poses[:, 0]
-    smoothed = Smoothed(poses, _line_figures(found), None, time.process_time() - begin, found.covariances[:, 0])
+    status = smoothed_status(
+        found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
+        replay.config.status.smoothed, was_doubted=bool(replay.levels.any()),
+    )  # fmt: skip
+    seconds = time.process_time() - begin
+    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, poses), smoothed=smoothed
     )

@@ -20,7 +20,7 @@ from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
-from limslam_agent.runs.smoothing import FinalMap, online_map, smoothed_scores
+from limslam_agent.runs.smoothing import FinalMap, final_status, online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
@@ -79,6 +79,7 @@ def score(episode: Episode) -> dict[str, Any]:
         **closure_metrics(events, closed, len(episode.world.edges)),
         **dropped_beam_metrics(episode.dropped, episode.wall_seen),
         **status_scores(episode.time, episode.levels, worst(episode.snapshot.statuses)),
+        **final_status(episode),
         "stop_reason": episode.stop_reason,
     }
 

@@ -8,6 +8,8 @@ import numpy as np
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.status.smoothed_status import lost_note, smoothed_status
+from limslam_agent.status.status import final_status_scores, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.metrics import metrics
 
@@ -79,6 +81,19 @@ def final_map(episode: "Episode") -> FinalMap:
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
     grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses, ranges, measured)
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
+
+
+def final_status(episode: "Episode") -> dict[str, str]:
+    """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there are none."""
+    online, smoothed = worst(episode.snapshot.statuses), episode.smoothed
+    if smoothed is None:
+        return {}
+    filtered, settings = (episode.estimated, episode.covariances), episode.config.agent.status.smoothed
+    status = smoothed_status(
+        smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances), settings,
+        was_doubted=bool(episode.levels.any()),
+    )  # fmt: skip
+    return final_status_scores(status, online, lost_note(episode.time, episode.levels))
 
 
 def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float | None]:

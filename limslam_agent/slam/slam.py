@@ -36,12 +36,16 @@ class LineSlam:
     ----------
     robots
         The front end of each robot.
+    increments
+        The motion (3,) of each robot in the latest step as its odometry reports it, without the calibration, in the
+        frame of the robot before it.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, start_pose: FloatArray | None = None) -> None:
         self.robot, self.config = robot, config
         start = np.atleast_2d(np.zeros(3) if start_pose is None else start_pose)
         self.robots = [FrontEnd(robot) for _ in start]
+        self.increments: list[FloatArray] = []
         self._estimator = _estimator_of(robot, config, start)
 
     def step(self, *observations: Observation) -> None:
@@ -57,7 +61,9 @@ class LineSlam:
         # All observations are checked before any state changes.
         for front, observation in zip(self.robots, observations, strict=True):
             front.check(observation)
-        motions = [self._motion(number, seen) for number, seen in enumerate(observations)]
+        reported = [motion_of(seen, self.robot, self.config.noise, self.config.odometry) for seen in observations]
+        self.increments = [motion.increment for motion in reported]
+        motions = [self._calibrated(number, motion) for number, motion in enumerate(reported)]
         for number, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
             self.robots[number].accept(observation)
             self._estimator.predict(motion, number)
@@ -159,8 +165,7 @@ class LineSlam:
         """Number of readings since the start that were skipped: no readings (NaN), and negative numbers."""
         return sum(front.refused_readings for front in self.robots)
 
-    def _motion(self, number: int, observation: Observation) -> Motion:
-        motion = motion_of(observation, self.robot, self.config.noise, self.config.odometry)
+    def _calibrated(self, number: int, motion: Motion) -> Motion:
         assumed = self._estimator.assumed_calibration(number)
         return motion if assumed is None else calibrated(motion, self.robot.axle, assumed)
 

@@ -1,65 +1,233 @@
-"""Beams that report their readings late, found by the ranges that the map predicts."""
+"""Beams that report their readings late, and by how much, found by the ranges that the map predicts.
+
+A beam that is late by tau reads at time t what it should have read at t - tau. Its readings then fit the ranges that
+the map predicts for the poses of that time, and not the ranges that it predicts for the present poses. So for each beam
+and each of several delays, the readings of the last seconds are compared with both.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.status import LateBeamConfig
-from limslam_agent.status.contradictions import ExpectedRanges
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_agent.config.status import ContradictionConfig, LateBeamConfig
+from limslam_agent.status.contradictions import LEAST_COSINE, Crossings, crossings
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import RobotSpec
+
+_MOST_BEAMS = 8
+"""Number of beams of one search; robots with more beams search among them in turn."""
+
+_BOTH_SIGNS = 6.0
+"""The evidence counts at most so many times as much as its smaller part: by readings that are too long, or too short.
+
+A wall that is missing in the map, or that is not there, makes many readings wrong, but all of them in one direction.
+"""
+
+
+@dataclass(frozen=True)
+class LateBeam:
+    """A beam that reports late.
+
+    Attributes
+    ----------
+    beam
+        Number of the beam.
+    angle
+        Its direction in the robot's frame, rad.
+    delay, std
+        By how much it is late, and the standard deviation of that, s.
+    """
+
+    beam: int
+    angle: float
+    delay: float
+    std: float
+
+    @property
+    def words(self) -> str:
+        """What was found, in words."""
+        return f"the beam at {math.degrees(self.angle):.0f} deg is late by {self.delay:.1f} s (+- {self.std:.1f} s)"
+
+
+class _Look(NamedTuple):
+    """Pose, increment, readings, usable readings, and variances of position and heading, in one step."""
+
+    pose: FloatArray
+    increment: FloatArray
+    ranges: FloatArray
+    usable: BoolArray
+    variances: tuple[float, float]
+
+
+class _Model(NamedTuple):
+    """The readings of n steps and b beams (n, b), and what the map predicts for their poses.
+
+    Attributes
+    ----------
+    ranges, usable, ended
+        Readings, m, those that count, and those that ended at anything.
+    predicted, known, stds
+        Distance to the wall at which the beam should end, m, whether there is such a wall, and the standard deviation
+        of the difference, m.
+    misfit
+        Squared residual of the reading against the present pose, in variances, at most the clip. It is 0 if nothing can
+        be said.
+    """
+
+    ranges: FloatArray
+    usable: BoolArray
+    ended: BoolArray
+    predicted: FloatArray
+    known: BoolArray
+    stds: FloatArray
+    misfit: FloatArray
 
 
 class LateBeams:
-    """Compares readings with the ranges that were expected a while ago.
+    """Watches all beams of a robot.
 
     Parameters
     ----------
     robot
         Body and beams.
     config
-        The delay that is tested.
+        The delays that are tested, and the evidence that is needed.
+    contradictions
+        Which walls a beam should end at.
+    range_std
+        Standard deviation of a range, m.
+
+    Attributes
+    ----------
+    found
+        The beam that is late; None if no beam is. It stays until as much evidence says that the beam is not late.
     """
 
-    def __init__(self, robot: RobotSpec, config: LateBeamConfig) -> None:
-        self._delay = max(round(config.delay / robot.control_period), 1)
-        self._limit = config.sigmas
-        # The nearest step counts if the expected ranges of the right step are not known.
-        slack = self._delay // 3
-        self._offsets = sorted(range(-slack, slack + 1), key=abs)
-        self._unknown = np.full(len(robot.beams), np.inf)
-        self._expected: dict[int, FloatArray] = {}
+    def __init__(
+        self, robot: RobotSpec, config: LateBeamConfig, contradictions: ContradictionConfig, range_std: float
+    ) -> None:
+        self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
+        longest = max(round(config.longest_delay / robot.control_period), 1)
+        self._delays = np.unique(np.geomspace(min(2, longest), longest, 8).round().astype(int))
+        self._looks: deque[_Look] = deque(maxlen=max(round(config.window / robot.control_period), longest + 2))
+        self._first_beam, self._lag, self._since = 0, 0, 0
+        self.found: LateBeam | None = None
 
-    def evidence(
-        self, steps: list[int], ranges: FloatArray, usable: BoolArray, predicted: ExpectedRanges
-    ) -> FloatArray:
-        """By how much the earlier expected ranges fit the readings of some steps better than the present ones.
+    def note(self, looks: list[tuple[FloatArray, FloatArray, FloatArray, BoolArray]], covariance: FloatArray) -> None:
+        """Remember successive steps: pose (3,), reported increment (3,), readings (n_beams,), m, and the new ones.
 
-        Parameters
-        ----------
-        steps
-            Numbers of the m steps, in order.
-        ranges, usable
-            Readings (m, n_beams), m, and a mask of those that count.
-        predicted
-            The ranges that the map predicts for these steps.
-
-        Returns
-        -------
-        evidence
-            Difference of the sums of squared residuals (n_beams,), in variances.
+        What was seen before a large correction of the pose is forgotten: it does not fit the corrected map.
         """
-        self._expected |= dict(zip(steps, predicted.ranges, strict=True))
-        before = np.array([self._earlier(step - self._delay) for step in steps])
-        for step in [step for step in self._expected if step < steps[-1] - 2 * self._delay]:
-            del self._expected[step]
-        both = usable & np.isfinite(predicted.ranges) & np.isfinite(before)
-        stds = np.where(both, predicted.stds, 1.0)
-        now, then = (
-            np.minimum(np.abs(np.where(both, ranges - each, 0.0)) / stds, self._limit) ** 2
-            for each in (predicted.ranges, before)
-        )
-        return np.asarray((now - then).sum(axis=0))
+        variances = float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
+        for pose, increment, ranges, measured in looks:
+            if self._looks and self._is_corrected(self._looks[-1].pose, pose, increment):
+                self._looks.clear()
+            clipped = np.minimum(ranges, self._robot.max_ranges)
+            usable = measured & (clipped > self._robot.too_near)
+            self._since += 1
+            self._looks.append(_Look(pose, increment, clipped, usable, variances))
 
-    def _earlier(self, step: int) -> FloatArray:
-        """The expected ranges (n_beams,) of a step, or of the nearest known one; infinite if none is near."""
-        found = (self._expected.get(step + offset) for offset in self._offsets)
-        return next((ranges for ranges in found if ranges is not None), self._unknown)
+    def forget(self) -> None:
+        """Forget the steps so far, after which a step is missing."""
+        self._looks.clear()
+
+    def search(self, segments: FloatArray) -> None:
+        """Look for a late beam by the walls (k, 4), m, of the map as it is now."""
+        if len(self._looks) < 2 * self._delays[0] or not len(segments):
+            return
+        if self.found is not None:
+            beams = np.array([self.found.beam])
+            gains = self._gains(self._model(segments, beams), self._lag)[-max(self._since, 1) :]
+            if gains.sum() < -self._config.evidence:
+                self.found = None
+            return
+        count = len(self._robot.beams)
+        beams = np.unique((self._first_beam + np.arange(min(count, _MOST_BEAMS))) % count)
+        self._first_beam = (self._first_beam + _MOST_BEAMS) % count
+        model = self._model(segments, beams)
+        delays = self._delays[self._delays < len(self._looks) - 2]
+        evidence = np.array([self._evidence(model, lag) for lag in delays.tolist()]).reshape(-1, len(beams))
+        if evidence.size and evidence.max() > self._config.evidence:
+            row, column = np.unravel_index(evidence.argmax(), evidence.shape)
+            self._lag, self._since = int(delays[row]), 0
+            delay, std = self._delay(model, int(column), self._lag)
+            beam = int(beams[column])
+            self.found = LateBeam(beam, float(self._robot.beam_angles[beam]), delay, std)
+
+    def _is_corrected(self, before: FloatArray, after: FloatArray, increment: FloatArray) -> bool:
+        off = after - compose(before, increment)
+        turned = abs(wrap_angle(float(off[2])))
+        return math.hypot(off[0], off[1]) > self._config.max_correction or turned > self._config.max_turn_correction
+
+    def _model(self, segments: FloatArray, beams: IntArray) -> _Model:
+        """The last steps beside the map, for some beams."""
+        robot, clip = self._robot, self._config.sigmas**2
+        poses, ranges, usable = (np.array([look[part] for look in self._looks]) for part in (0, 2, 3))
+        ranges, usable = ranges[:, beams], usable[:, beams]
+        position, heading = np.array([look.variances for look in self._looks]).T[..., None, None]
+        crossed = crossings(robot, poses, segments, beams)
+        variances = self._std**2 + position + heading * np.where(crossed.ahead, crossed.distances, 0.0) ** 2
+        stds = np.sqrt(variances) / np.maximum(crossed.cosines, LEAST_COSINE)
+        first, predicted = crossed.first(self._walls.inset)
+        at_first = (*np.indices(first.shape), first)
+        is_wall, is_steep = predicted < robot.max_ranges[beams], crossed.cosines[at_first] > self._walls.least_cosine
+        known, ended = is_wall & is_steep, ranges < robot.too_far[beams]
+        predicted, std = np.where(known, predicted, 0.0), stds[at_first]
+        misfit = np.where(ended, self._to_walls(crossed, ranges, stds), np.where(known, clip, 0.0))
+        misfit[ended & is_wall & ~is_steep] = 0.0
+        misfit[~ended & known & (ranges - predicted < self._walls.sigmas * std)] = 0.0
+        return _Model(ranges, usable, ended, predicted, known, std, np.minimum(misfit, clip))
+
+    def _to_walls(self, crossed: Crossings, ranges: FloatArray, stds: FloatArray) -> FloatArray:
+        """Squared residuals (n, b) to the nearest wall in variances. Walls may go on beyond their known ends."""
+        may_end = crossed.ahead & (crossed.beyond < self._config.beyond_end)
+        residuals = np.where(may_end, (ranges[..., None] - crossed.distances) / stds, np.inf)
+        return np.asarray((residuals**2).min(axis=2))
+
+    def _gains(self, model: _Model, lag: int) -> FloatArray:
+        """By how much each reading (n - lag, b) fits the prediction of ``lag`` steps before better, in variances."""
+        clip = self._config.sigmas**2
+        ranges, ended, misfit = model.ranges[lag:], model.ended[lag:], model.misfit[lag:]
+        known, std, excess = model.known[:-lag], model.stds[:-lag], ranges - model.predicted[:-lag]
+        then = np.where(
+            ended, np.minimum((excess / std) ** 2, clip), np.where(excess < self._walls.sigmas * std, 0.0, clip)
+        )
+        gains = misfit - np.where(known, then, 0.0)
+        # A reading where the earlier beam should have met no known wall only counts if the present prediction fits.
+        fits_now = model.known[lag:] & (misfit < clip)
+        gains = np.where(ended & ~known, np.where(fits_now, misfit - clip, 0.0), gains)
+        return np.asarray(np.where(model.usable[lag:], gains, 0.0))
+
+    def _evidence(self, model: _Model, lag: int) -> FloatArray:
+        """The evidence (b,) that each beam has been late by ``lag`` steps since some moment (Page's cumulative sum)."""
+        gains = self._gains(model, lag)
+        sums = np.cumsum(np.vstack((np.zeros(gains.shape[1]), gains)), axis=0)
+        since = np.arange(len(gains))[:, None] >= sums.argmin(axis=0)
+        too_long = model.known[lag:] & (model.ranges[lag:] > model.predicted[lag:])
+        long, short = (np.where(since & side, gains, 0.0).sum(axis=0) for side in (too_long, ~too_long))
+        return np.asarray(np.minimum(long + short, _BOTH_SIGNS * np.minimum(long, short)))
+
+    def _delay(self, model: _Model, column: int, lag: int) -> tuple[float, float]:
+        """The delay of a beam and its standard deviation, s: by the derivative of the predicted range with time."""
+        before, at, after = slice(0, -lag - 1), slice(1, -lag), slice(2, len(model.ranges) - lag + 1)
+        period = self._robot.control_period
+        known, ranges = model.known[:, column], model.predicted[:, column]
+        slope = (ranges[after] - ranges[before]) / (2.0 * period)
+        residual = model.ranges[lag + 1 :, column] - ranges[at]
+        std = model.stds[at, column]
+        both = (
+            known[before] & known[at] & known[after] & model.usable[lag + 1 :, column] & model.ended[lag + 1 :, column]
+        )
+        fits = both & (np.abs(residual) < 3.0 * std)
+        weights = np.where(fits, (slope / std) ** 2, 0.0)
+        total = float(weights.sum())
+        # The tested delays are this far apart.
+        spread = max(0.2 * lag * period, period)
+        if total * spread**2 < 1.0:
+            return lag * period, spread
+        shift = -float(np.sum(weights * np.where(fits, residual / np.where(slope == 0.0, 1.0, slope), 0.0))) / total
+        return lag * period + min(max(shift, -spread), spread), max(1.0 / math.sqrt(total), 0.5 * period)

@@ -8,17 +8,19 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.status import StatusConfig
-from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
+from limslam_agent.status.contradictions import Comparison, KnownMap, compare, expected_ranges
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_agent.status.sudden_changes import changed_at_once
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
 
-_MOST_RAYS = 120
+_MOST_SIGHTS = 100
+_FEWEST_BEAMS = 2
 
 
 class Sight(NamedTuple):
@@ -30,14 +32,14 @@ class Sight(NamedTuple):
         Estimated pose (3,), m and rad.
     ranges, measured
         Readings (n_beams,), m, and a mask of the new readings.
-    motion
-        Length and angle of the motion that the odometry reports for this step, m and rad, without signs.
+    increment
+        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
     """
 
     pose: FloatArray
     ranges: FloatArray
     measured: BoolArray
-    motion: tuple[float, float]
+    increment: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +52,15 @@ class _Check:
         Where in the drive the comparison was made, m.
     counts
         Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall.
-    lateness
-        Evidence that each beam is late (n_beams,).
+    beams, points
+        The beams (k,) that contradict the map, and where (k, 2), m: at the wall that the beam passed through, or where
+        it ended in free space.
     """
 
     place: float
     counts: tuple[int, int, int, int]
-    lateness: FloatArray
+    beams: IntArray
+    points: FloatArray
 
 
 class StatusMonitor:
@@ -89,14 +93,16 @@ class StatusMonitor:
     def __init__(self, robot: RobotSpec, config: StatusConfig, range_std: float) -> None:
         self._robot, self._config, self._std = robot, config, range_std
         self._step, self._place, self._checked = -1, 0.0, -math.inf
-        # The latest steps that no comparison has used. Robots with many beams need fewer of them.
-        self._sights: deque[tuple[int, Sight]] = deque(maxlen=max(_MOST_RAYS // len(robot.beams), 1))
+        # The latest steps that no comparison has used.
+        self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
         self._before: tuple[int, Sight] | None = None
         self._checks: deque[_Check] = deque()
-        self._late_beams = LateBeams(robot, config.late_beams)
+        self._count = 0
+        self._late_beams = LateBeams(robot, config.late_beams, config.contradictions, range_std)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
-        self._changed = (0, 0)
+        # How many readings changed at once, of how many, and how many then should have ended at a wall, and did.
+        self._changed = (0, 0, 0, 0)
         self.status = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -116,11 +122,12 @@ class StatusMonitor:
             Whether :meth:`check` is to be called now.
         """
         self._step += 1
-        distance, turn = sight.motion
+        x, y, turn = sight.increment.tolist()
+        distance = math.hypot(x, y)
         is_jump = distance > self._config.max_jump
         if is_jump:
             self._jump, distance = self._jump + distance, 0.0
-        self._place += distance + self._config.turn_length * turn
+        self._place += distance + self._config.turn_length * abs(turn)
         self._driven += distance
         self._sights.append((self._step, sight))
         spacing = self._config.spacing if is_busy else self._config.longest_spacing
@@ -137,8 +144,9 @@ class StatusMonitor:
             The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        self._look_for_sudden_changes()
+        self._look_for_sudden_changes(covariance, self._reference or present)
         self._compare(covariance, self._reference or present)
+        self._look_for_late_beams(covariance, present.segments)
         longest = max(self._config.window, self._config.recovery.window)
         while self._place - self._checks[0].place > longest:
             self._checks.popleft()
@@ -157,34 +165,62 @@ class StatusMonitor:
         heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
-    def _look_for_sudden_changes(self) -> None:
-        """Note how many readings changed at once since the last comparison."""
+    def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap) -> None:
+        """Note how many readings changed at once since the last comparison, and how many fitted the map after that."""
         sights = [sight for _, sight in self._sights]
         if self._before is not None and self._before[0] == self._sights[0][0] - 1:
             sights.insert(0, self._before[1])
         self._before = self._sights[-1]
         if len(sights) > 1:
             ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
-            motions = np.array([each.motion for each in sights[1:]])
-            self._changed = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
+            motions = np.array([each.increment for each in sights[1:]])
+            motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))
+            changed, count, step = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
+            self._changed = (changed, count, 0, 0)
+            if changed >= self._config.sudden_changes.fewest_misfits:
+                counts = self._compared(sights[step], sights[step].measured, covariance, known)[0].counts
+                self._changed = (changed, count, *counts[2:])
 
     def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
-        """Compare the readings since the last comparison with a map, and note the outcome."""
-        settings, robot = self._config.contradictions, self._robot
-        steps, sights = [step for step, _ in self._sights], [sight for _, sight in self._sights]
-        self._sights.clear()
-        poses = np.array([sight.pose for sight in sights])
-        predicted = expected_ranges(robot, poses, covariance, known.segments, self._std, settings)
-        ranges = np.minimum([sight.ranges for sight in sights], robot.max_ranges)
-        usable = np.array([sight.measured for sight in sights]) & (ranges > robot.too_near)
-        lateness = self._late_beams.evidence(steps, ranges, usable, predicted)
-        # Readings of neighbouring steps show nearly the same, so that only the latest ones are tested.
-        last, expected = sights[-1], (predicted.ranges[-1], predicted.stds[-1])
+        """Compare the latest readings with a map, and note the outcome.
+
+        Readings of neighbouring steps show nearly the same, so that only the latest ones count.
+        """
+        robot, last = self._robot, self._sights[-1][1]
         # A reading that saw nothing, after one that saw a wall, may be a dropout of the sensor.
-        nothing = ranges[-2:] >= robot.too_far
-        measured = last.measured & ~(nothing[-1] & ~nothing[0]) if len(sights) > 1 else last.measured
-        outcome = compare(robot, last.pose, last.ranges, measured, known, *expected, self._std, settings)
-        self._checks.append(_Check(self._place, outcome.counts, lateness))
+        saw_nothing = [sight.ranges >= robot.too_far for _, sight in list(self._sights)[-2:]]
+        measured = last.measured & ~(saw_nothing[-1] & ~saw_nothing[0])
+        if self._late_beams.found is not None:
+            measured[self._late_beams.found.beam] = False
+        outcome, predicted = self._compared(last, measured, covariance, known)
+        beams = np.flatnonzero(outcome.through | outcome.in_free)
+        reached = np.where(outcome.through, np.minimum(predicted, robot.max_ranges), last.ranges)[beams]
+        points = transform_points(
+            last.pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams]
+        )
+        self._checks.append(_Check(self._place, outcome.counts, beams, points))
+
+    def _compared(
+        self, sight: Sight, measured: BoolArray, covariance: FloatArray, known: KnownMap
+    ) -> tuple[Comparison, FloatArray]:
+        """The readings of one step beside a map, and the ranges (n_beams,), m, that the map predicts."""
+        settings, robot = self._config.contradictions, self._robot
+        predicted = expected_ranges(robot, sight.pose[None], covariance, known.segments, self._std, settings)
+        expected = predicted.ranges[0], predicted.stds[0]
+        return compare(
+            robot, sight.pose, sight.ranges, measured, known, *expected, self._std, settings
+        ), predicted.ranges[0]
+
+    def _look_for_late_beams(self, covariance: FloatArray, segments: FloatArray) -> None:
+        """Pass the steps since the last comparison to the search for late beams, which is made now and then."""
+        late, sights = self._late_beams, [sight for _, sight in self._sights]
+        if len(sights) == self._sights.maxlen:
+            late.forget()
+        late.note([(each.pose, each.increment, each.ranges, each.measured) for each in sights], covariance)
+        self._sights.clear()
+        self._count += 1
+        if self._reference is None and self._count % self._config.late_beams.every == 0:
+            late.search(segments)
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
@@ -200,16 +236,16 @@ class StatusMonitor:
         """The status by the last metres of the drive, with the most serious reason."""
         if self._jump:
             return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
-        changes, (changed, count) = self._config.sudden_changes, self._changed
-        if changed >= max(changes.fewest, changes.share * count):
+        changes, (changed, count, expected, fitting) = self._config.sudden_changes, self._changed
+        is_misfit = changed >= changes.fewest_misfits and expected >= changes.fewest_expected
+        are_many = changed >= max(changes.fewest, changes.share * count)
+        if (is_misfit or are_many) and fitting <= changes.fitting * expected:
             return Status("lost", f"{changed} of {count} readings changed at once, and the robot hardly moved")
         contradictions = self._by_contradictions()
+        if contradictions.level != "lost" and self._late_beams.found is not None:
+            return Status("unsure", self._late_beams.found.words)
         if contradictions.level != "ok":
             return contradictions
-        beam, evidence = self._latest_beam()
-        if evidence > self._config.late_beams.evidence:
-            delay = self._config.late_beams.delay
-            return Status("unsure", f"beam {beam} seems to report its readings {delay:g} s late")
         if heading_std > self._config.unsure_heading:
             return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")
         return Status()
@@ -217,19 +253,24 @@ class StatusMonitor:
     def _by_contradictions(self) -> Status:
         recent = self._recent(self._config.window)
         count, contradicting, _, _ = _sums(recent)
-        # A few wrong readings are no proof, however few there are in all.
-        is_proof = contradicting >= self._config.fewest_contradictions
+        beams = np.unique(np.concatenate([check.beams for check in recent]))
+        # A few wrong readings are no proof, however few there are in all. A beam alone may be broken, and at a single
+        # place a short wall may be missing.
+        is_proof = (
+            contradicting >= self._config.fewest_contradictions
+            and len(beams) >= min(_FEWEST_BEAMS, len(self._robot.beams))
+            and _has_places(np.concatenate([check.points for check in recent]), self._config.apart)
+        )
         limits = (0.0, self._config.unsure_share, self._config.lost_share if is_proof else math.inf)
         is_enough = count >= self._config.fewest and len(recent) >= self._config.fewest_places
         share = contradicting / count if is_enough else 0.0
         level: Level = LEVELS[max(number for number, limit in enumerate(limits) if share >= limit)]
-        return Status(level, f"{contradicting} of {count} readings contradict the map" if level != "ok" else "")
-
-    def _latest_beam(self) -> tuple[int, float]:
-        """The beam that is most likely to be late, and the evidence for it."""
-        sums = np.sum([check.lateness for check in self._recent(self._config.window)], axis=0)
-        beam = int(np.argmax(sums))
-        return beam, float(sums[beam])
+        if level == "ok":
+            return Status()
+        alone = ""
+        if len(beams) == 1 and contradicting >= self._config.fewest_contradictions:
+            alone = f", all of the beam at {math.degrees(self._robot.beam_angles[beams[0]]):.0f} deg"
+        return Status(level, f"{contradicting} of {count} readings contradict the map{alone}")
 
     def _fits_again(self) -> bool:
         """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
@@ -249,3 +290,8 @@ class StatusMonitor:
 def _sums(checks: list[_Check]) -> tuple[int, ...]:
     """The sums of ``_Check.counts``."""
     return tuple(map(sum, zip(*(check.counts for check in checks), strict=True)))
+
+
+def _has_places(points: FloatArray, apart: float) -> bool:
+    """Whether two of the points (n, 2) are at least so far ``apart``, m."""
+    return bool(len(points)) and float(np.hypot(*(points - points[0]).T).max()) >= apart

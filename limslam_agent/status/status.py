@@ -43,6 +43,17 @@ def worst(statuses: Sequence[Status]) -> Status:
     return Status(found.level, f"robot {number + 1}: {found.reason}")
 
 
+def final_status_scores(final: Status, online: Status, note: str) -> dict[str, str]:
+    """The status of a smoothed result, by its names in ``docs/metrics.md``, beside that of the filter at the end."""
+    return {
+        "status": final.level,
+        "status_reason": final.reason,
+        "status_note": note,
+        "status_online": online.level,
+        "status_online_reason": online.reason,
+    }
+
+
 def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str, Any]:
     """How long the estimate was unsure and lost, and the status at the end, by their names in ``docs/metrics.md``.
 

@@ -8,8 +8,8 @@ from limslam_env.geometry import BoolArray, FloatArray
 
 def changed_at_once(
     ranges: FloatArray, measured: BoolArray, motions: FloatArray, range_std: float, config: SuddenChangeConfig
-) -> tuple[int, int]:
-    """The largest number of readings that changed suddenly in one step, and the number of readings in that step.
+) -> tuple[int, int, int]:
+    """The largest number of readings that changed suddenly in one step, the number of readings, and the step after.
 
     Parameters
     ----------
@@ -25,4 +25,4 @@ def changed_at_once(
     has_changed = both & (np.abs(np.diff(ranges, axis=0)) > config.change + config.sigmas * range_std)
     counts = np.where(is_still, np.count_nonzero(has_changed, axis=1), 0)
     most = int(counts.argmax())
-    return int(counts[most]), int(np.count_nonzero(both[most]))
+    return int(counts[most]), int(np.count_nonzero(both[most])), most + 1

@@ -87,8 +87,9 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
     ranges = (line[0] - nx * (origin[:, 0] - anchor[0]) - ny * (origin[:, 1] - anchor[1])) / divisors
     hit_x, hit_y = origin[:, 0] + ranges * ux - anchor[0], origin[:, 1] + ranges * uy - anchor[1]
     turning = (-offset_y * nx + offset_x * ny) + ranges * (-uy * nx + ux * ny)
-    by_pose = np.stack((np.full_like(cosines, -nx), np.full_like(cosines, -ny), -turning), axis=1)
-    by_line = np.stack((np.ones_like(cosines), hit_x * ny - hit_y * nx), axis=1)
+    by_pose, by_line = np.empty((len(ranges), 3)), np.empty((len(ranges), 2))
+    by_pose[:, 0], by_pose[:, 1], by_pose[:, 2] = -nx, -ny, -turning
+    by_line[:, 0], by_line[:, 1] = 1.0, hit_x * ny - hit_y * nx
     return Expected(ranges, by_pose / divisors[:, None], by_line / divisors[:, None], cosines)
 
 

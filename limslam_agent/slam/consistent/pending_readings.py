@@ -70,12 +70,12 @@ class PendingReadings:
 
     def is_due(self, front: FrontEnd) -> bool:
         """Whether there are new hits, and the robot has moved far enough since the last collection."""
-        for side, beams in self._beams.items():
-            if front.hits[beams].any():
-                self._last_hit[side] = self.driven
+        hit = [side for side, beams in self._beams.items() if front.hits[beams].any()]
+        for side in hit:
+            self._last_hit[side] = self.driven
         driven, turned = self._collected_at
         has_moved = self.driven - driven >= self._config.min_distance or self._turned - turned >= self._config.min_turn
-        return has_moved and any(front.hits[beams].any() for beams in self._beams.values())
+        return has_moved and bool(hit)
 
     def collect(self, front: FrontEnd, clone: int) -> None:
         """Add the new hits, which were taken from the pose of a clone."""

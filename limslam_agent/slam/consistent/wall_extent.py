@@ -16,6 +16,11 @@ class WallExtent:
 
     A bin where more beams passed than ended is no longer drawn as wall. So a doorway that was drawn as wall by
     mistake is removed again, and so is a wall that never existed.
+
+    Attributes
+    ----------
+    ends
+        Positions of the outermost hits, m along the line. Every step asks for them.
     """
 
     def __init__(self) -> None:
@@ -24,6 +29,7 @@ class WallExtent:
         self._misses = np.zeros(0, dtype=np.int64)
         self._least = np.zeros(0)
         self._most = np.zeros(0)
+        self.ends = (math.inf, -math.inf)
 
     @classmethod
     def counted(cls, low: int, counts: IntArray, reached: FloatArray) -> Self:
@@ -42,12 +48,8 @@ class WallExtent:
         extent._low = low
         extent._hits, extent._misses = np.array(counts, dtype=np.int64)
         extent._least, extent._most = np.array(reached)
+        extent._find_ends()
         return extent
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Positions of the outermost hits, m along the line."""
-        return float(self._least.min()), float(self._most.max())
 
     def hit(self, along: FloatArray) -> None:
         """Count beams that ended at positions (n,), m along the line."""
@@ -56,6 +58,7 @@ class WallExtent:
         np.add.at(self._hits, places - self._low, 1)
         np.minimum.at(self._least, places - self._low, along)
         np.maximum.at(self._most, places - self._low, along)
+        self._find_ends()
 
     def pass_at(self, along: float) -> bool:
         """Count a beam that passed at a position, m. Only positions between the ends count; returns whether it did."""
@@ -99,6 +102,10 @@ class WallExtent:
         ends = np.sort(factor * np.stack((other._least, other._most))[:, was_hit] + shift, axis=0)
         np.minimum.at(self._least, places[was_hit], ends[0])
         np.maximum.at(self._most, places[was_hit], ends[1])
+        self._find_ends()
+
+    def _find_ends(self) -> None:
+        self.ends = float(self._least.min()), float(self._most.max())
 
     def _reach(self, low: int, high: int) -> None:
         """Extend the arrays to hold the bins from ``low`` to ``high``."""

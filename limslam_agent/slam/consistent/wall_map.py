@@ -144,9 +144,13 @@ class WallMap:
         margin = self._config.through_sigmas * stds[:, None] / np.maximum(np.abs(cosines), GRAZING)
         is_clear = (np.abs(cosines) > GRAZING) & (ahead > 0.0)
         passed = is_clear & (ahead + margin + self._config.through_slack < ranges[:, None])
-        for beam, index in np.argwhere(passed).tolist():
-            place = self.along(index, origins[beam] + ahead[beam, index] * towards[beam])
-            if self.walls[index].extent.pass_at(float(place)):
+        beams, indices = np.nonzero(passed)
+        if not len(beams):
+            return
+        points = origins[beams] + ahead[beams, indices, None] * towards[beams]
+        places = np.einsum("ij,ij->i", points - anchors[indices], direction(lines)[indices])
+        for index, place in zip(indices.tolist(), places.tolist(), strict=True):
+            if self.walls[index].extent.pass_at(place):
                 self._drawn = None
 
     def _is_shown(self, wall: Wall) -> bool:

@@ -24,6 +24,8 @@ class FrontEnd:
     ranges, measured
         The latest readings (n_beams,), m, as `limslam_agent.readings` defines them, and which of them are new and not
         NaN.
+    hits
+        New readings (n_beams,) that show a wall: not at the sensor's limits.
     dropped
         Readings (n_beams,) that may have hit another robot. They are not ``measured``.
     refused_readings
@@ -36,6 +38,7 @@ class FrontEnd:
         self.ranges: FloatArray = robot.max_ranges
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.dropped: BoolArray = np.zeros(len(robot.beams), dtype=bool)
+        self.hits: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.refused_readings = 0
 
     def check(self, observation: Observation) -> None:
@@ -58,23 +61,18 @@ class FrontEnd:
         self.step += 1
         self.dropped = np.zeros(len(self._robot.beams), dtype=bool)
         if "ranges" not in observation:
-            self.measured = np.zeros(len(self._robot.beams), dtype=bool)
+            self.measured = self.hits = np.zeros(len(self._robot.beams), dtype=bool)
             return
         ranges = as_readings(observation["ranges"], self._robot.min_ranges, self._robot.max_ranges)
         is_reading = ~np.isnan(ranges)
         self.refused_readings += int(np.count_nonzero(~is_reading))
         self.ranges, self.measured = ranges, is_reading & self._robot.measures(self.step)
+        self.hits = self.measured & (ranges > self._robot.too_near) & (ranges < self._robot.too_far)
 
     def drop(self, beams: BoolArray) -> None:
         """Drop those of the given beams (n_beams,) that hit something: they may have hit another robot."""
         self.dropped = beams & self.hits
-        self.measured = self.measured & ~self.dropped
-
-    @property
-    def hits(self) -> BoolArray:
-        """New readings (n_beams,) that show a wall: not at the sensor's limits."""
-        near_enough = self.ranges < self._robot.too_far
-        return np.asarray(self.measured & (self.ranges > self._robot.too_near) & near_enough)
+        self.measured, self.hits = self.measured & ~self.dropped, self.hits & ~self.dropped
 
 
 def _check_kind(observation: object) -> None:

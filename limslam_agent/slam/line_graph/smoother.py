@@ -17,7 +17,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
     solve,
     state_from_poses,
 )
-from limslam_agent.slam.line_graph.map_score import score
+from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
@@ -70,6 +70,8 @@ class SmoothedRun:
         bias of all ranges, m. None where the robots are taken to be as specified.
     moves
         The moves that corrected the associations; empty if no move was necessary or none raised the score.
+    contradictions
+        Share of all looks that passed through a wall of the solution.
     """
 
     poses: FloatArray
@@ -78,6 +80,7 @@ class SmoothedRun:
     segments: FloatArray
     calibration: FloatArray | None
     moves: tuple[str, ...]
+    contradictions: float
 
 
 def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
@@ -173,4 +176,5 @@ def _smoothed(best: _Settled, config: SmootherConfig) -> SmoothedRun:
         segments=segments,
         calibration=None if problem.prior is None else found.state.calibration,
         moves=best.moves,
+        contradictions=tally(problem, found).contradictions / max(len(problem.looks), 1),
     )

@@ -228,6 +228,9 @@ def test_a_summary_leaves_out_what_is_not_known():
     assert run_summary({**METRICS, "status": "ok", "status_reason": "", "lost_s": 0.0}, {})[3] == "status      ok"
     smoothed = {**METRICS, "status": "ok", "status_reason": "", "ate_smoothed_m": 0.1}
     assert run_summary(smoothed, {})[3] == "status      ok while driving"
+    noted = {**smoothed, "lost_s": 9.0, "status_note": "lost while driving, from 1 s to 10 s"}
+    assert run_summary(noted, {})[3] == "status      ok; lost while driving, from 1 s to 10 s"
+    assert run_summary({**noted, "status_note": ""}, {})[3] == "status      ok"
     relations = {
         f"{prefix}relation_error_{unit}": 0.5 for prefix in ("", "loop_", "odometry_") for unit in ("m", "deg")
     }

@@ -1,0 +1,80 @@
+"""The status of a finished run, by what its smoother found."""
+
+import math
+
+import numpy as np
+
+from limslam_agent.config.status import SmoothedStatusConfig
+from limslam_agent.status.status import LEVELS, Status
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.se2 import wrap_angle
+
+_LEAST_VARIANCES = np.diag([1e-3**2, 1e-3**2, 1e-3**2])
+"""Added to the covariances of the filter, m^2 and rad^2: the start is known exactly."""
+
+
+def smoothed_status(
+    contradictions: float,
+    filtered: tuple[FloatArray, FloatArray],
+    smoothed: tuple[FloatArray, FloatArray],
+    config: SmoothedStatusConfig,
+    *,
+    was_doubted: bool,
+) -> Status:
+    """Whether the smoothed path and map can be trusted.
+
+    A smoothed path far away from that of a filter which was certain means that one of them is wrong, and the readings
+    of both fit their maps. A filter that said that it was lost was not certain.
+
+    Parameters
+    ----------
+    contradictions
+        Share of the readings that passed through walls of the smoothed map.
+    filtered, smoothed
+        Poses (t, n, 3), m and rad, and their covariances (t, n, 3, 3): of the filter, as it reported them, and of the
+        smoother.
+    was_doubted
+        Whether the robot was unsure or lost at any time.
+    """
+    share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
+    if contradictions >= config.lost_share:
+        return Status("lost", share)
+    if contradictions >= (config.doubted_share if was_doubted else config.unsure_share):
+        return Status("unsure", share)
+    moved, excess = _moved(filtered, smoothed)
+    if moved > config.moved and excess > config.moved_nees:
+        return Status("unsure", f"smoothing moved poses by up to {moved:.2f} m, of which the filter was too certain")
+    heading = math.degrees(math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0)))
+    if heading > math.degrees(config.unsure_heading):
+        return Status("unsure", f"the smoothed heading's standard deviation reaches {heading:.1f} deg")
+    return Status()
+
+
+def _moved(filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
+    """The largest distance between the paths, m, and the mean NEES / 3 of the filter against the smoothed path.
+
+    The mean is that of the worst robot.
+    """
+    off = smoothed[0] - filtered[0]
+    off[..., 2] = wrap_angle(off[..., 2])
+    solved = np.linalg.solve(filtered[1] + _LEAST_VARIANCES, off[..., None])[..., 0]
+    excess = np.sum(off * solved, axis=-1).mean(axis=0) / 3.0
+    return float(np.hypot(off[..., 0], off[..., 1]).max()), float(excess.max())
+
+
+def lost_note(time: FloatArray, levels: IntArray) -> str:
+    """When the robots were lost while they drove, in words; empty if they never were.
+
+    Parameters
+    ----------
+    time
+        Times of the steps (t,), s.
+    levels
+        Level of each robot (t, n), as an index into ``LEVELS``. The worst robot counts.
+    """
+    lost = np.flatnonzero(levels.max(axis=1) == LEVELS.index("lost"))
+    if not len(lost):
+        return ""
+    first, last = float(time[lost[0]] - time[0]), float(time[min(lost[-1] + 1, len(time) - 1)] - time[0])
+    end = "the end" if lost[-1] == len(time) - 1 else f"{last:.0f} s"
+    return f"lost while driving, from {first:.0f} s to {end}"

@@ -1,0 +1,71 @@
+"""The status of a finished run, by what its smoother found."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.status import SmoothedStatusConfig
+from limslam_agent.status.smoothed_status import lost_note, smoothed_status
+from limslam_agent.status.status import Status, final_status_scores
+
+CONFIG = SmoothedStatusConfig()
+STEPS = 50
+
+
+def path(aside=0.0, std=0.05, heading_std=0.01):
+    """A straight drive of one robot, shifted to one side, with its covariances."""
+    poses = np.zeros((STEPS, 1, 3))
+    poses[:, 0, 0], poses[:, 0, 1] = np.linspace(0.0, 5.0, STEPS), np.linspace(0.0, aside, STEPS)
+    return poses, np.broadcast_to(np.diag([std, std, heading_std]) ** 2, (STEPS, 1, 3, 3))
+
+
+@pytest.mark.parametrize(
+    ("share", "was_doubted", "level"),
+    [
+        (0.001, True, "ok"),
+        (0.003, False, "ok"),
+        (0.003, True, "unsure"),
+        (0.02, False, "unsure"),
+        (0.05, False, "lost"),
+    ],
+)
+def test_contradictions_of_the_smoothed_map_count(share, was_doubted, level):
+    status = smoothed_status(share, path(), path(), CONFIG, was_doubted=was_doubted)
+    assert status.level == level
+    assert bool(status.reason) == (level != "ok")
+    assert level == "ok" or f"{100.0 * share:.2g} % of the readings contradict" in status.reason
+
+
+@pytest.mark.parametrize(
+    ("aside", "std", "level"),
+    # A small correction, a large one of a filter that was certain, and a large one of a filter that said it was lost.
+    [(0.1, 0.01, "ok"), (0.8, 0.05, "unsure"), (0.8, 1.0, "ok")],
+)
+def test_large_corrections_of_a_certain_filter_are_unsure(aside, std, level):
+    filtered, smoothed = path(std=std), path(aside)
+    status = smoothed_status(0.0, filtered, smoothed, CONFIG, was_doubted=True)
+    assert status.level == level
+    assert level == "ok" or "up to 0.80 m" in status.reason
+    np.testing.assert_array_equal(smoothed[0], path(aside)[0])
+
+
+def test_an_uncertain_smoothed_heading_is_unsure():
+    status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), CONFIG, was_doubted=False)
+    assert status == Status("unsure", "the smoothed heading's standard deviation reaches 6.0 deg")
+
+
+def test_the_note_says_when_the_robot_was_lost():
+    time = 10.0 + np.arange(6.0)
+    levels = np.zeros((6, 2), dtype=int)
+    assert lost_note(time, levels) == ""
+    levels[2:4, 1] = 2
+    assert lost_note(time, levels) == "lost while driving, from 2 s to 4 s"
+    levels[5, 0] = 2
+    assert lost_note(time, levels) == "lost while driving, from 2 s to the end"
+
+
+def test_the_scores_have_the_status_of_the_result_and_of_the_filter():
+    scores = final_status_scores(Status(), Status("lost", "a jump"), "lost while driving, from 2 s to the end")
+    assert scores == {
+        "status": "ok", "status_reason": "", "status_note": "lost while driving, from 2 s to the end",
+        "status_online": "lost", "status_online_reason": "a jump",
+    }  # fmt: skip
