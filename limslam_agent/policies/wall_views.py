@@ -17,6 +17,7 @@ from limslam_agent.grid.unfinished import (
     unfinished_faces,
 )
 from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_agent.policies.targets import coast_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -153,7 +154,8 @@ def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyC
 def _ways(belief: Belief, robot: RobotSpec, config: PolicyConfig, wanted: BoolArray | None = None) -> Routes:
     taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
     return routes(
-        belief.grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, closed=taken
+        belief.grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, closed=taken,
+        coast=coast_of(belief.grid, robot, config),
     )  # fmt: skip
 
 
