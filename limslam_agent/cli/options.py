@@ -38,7 +38,11 @@ Force = Annotated[
 # Of limslam run.
 World = Annotated[
     str | None,
-    _option(_WORLD, "Name of a shipped world, random:SEED for a random floor plan, or a world file.", _RUN.world),
+    _option(
+        _WORLD,
+        "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor plan, or a world file.",
+        _RUN.world,
+    ),
 ]
 Noise = Annotated[
     float | None,

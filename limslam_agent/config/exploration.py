@@ -74,6 +74,12 @@ class PolicyConfig(Bounded):
         Distance that the planner keeps between the robot's rim and occupied cells where there is enough space, m.
     margin
         Distance that it keeps unless there is no other path, m.
+    large_map
+        Size of the map, m, from which on a metre of path without a wall in sight costs three times as much. Paths then
+        stay near walls, and frontiers near walls are explored first.
+    longest_excursion
+        Distance that the robot drives without a wall in sight before it comes back to a wall of the map, m. A frontier
+        that is farther away from all walls is approached all the same.
     stop_distance
         Free distance ahead of the rim below which the robot only turns, m.
     min_frontier
@@ -108,6 +114,8 @@ class PolicyConfig(Bounded):
     lookahead: NonNegative = 0.25
     clearance: NonNegative = 0.15
     margin: NonNegative = 0.05
+    large_map: NonNegative = 12.0
+    longest_excursion: NonNegative = 8.0
     stop_distance: NonNegative = 0.06
     min_frontier: Count = 3
     min_last_frontier: Count = 2

@@ -3,6 +3,7 @@
 Source: B. Yamauchi, "A frontier-based approach for autonomous exploration", 1997.
 """
 
+import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -88,8 +89,8 @@ def _closed_walls(occupied: BoolArray) -> BoolArray:
 
 def _without_small(cells: BoolArray, min_size: int) -> BoolArray:
     """The cells in groups, corners touching, of at least ``min_size``."""
-    labels, _ = ndimage.label(cells, structure=_ALL_AROUND)
-    keep = np.bincount(labels.ravel()) >= min_size
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
+    keep = stats[:, cv2.CC_STAT_AREA] >= min_size
     # Label 0 is that of all other cells.
     keep[0] = False
     return np.asarray(keep[labels])

@@ -1,6 +1,7 @@
 """Shortest paths on the occupancy grid by Dijkstra's algorithm."""
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,8 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _TIGHT = 20.0
+# A step where no wall is in sight costs this many times as much.
+_OPEN = 3.0
 # A step in each of these directions, its length in cells; the slots 7 to 4 hold the same steps backwards.
 _STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 # No path is this long. SciPy ignores steps of infinite cost only if a search has a limit.
@@ -55,8 +58,12 @@ def routes(
     *,
     targets: BoolArray | None = None,
     closed: BoolArray | None = None,
+    coast: float = math.inf,
 ) -> Routes:
     """Least-cost paths from a place (2,), m, over free cells (E. Dijkstra, "A note on two problems", 1959).
+
+    Steps far away from walls cost more, so that a robot that needs walls to know where it is stays near them (N. Roy,
+    W. Burgard, D. Fox and S. Thrun, "Coastal navigation", 1999).
 
     Parameters
     ----------
@@ -74,6 +81,8 @@ def routes(
         of cells that are more expensive may be infinite.
     closed
         Free cells (rows, columns) that paths must not cross.
+    coast
+        Distance from occupied cells beyond which a step costs three times as much, m.
     """
     row, column = (int(index) for index in grid.cells(start[None])[0])
     open_cells = grid.free if closed is None else grid.free & ~closed
@@ -83,9 +92,14 @@ def routes(
     open_cells[row, column] = True
     distance = wall_distance(grid)
     factor = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0) + _TIGHT * (distance < radius)
-    graph = _graph(open_cells, factor * grid.cell)
-    cost, predecessors = _search(graph, row * columns + column, targets, grid)
-    return Routes(cost.reshape(rows, columns), predecessors)
+    factor[distance > coast] *= _OPEN
+    wanted = np.zeros(0, dtype=np.int64) if targets is None else np.flatnonzero(targets)
+    limit = _first_limit(wanted, (row, column), columns, grid.cell) if wanted.size else _ANYWHERE
+    while True:
+        ways = _within(open_cells, factor * grid.cell, (row, column), limit, grid.cell)
+        if limit >= _ANYWHERE or np.isfinite(ways.cost.flat[wanted]).any():
+            return ways
+        limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE
 
 
 def wall_distance(grid: GridView) -> FloatArray:
@@ -125,18 +139,30 @@ def _neighbours(rows: int, columns: int) -> tuple[NDArray[np.int32], NDArray[np.
     return indices, np.arange(0, 8 * size + 1, 8, dtype=np.int32)
 
 
-def _search(
-    graph: "sparse.csr_array[Any, Any]", start: int, targets: BoolArray | None, grid: GridView
-) -> tuple[FloatArray, IntArray]:
-    """Costs and predecessors by flat index, searched within a growing distance until a target is found."""
-    wanted = np.zeros(0, dtype=np.int64) if targets is None else np.flatnonzero(targets)
-    limit = _ANYWHERE
-    if wanted.size:
-        columns = grid.values.shape[1]
-        away = np.hypot(wanted // columns - start // columns, wanted % columns - start % columns)
-        limit = grid.cell * (1.25 * float(away.min()) + 2.0)
-    while True:
-        cost, predecessors = csgraph.dijkstra(graph, indices=np.array([start]), return_predecessors=True, limit=limit)
-        if limit >= _ANYWHERE or np.isfinite(cost[0, wanted]).any():
-            return cost[0], predecessors[0]
-        limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE
+def _first_limit(wanted: IntArray, start: tuple[int, int], columns: int, cell: float) -> float:
+    """Cost (m) up to which paths are searched first: a little more than that of a straight path to the nearest target.
+
+    ``wanted`` (k,) are the flat indices of the targets.
+    """
+    away = np.hypot(wanted // columns - start[0], wanted % columns - start[1])
+    return cell * (1.25 * float(away.min()) + 2.0)
+
+
+def _within(open_cells: BoolArray, price: FloatArray, start: tuple[int, int], limit: float, cell: float) -> Routes:
+    """Paths up to a cost ``limit`` (m), searched only in the cells that a straight path of this cost can reach.
+
+    ``price`` (rows, columns) is what a step of the length of a cell costs in each cell, m.
+    """
+    reach = int(min(limit / cell, sum(open_cells.shape))) + 2
+    low = [max(place - reach, 0) for place in start]
+    window = tuple(slice(first, place + reach + 1) for first, place in zip(low, start, strict=True))
+    rows, columns = (part := open_cells[window]).shape
+    begin = (start[0] - low[0]) * columns + start[1] - low[1]
+    found, before = csgraph.dijkstra(
+        _graph(part, price[window]), indices=np.array([begin]), return_predecessors=True, limit=limit
+    )
+    cost, predecessors = np.full(open_cells.shape, np.inf), np.full(open_cells.shape, -1, dtype=np.int64)
+    cost[window] = found[0].reshape(rows, columns)
+    row, column = np.divmod(before[0].reshape(rows, columns), columns)
+    predecessors[window] = np.where(row < 0, -1, (row + low[0]) * open_cells.shape[1] + column + low[1])
+    return Routes(cost, predecessors.ravel())

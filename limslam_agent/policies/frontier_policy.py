@@ -12,6 +12,7 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
+from limslam_agent.policies.excursion import Excursion
 from limslam_agent.policies.goal_memory import GoalMemory
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED
 from limslam_agent.policies.right_of_way import RightOfWay
@@ -52,6 +53,9 @@ class _Pursuit:
 class FrontierPolicy:
     """Drives to the frontier of least cost until there is none left (step 8 of the method).
 
+    Where no wall is in sight, the robot comes back to a known wall from time to time
+    (:class:`~limslam_agent.policies.excursion.Excursion`).
+
     The robot first looks at a frontier with the nearest beam from a distance. If that shows nothing, the robot goes
     nearer. A frontier that the robot cannot reach is set aside for a while and tried again up to twice. The robot looks
     at an unreachable frontier from the nearest place, because the wall between may be an error of the map. A pursuit
@@ -86,6 +90,7 @@ class FrontierPolicy:
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
         self._memory = GoalMemory(config.aside_steps)
+        self._excursion = Excursion(robot, config)
         self._collision_guard = CollisionGuard(robot)
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
         self._step = self._until_plan = self._backing = self._turning = self._rounds = 0
@@ -108,6 +113,7 @@ class FrontierPolicy:
         if self._wall_follower is not None:
             return self._follow_walls(belief, self._wall_follower)
         self._collision_guard.add_readings(belief.pose, belief.ranges)
+        self._excursion.observe(belief)
         return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
     def resume(self, belief: Belief) -> bool:
@@ -163,7 +169,8 @@ class FrontierPolicy:
 
     def _target(self, belief: Belief) -> Target | None:
         ignored = self._memory.ignored_cells(belief.grid, self._step)
-        return next_target(belief, ignored, self.goal, self._robot, self._config)
+        target = next_target(belief, ignored, self.goal, self._robot, self._config)
+        return target and (self._excursion.way_back(belief, target) or target)
 
     def _take_up(self, grid: GridView, target: Target) -> None:
         """Keep to the old target's frontier, or begin with another one."""
@@ -172,7 +179,7 @@ class FrontierPolicy:
             old.target = target
         else:
             is_new = self._memory.tries_at(target.goal) == 0
-            self._pursuit = old = _Pursuit(target, _FROM_AFAR if is_new else _ALL_THE_WAY)
+            self._pursuit = old = _Pursuit(target, _FROM_AFAR if is_new and target.is_frontier else _ALL_THE_WAY)
         self.plan = self._cut(grid, target, old.boldness)
 
     def _cut(self, grid: GridView, target: Target, boldness: int) -> FloatArray:
@@ -206,6 +213,7 @@ class FrontierPolicy:
         left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
         if self._is_stuck(belief.grid, pursuit, left, action):
             self._set_aside(pursuit)
+            self._excursion.end()
             self._backing = self._config.back_steps
         return action
 
@@ -223,6 +231,10 @@ class FrontierPolicy:
 
     def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         """Point a beam at the target and decide from the reading what the target is."""
+        if not pursuit.target.is_frontier:
+            self._excursion.end()
+            self._drop()
+            return np.zeros(2)
         aim = pursuit.target.aim
         beam, error = nearest_beam(belief.pose, aim, self._robot)
         self._idle += 1

@@ -1,5 +1,6 @@
 """Choice of the next frontier, of the path to it, and of a place from which to look at an unreachable one."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from limslam_agent.policies.right_of_way import cells_near_robots, separation_co
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
+# Up to this share of the beams' reach, a wall beside the robot is in sight of more than one beam.
+_SIGHT_SHARE = 0.7
 # Unknown regions of fewer cells cannot hide an obstacle.
 _POCKET = 3
 # One metre of wall or unknown cells between a place and its target costs as much as this many metres of path.
@@ -45,6 +48,8 @@ class Target:
         Path to the frontier (k, 2), m. If the frontier is unreachable, the path ends at the nearest reachable place.
     is_reachable
         Whether the path ends at the frontier.
+    is_frontier
+        Whether there is a frontier. Otherwise the robot only drives to the goal.
     """
 
     goal: FloatArray
@@ -52,6 +57,17 @@ class Target:
     group: FloatArray
     path: FloatArray
     is_reachable: bool
+    is_frontier: bool = True
+
+
+def coast_of(grid: GridView, robot: RobotSpec, config: PolicyConfig) -> float:
+    """Distance (m) from walls beyond which paths cost more. It is infinite while the map is small."""
+    return sight_of(robot) if max(grid.values.shape) * grid.cell > config.large_map else math.inf
+
+
+def sight_of(robot: RobotSpec) -> float:
+    """Distance (m) from a wall within which several beams of a robot that drives along the wall see it."""
+    return _SIGHT_SHARE * robot.reach
 
 
 def open_frontier(grid: GridView, size: int, ignored: BoolArray, robot: RobotSpec) -> BoolArray:
@@ -134,10 +150,11 @@ def _ways(belief: Belief, wanted: BoolArray, robot: RobotSpec, config: PolicyCon
     them.
     """
     grid, start, radius = belief.grid, belief.pose[:2], robot.radius + config.margin
+    coast = coast_of(grid, robot, config)
     if not len(belief.other_poses):
-        return [routes(grid, start, radius, config.clearance, targets=wanted)]
+        return [routes(grid, start, radius, config.clearance, targets=wanted, coast=coast)]
     taken = cells_near_robots(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
-    return [routes(grid, start, radius, config.clearance, closed=closed) for closed in (taken, None)]
+    return [routes(grid, start, radius, config.clearance, closed=closed, coast=coast) for closed in (taken, None)]
 
 
 def _cheapest(

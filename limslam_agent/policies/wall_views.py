@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
@@ -17,6 +18,7 @@ from limslam_agent.grid.unfinished import (
     unfinished_faces,
 )
 from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_agent.policies.targets import coast_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -153,7 +155,8 @@ def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyC
 def _ways(belief: Belief, robot: RobotSpec, config: PolicyConfig, wanted: BoolArray | None = None) -> Routes:
     taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
     return routes(
-        belief.grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, closed=taken
+        belief.grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, closed=taken,
+        coast=coast_of(belief.grid, robot, config),
     )  # fmt: skip
 
 
@@ -193,17 +196,19 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     robot
         Body and beams.
     """
-    offset = stands[:, None] - faces.middles
-    away = np.hypot(offset[..., 0], offset[..., 1])
-    steepness = np.sum(offset * faces.normals, axis=2) / np.maximum(away, 1e-9)
-    pairs = np.argwhere((away <= robot.radius + _FAR_SHARE * robot.reach) & (steepness >= _STEEP))
-    place, face = pairs.T
-    price = (
-        cost[place]
-        + _OFF_DISTANCE * np.abs(away[place, face] - best_distance(robot))
-        + _SLANT * (1.0 - steepness[place, face])
-    )
-    return np.asarray(pairs[np.argsort(price, kind="stable")])
+    farthest = robot.radius + _FAR_SHARE * robot.reach
+    # In a large map there are millions of pairs, and few of them are near.
+    near = cKDTree(faces.middles).query_ball_point(stands, farthest * (1.0 + 1e-9), return_sorted=True)
+    counts = np.array([len(each) for each in near], dtype=np.int64)
+    place = np.repeat(np.arange(len(stands)), counts)
+    face = np.concatenate([np.zeros(0, dtype=np.int64), *(np.array(each, dtype=np.int64) for each in near if each)])
+    offset = stands[place] - faces.middles[face]
+    away = np.hypot(offset[:, 0], offset[:, 1])
+    steepness = np.sum(offset * faces.normals[face], axis=1) / np.maximum(away, 1e-9)
+    price = cost[place] + _OFF_DISTANCE * np.abs(away - best_distance(robot)) + _SLANT * (1.0 - steepness)
+    is_seen = (away <= farthest) & (steepness >= _STEEP)
+    pairs = np.column_stack((place, face))[is_seen]
+    return np.asarray(pairs[np.argsort(price[is_seen], kind="stable")])
 
 
 def best_distance(robot: RobotSpec) -> float:

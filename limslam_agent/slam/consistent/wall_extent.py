@@ -30,6 +30,7 @@ class WallExtent:
         self._least = np.zeros(0)
         self._most = np.zeros(0)
         self.ends = (math.inf, -math.inf)
+        self._intervals: tuple[float, float, FloatArray] | None = None
 
     @classmethod
     def counted(cls, low: int, counts: IntArray, reached: FloatArray) -> Self:
@@ -53,7 +54,7 @@ class WallExtent:
 
     def hit(self, along: FloatArray) -> None:
         """Count beams that ended at positions (n,), m along the line."""
-        places = np.floor(along / BIN).astype(np.int64)
+        self._intervals, places = None, np.floor(along / BIN).astype(np.int64)
         self._reach(int(places.min()), int(places.max()))
         np.add.at(self._hits, places - self._low, 1)
         np.minimum.at(self._least, places - self._low, along)
@@ -65,6 +66,7 @@ class WallExtent:
         low, high = self.ends
         is_between = low < along < high
         if is_between:
+            self._intervals = None
             # Bins that were taken over from another wall may lie up to half a bin outside the exact ends.
             place = math.floor(along / BIN) - self._low
             self._misses[min(max(place, 0), len(self._misses) - 1)] += 1
@@ -80,6 +82,11 @@ class WallExtent:
         tolerance
             Number of beams that may pass through a bin for each beam that ended in it.
         """
+        if self._intervals is None or self._intervals[:2] != (max_gap, tolerance):
+            self._intervals = max_gap, tolerance, self._found_intervals(max_gap, tolerance)
+        return self._intervals[2]
+
+    def _found_intervals(self, max_gap: float, tolerance: float) -> FloatArray:
         is_wall = (self._hits > 0) & (self._misses <= tolerance * self._hits)
         bins = np.nonzero(is_wall)[0]
         if not len(bins):
@@ -93,6 +100,7 @@ class WallExtent:
 
     def absorb(self, other: Self, factor: float, shift: float) -> None:
         """Add another extent's counts. Its position s is ``factor`` (1 or -1) times s plus ``shift`` (m) here."""
+        self._intervals = None
         middles = factor * BIN * (other._low + np.arange(len(other._hits)) + 0.5) + shift
         bins, was_hit = np.floor(middles / BIN).astype(np.int64), other._hits > 0
         self._reach(int(bins.min()), int(bins.max()))

@@ -161,10 +161,12 @@ class WallMap:
         """Segments (k, 4), m, of each landmark; kept until a landmark changes, because every step asks for them."""
         if self._drawn is None:
             gap, tolerance = self._config.max_gap, self._config.through_tolerance
-            self._drawn = [
-                self._points(index, wall.extent.intervals(gap, tolerance)).reshape(-1, 4)
-                for index, wall in enumerate(self.walls)
-            ]
+            pieces = [wall.extent.intervals(gap, tolerance) for wall in self.walls]
+            counts = [len(each) for each in pieces]
+            owners, along = np.repeat(np.arange(len(pieces)), counts), np.concatenate((np.zeros((0, 2)), *pieces))
+            lines, anchors = self._belief.anchored[owners, None], self._belief.anchors[owners, None]
+            points = anchors + (lines[..., :1] * normal(lines) + along[..., None] * direction(lines))
+            self._drawn = np.split(points.reshape(-1, 4), np.cumsum(counts, dtype=np.int64)[:-1])[: len(counts)]
         return self._drawn
 
     @property

@@ -2,19 +2,20 @@
 
 Every step has its own pose, the wheels drive exact arcs, and every reading that is associated with a line is one factor
 (F. Dellaert and M. Kaess, "Factor Graphs for Robot Perception", 2017). The poses of a robot form a chain, and there are
-few lines. The poses are therefore eliminated one after another, in blocks of three variables. A dense system of the
-lines, the last poses and the calibration remains. Several robots are several chains that share the lines.
+few lines. Nearly all poses are therefore eliminated one after another (:mod:`.elimination`). A dense system of the
+lines, a few poses and the calibration remains. Several robots are several chains that share the lines.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.line_graph import chain_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
+from limslam_agent.slam.line_graph.elimination import Chain, Couplings, Factored, eliminated
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -29,10 +30,6 @@ _LEAST_VARIANCE = 1e-12
 _LINE_STD = np.array([100.0, 10.0])
 _MOST_HALVINGS = 6
 _CHOOSING = 2  # iterations after which the set of grazing readings is fixed
-
-
-class DegenerateError(ValueError):
-    """The equations of a step cannot be solved: the lines and readings do not determine the poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,30 +133,6 @@ class State:
     def flat_poses(self) -> FloatArray:
         """All poses (n t, 3), sorted by robot and then by step."""
         return self.poses.reshape(-1, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Factored:
-    """The equations of the last step: the factors of each chain, and the covariance of the remaining variables.
-
-    Attributes
-    ----------
-    chains
-        For each robot: lower factors (t, 3, 3), gains (t, 3, 3), and couplings (t, 3, c + 2 m).
-    covariance
-        Joint covariance of the last poses and calibrations of all robots and of all lines, square, with 3 n + c + 2 m
-        rows.
-    """
-
-    chains: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
-    covariance: FloatArray
-
-    @property
-    def lines(self) -> FloatArray:
-        """Joint covariance (2 m, 2 m) of all lines; ``first_line`` is the index of its first row."""
-        return self.covariance[self.first_line :, self.first_line :]
-
-    first_line: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,20 +269,14 @@ def solve(
             break
     else:
         equations = _Equations(problem, state, labels, rows_of(problem, state, labels), weights)
-    return Solution(state, weights, equations.chi_square, equations.factored())
+    return Solution(state, weights, equations.chi_square, equations.factored)
 
 
 def pose_covariances(solution: Solution) -> FloatArray:
     """Marginal covariances (n, t, 3, 3) of all poses; the covariances of the known starts are zero."""
-    state, factored = solution.state, solution.factored
-    count = len(state.poses)
-    covariances = np.zeros((*state.poses.shape, 3))
-    shared = np.ascontiguousarray(factored.covariance[3 * count :, 3 * count :])
-    for number, (lower, gains, coupled) in enumerate(factored.chains):
-        own = slice(3 * number, 3 * number + 3)
-        covariances[number, -1] = factored.covariance[own, own]
-        with_shared = np.ascontiguousarray(factored.covariance[own, 3 * count :])
-        kernels.pose_marginals(lower, gains, coupled, shared, with_shared, covariances[number])
+    covariances = np.zeros((*solution.state.poses.shape, 3))
+    for block in solution.factored.blocks:
+        block.marginals(solution.factored.covariance, covariances[block.robot])
     return covariances
 
 
@@ -401,29 +368,24 @@ class _Equations:
         self._add_motions()
         self._add_readings(labels, rows, weights)
         self._add_priors()
-        self._eliminate(labels, rows, weights)
+        parts = self._diagonal, self._below, self._border, self._right, self._couplings(labels, rows, weights)
+        chains = [Chain(*each) for each in zip(*parts, strict=True)]
+        self.factored, self._dense_right = eliminated(chains, self._shared, self._shared_right)
 
     def step(self) -> _Step:
         """The solution of the equations."""
-        solved = self._scale * cho_solve(self._cholesky, self._scale * self._dense_right)
-        count = len(self._state.poses)
-        shared, moves = solved[3 * count :], np.zeros(self._state.poses.shape)
-        for number, (lower, gains, coupled) in enumerate(self._chains):
-            moves[number, -1] = solved[3 * number : 3 * number + 3]
-            kernels.substitute(lower, gains, coupled, self._solved[number], shared, moves[number])
+        factored, moves = self.factored, np.zeros(self._state.poses.shape)
+        solved = factored.solve(self._dense_right)
+        for block in factored.blocks:
+            block.substitute(solved, moves[block.robot])
         motions = np.einsum("nsij,nsj->nsi", self._by_before, moves[:, :-1])
         motions += np.einsum("nsij,nsj->nsi", self._by_after, moves[:, 1:])
         calibration = np.zeros_like(self._state.calibration)
         if self._first_line:
-            calibration = shared[: self._first_line].reshape(-1, CALIBRATED)
+            calibration = solved[factored.first_shared : factored.first_line].reshape(-1, CALIBRATED)
             motions += self._by_axle * calibration[:, 2, None, None]
-        return _Step(motions, shared[self._first_line :].reshape(-1, 2), calibration, float(np.abs(moves).max()))
-
-    def factored(self) -> Factored:
-        """The factors, and the covariance of the variables that were not eliminated."""
-        whole = cho_solve(self._cholesky, np.eye(len(self._scale)))
-        covariance = self._scale[:, None] * whole * self._scale
-        return Factored(tuple(self._chains), covariance, 3 * len(self._state.poses) + self._first_line)
+        lines = solved[factored.first_line :].reshape(-1, 2)
+        return _Step(motions, lines, calibration, float(np.abs(moves).max()))
 
     def _add_motions(self) -> None:
         problem, state = self._problem, self._state
@@ -476,40 +438,12 @@ class _Equations:
             self._shared[own, own] += self._problem.prior
             self._shared_right[own] -= self._problem.prior @ calibration
 
-    def _eliminate(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
-        """Eliminate all chains, and factorise the remaining system of last poses, calibration and lines."""
-        problem, count = self._problem, len(self._state.poses)
-        steps, size = problem.steps, len(self._shared)
-        dense = np.zeros((3 * count + size, 3 * count + size))
-        right = np.concatenate((np.zeros(3 * count), self._shared_right))
-        dense[3 * count :, 3 * count :] = self._shared
-        bounds = np.searchsorted(problem.readings.places, steps * np.arange(count + 1))
-        self._chains, self._solved = [], np.zeros((count, steps, 3))
-        for number in range(count):
-            own = slice(bounds[number], bounds[number + 1])
-            lower, gains, coupled = np.zeros((steps, 3, 3)), np.zeros((steps, 3, 3)), np.zeros((steps, 3, size))
-            kernels.eliminate(
-                self._diagonal[number], self._below[number], self._border[number], self._right[number],
-                problem.readings.places[own] - number * steps, labels[own], rows[own],
-                weights[own] / problem.range_std**2, lower, gains, coupled, self._solved[number],
-            )  # fmt: skip
-            self._chains.append((lower, gains, coupled))
-            last = slice(3 * number, 3 * number + 3)
-            dense[last, last], dense[last, 3 * count :] = lower[-1], coupled[-1]
-            dense[3 * count :, last] = coupled[-1].T
-            window = coupled[:-1].reshape(-1, size)
-            dense[3 * count :, 3 * count :] -= window.T @ window
-            right[last] = self._solved[number, -1]
-            right[3 * count :] -= window.T @ self._solved[number, :-1].ravel()
-        self._dense_right = right
-        self._factor(dense)
-
-    def _factor(self, dense: FloatArray) -> None:
-        diagonal = np.diag(dense)
-        if not (np.isfinite(dense).all() and (diagonal > 0.0).all()):
-            raise DegenerateError("the readings do not determine the poses")
-        self._scale = diagonal**-0.5
-        try:
-            self._cholesky = cho_factor(self._scale[:, None] * dense * self._scale + 1e-15 * np.eye(len(dense)))
-        except np.linalg.LinAlgError as error:
-            raise DegenerateError("the readings do not determine the poses") from error
+    def _couplings(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> list[Couplings]:
+        """The couplings of each chain's poses to lines."""
+        problem, places = self._problem, self._problem.readings.places
+        bounds = np.searchsorted(places, problem.steps * np.arange(len(problem.starts) + 1))
+        parts = [slice(low, high) for low, high in pairwise(bounds.tolist())]
+        return [
+            Couplings(places[own] - number * problem.steps, labels[own], rows[own], weights[own] / problem.range_std**2)
+            for number, own in enumerate(parts)
+        ]

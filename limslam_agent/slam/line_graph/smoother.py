@@ -9,8 +9,8 @@ import numpy as np
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
-    DegenerateError,
     Problem,
     make_problem,
     pose_covariances,
@@ -140,7 +140,7 @@ def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
         return True
     sized = replace(found.problem, prior=config.calibration.information)
     solution = solve(sized, found.association.state, found.association.labels)
-    values, first = solution.state.calibration.ravel(), 3 * len(sized.starts)
+    values, first = solution.state.calibration.ravel(), solution.factored.first_shared
     covariance = solution.factored.covariance[first : first + len(values), first : first + len(values)]
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
 

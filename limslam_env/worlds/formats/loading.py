@@ -1,6 +1,7 @@
 """Reads any world: a shipped one by its name, a random floor plan by its seed, or a file in any supported format."""
 
 import os
+import re
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -16,9 +17,10 @@ from limslam_env.worlds.formats.wall_list import wall_list_world
 from limslam_env.worlds.world import World, WorldError, named
 
 RANDOM = "random:"
-"""Beginning of the names of random floor plans; the seed follows."""
+"""Beginning of the names of random floor plans; the seed follows, and then the size if it is given."""
 
-_MOST_DIGITS = 30  # of a seed
+# A seed of at most 30 digits, and then, if given, width and height in m.
+_PLAN = re.compile(r"([0-9]{1,30})(?::([0-9]{1,3}(?:\.[0-9]{1,3})?)x([0-9]{1,3}(?:\.[0-9]{1,3})?))?")
 
 WorldSource: TypeAlias = str | os.PathLike[str] | World
 
@@ -26,8 +28,8 @@ WorldSource: TypeAlias = str | os.PathLike[str] | World
 def load_world(source: WorldSource) -> World:
     """A world by the name of a shipped one, by the path of a file, or as it is.
 
-    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the default radius. It is
-    the world's name, too.
+    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the default radius.
+    ``random:17:40x30`` is a floor plan of 40 x 30 m. These are the names of the worlds, too.
 
     Raises
     ------
@@ -52,7 +54,8 @@ def load_world(source: WorldSource) -> World:
         if path.suffix:
             raise WorldError(f"{path}: no such file")
         raise WorldError(
-            f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, random:SEED, or give a file"
+            f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, random:SEED, "
+            "random:SEED:WIDTHxHEIGHT, or give a file"
         )
     return _load_file(path)
 
@@ -62,11 +65,20 @@ def _random_world(name: str) -> World:
     from limslam_env.interface import RobotSpec
     from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 
-    seed = name.removeprefix(RANDOM)
-    if not (seed.isascii() and seed.isdigit() and len(seed) <= _MOST_DIGITS):
-        raise WorldError(f"{name[:60]!r} names no floor plan: a seed is needed, as in random:17")
-    plan = floor_plan(FloorPlanConfig(), np.random.default_rng(int(seed)), RobotSpec().radius)
-    return replace(plan, name=f"{RANDOM}{int(seed)}")
+    found = _PLAN.fullmatch(name.removeprefix(RANDOM))
+    if found is None:
+        raise WorldError(
+            f"{name[:60]!r} names no floor plan: a seed is needed, as in random:17, or a seed and a size in metres, as "
+            "in random:17:40x30"
+        )
+    seed, width, height = found.groups()
+    try:
+        config = FloorPlanConfig() if width is None else FloorPlanConfig(width=float(width), height=float(height))
+    except ValueError as error:
+        raise WorldError(f"{name}: {error}") from error
+    plan = floor_plan(config, np.random.default_rng(int(seed)), RobotSpec().radius)
+    size = "" if width is None else f":{float(width):g}x{float(height):g}"
+    return replace(plan, name=f"{RANDOM}{int(seed)}{size}")
 
 
 def _load_file(path: Path) -> World:

@@ -35,6 +35,24 @@ def test_what_names_no_floor_plan_is_refused_in_a_short_line(name):
     assert len(str(refusal.value)) < 200
 
 
+def test_a_floor_plan_can_have_a_size():
+    drawn = floor_plan(FloorPlanConfig(width=40.0, height=30.5), np.random.default_rng(17), RobotSpec().radius)
+    assert load_world("random:17:40x30.5") == replace(drawn, name="random:17:40x30.5")
+    assert load_world("random:17:40x30.5").size == (40.0, 30.5)
+
+
+@pytest.mark.parametrize("size", ["", "40", "40x", "x30", "40x-3", "40 x 30", "1e1x30", "nanx30", "4000x30"])
+def test_what_is_no_size_of_a_floor_plan_is_refused(size):
+    with pytest.raises(WorldError, match="as in random:17:40x30"):
+        load_world(f"random:17:{size}")
+
+
+@pytest.mark.parametrize("size", ["1x30", "40x101", "0x30"])
+def test_a_floor_plan_of_an_impossible_size_is_refused_with_its_name(size):
+    with pytest.raises(WorldError, match=f"random:17:{size}: (width|height)"):
+        load_world(f"random:17:{size}")
+
+
 def test_a_floor_plan_is_run_by_its_seed(limslam, tmp_path):
     code, out, _ = limslam("run", "--world", "random:17", "--max-time", 1, "--out", tmp_path / "run")
     assert code == 0

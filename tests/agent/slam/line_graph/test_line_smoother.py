@@ -8,7 +8,7 @@ from support.drives import ROBOT
 from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 
 from limslam_agent.config.smoother import CalibrationPrior
-from limslam_agent.slam.line_graph import chain_kernels
+from limslam_agent.slam.line_graph import chain_kernels, elimination
 from limslam_agent.slam.line_graph.line_smoother import (
     make_problem,
     pose_covariances,
@@ -79,6 +79,14 @@ def test_derivatives_of_readings_are_differences():
         assert found[1 + column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
+@pytest.fixture(params=[1, 7, 100_000])
+def block(request, monkeypatch):
+    """Poses of a block of the elimination: every pose remains, some remain, only the last one remains."""
+    monkeypatch.setattr(elimination, "_BLOCK", request.param)
+    return request.param
+
+
+@pytest.mark.usefixtures("block")
 def test_the_optimum_is_that_of_gtsam():
     pytest.importorskip("gtsam")
     from limslam_env.bounds.offline_optimum import solve_optimum
@@ -99,6 +107,7 @@ def test_the_optimum_is_that_of_gtsam():
     assert ours.chi_square == pytest.approx(limit.chi_square, rel=1e-4)
 
 
+@pytest.mark.usefixtures("block")
 def test_covariances_are_those_of_a_dense_solution():
     problem, poses = noisy_run(4)
     solution = smoothed(problem, poses)
@@ -147,6 +156,7 @@ def test_errors_are_as_large_as_the_covariances_say():
     assert 0.5 < np.mean(mean) < 1.6
 
 
+@pytest.mark.usefixtures("block")
 def test_two_robots_share_their_lines():
     problem, poses = noisy_run(5, robots=2)
     both = smoothed(problem, poses)
@@ -176,6 +186,7 @@ def ranges_of(problem, number):
     return ranges
 
 
+@pytest.mark.usefixtures("block")
 def test_wheel_sizes_are_found():
     problem, poses = noisy_run(6, mismatch=0.02, prior=CalibrationPrior())
     solution = smoothed(problem, poses)
