@@ -1,6 +1,6 @@
 """The worlds of a batch's environments, and the start poses in them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -75,7 +75,7 @@ class Places:
             self._worlds = list(numbers)
             for world in self._worlds:
                 world.check(robot.radius)
-            self._keep([prepare(world, robot, num_robots) for world in self._worlds])
+            self._keep(prepare(world, robot, num_robots) for world in self._worlds)
             if len(worlds) > 1:
                 self.world_of[:] = [numbers[world] for world in worlds]
         self._home = self.world_of.copy()
@@ -115,7 +115,7 @@ class Places:
         self.world_of[envs] = slots
         return poses
 
-    def _made_beforehand(self, config: FloorPlanConfig) -> list[Site]:
+    def _made_beforehand(self, config: FloorPlanConfig) -> Iterator[Site]:
         """The floor plans of all seeds, from the disk as far as they are there."""
         cache = PlanCache(config, self._robot, cache_folder())
         missing: list[int] = []
@@ -128,16 +128,13 @@ class Places:
                 cache.write(seed, site)
             return site
 
-        sites = work_through(made, self._seeds, self._threads, "floor plans")
+        yield from work_through(made, self._seeds, self._threads, "floor plans")
         if missing:
             cache.prune()
-        return sites
 
-    def _keep(self, sites: list[Site]) -> None:
-        """Take the sites of the first slots, and empty the list: all of them twice would be much memory."""
-        sites.reverse()
-        while sites:
-            site = sites.pop()
+    def _keep(self, sites: Iterable[Site]) -> None:
+        """Take the sites of the first slots."""
+        for site in sites:
             self._starts.append(site.starts)
             self.sites.put(len(self.sites), site)
 
@@ -162,7 +159,7 @@ class Places:
             # The places to start are most of a site, and not needed any more.
             return replace(site, starts=_NO_STARTS), poses
 
-        made = work_through(begun, range(len(envs)), self._threads, "floor plans")
+        made = list(work_through(begun, range(len(envs)), self._threads, "floor plans"))
         poses = np.concatenate([each for _, each in made])
         made.reverse()
         for env in envs.tolist():

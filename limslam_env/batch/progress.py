@@ -3,8 +3,9 @@
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -22,33 +23,27 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def work_through(work: Callable[[Thing], Result], things: Sequence[Thing], threads: int, name: str) -> list[Result]:
+def work_through(work: Callable[[Thing], Result], things: Sequence[Thing], threads: int, name: str) -> Iterator[Result]:
     """The results of ``work`` on many things, in their order, from several threads.
 
     A terminal shows a bar after a second, with ``name`` for what is worked on. ``LIMSLAM_QUIET`` switches the bar off.
-
-    Raises
-    ------
-    Exception
-        What ``work`` raises first. Things that have not begun are left out then.
+    An error of ``work`` is raised in the place of its result; things that have not begun then are left out.
     """
     with _bar(name, len(things)) as advance:
         if threads == 1 or len(things) == 1:
-            results = []
             for thing in things:
-                results.append(work(thing))
+                yield work(thing)
                 advance()
-            return results
+            return
         with ThreadPoolExecutor(min(threads, len(things))) as pool:
-            futures = [pool.submit(work, thing) for thing in things]
+            # A result that has been handed on is not kept: thousands of them are much memory.
+            waiting = deque(pool.submit(work, thing) for thing in things)
             try:
-                for future in as_completed(futures):
-                    future.result()
+                while waiting:
+                    yield waiting.popleft().result()
                     advance()
-            except BaseException:
+            finally:
                 pool.shutdown(wait=False, cancel_futures=True)
-                raise
-            return [future.result() for future in futures]
 
 
 @contextmanager
