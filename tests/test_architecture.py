@@ -39,7 +39,7 @@ ENV = {
     "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
     "limslam_env.batch": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *env("config", "worlds", "worlds.formats", "worlds.generation", "kernels", "simulation"),
+        *env("compilation", "config", "worlds", "worlds.formats", "worlds.generation", "kernels", "simulation"),
     },
     "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
     "limslam_env.envs": {

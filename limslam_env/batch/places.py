@@ -1,17 +1,23 @@
 """The worlds of a batch's environments, and the start poses in them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from limslam_env.batch.worlds import Site, Sites, prepare
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.batch.plan_cache import PlanCache, cache_folder
+from limslam_env.batch.progress import cores, work_through
+from limslam_env.batch.worlds import Site, Sites, StartCells, prepare, prepare_plan
+from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.random_numbers import Words, draw_starts
-from limslam_env.simulation.starts import TRIES, least_distance, no_room
+from limslam_env.simulation.starts import TRIES, known_poses, least_distance, no_room
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World
+
+_NO_STARTS = StartCells(no_rows(3), np.zeros((0, 2), dtype=np.int32), 0, np.zeros(4))
 
 
 class Places:
@@ -28,6 +34,8 @@ class Places:
     plans
         Seeds of the floor plans that are made beforehand; an environment gets one of them at each reset. None draws
         every environment a plan of its own at each reset.
+    num_threads
+        How many threads prepare floor plans; None for one a core.
 
     Raises
     ------
@@ -44,31 +52,32 @@ class Places:
         num_robots: int,
         num_envs: int,
         plans: Sequence[int] | None = None,
+        num_threads: int | None = None,
     ) -> None:
         self.num_envs, self.num_robots, self.sites = num_envs, num_robots, Sites()
         self.world_of: IntArray = np.zeros(num_envs, dtype=np.int64)
-        self._robot = robot
+        self._robot, self._threads = robot, num_threads or cores()
         self._config: FloorPlanConfig | None = None
-        self._known: list[tuple[World, Site]] = []
-        self._variants: dict[tuple[World, bytes], int] = {}
-        self._is_drawn = False
+        self._seeds: Sequence[int] = ()
+        self._worlds: list[World] = []
+        self._starts: list[StartCells] = []
+        self._variants: dict[tuple[int, bytes], int] = {}
         if isinstance(source, FloorPlanConfig):
-            if plans is None:
-                self._config = source
-                # This plan is not used: it shows at once whether the settings can be used.
-                floor_plan(source, np.random.default_rng(0), robot.radius)
-                return
-            self._is_drawn = True
-            source = [floor_plan(source, np.random.default_rng(seed), robot.radius) for seed in plans]
-        worlds = [source] if isinstance(source, World) else list(source)
-        numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
-        for number, world in enumerate(numbers):
-            if not self._is_drawn:
+            self._config = source
+            # This plan is not used: it shows at once whether the settings can be used.
+            floor_plan(source, np.random.default_rng(0), robot.radius)
+            if plans is not None:
+                self._seeds = list(dict.fromkeys(plans))
+                self._keep(self._made_beforehand(source))
+        else:
+            worlds = [source] if isinstance(source, World) else list(source)
+            numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
+            self._worlds = list(numbers)
+            for world in self._worlds:
                 world.check(robot.radius)
-            self._known.append((world, prepare(world, robot, num_robots)))
-            self.sites.put(number, self._known[-1][1])
-        if len(worlds) > 1 and not self._is_drawn:
-            self.world_of[:] = [numbers[world] for world in worlds]
+            self._keep(prepare(world, robot, num_robots) for world in self._worlds)
+            if len(worlds) > 1:
+                self.world_of[:] = [numbers[world] for world in worlds]
         self._home = self.world_of.copy()
 
     def begin(self, envs: IntArray, keys: Words, start: FloatArray | None) -> FloatArray:
@@ -88,73 +97,135 @@ class Places:
         WorldError
             If a start cannot be used, or there is no room. Then all is as it was.
         """
-        if self._config is not None:
+        if self._config is not None and not self._seeds:
             return self._begin_drawn(self._config, envs, keys, start)
         poses = np.zeros((len(envs), self.num_robots, 3))
         slots = self._home[envs]
-        if self._is_drawn:
-            slots = ((keys >> np.uint64(11)) % np.uint64(len(self._known))).astype(np.int64)
-        moves: list[tuple[IntArray, tuple[World, bytes], Site]] = []
-        for slot in np.unique(slots):
-            rows = np.flatnonzero(slots == slot)
-            world, site = self._known[slot]
+        if self._seeds:
+            slots = ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
+        moves: list[_Move] = []
+        for slot, rows in _groups(slots):
             if start is None:
-                poses[rows] = self._started(world, site, keys[rows])
+                poses[rows] = self._started(self._starts[slot], keys[rows], None, partial(self._world, slot))
             else:
-                moves += self._start_at(rows, world, start, keys, poses)
+                moves += self._start_at(rows, slot, start[rows], keys[rows], poses)
         # No error may be raised from here on, and nothing above changes this object.
-        for rows, variant, site in moves:
-            if variant not in self._variants:
-                self._variants[variant] = len(self.sites)
-                self.sites.put(len(self.sites), site)
-            slots[rows] = self._variants[variant]
+        for move in moves:
+            slots[move.rows] = self._slot_of(move)
         self.world_of[envs] = slots
         return poses
+
+    def _made_beforehand(self, config: FloorPlanConfig) -> Iterator[Site]:
+        """The floor plans of all seeds, from the disk as far as they are there."""
+        cache = PlanCache(config, self._robot, cache_folder())
+        missing: list[int] = []
+
+        def made(seed: int) -> Site:
+            site = cache.read(seed)
+            if site is None:
+                missing.append(seed)
+                site = prepare_plan(floor_plan(config, np.random.default_rng(seed), self._robot.radius), self._robot)
+                cache.write(seed, site)
+            return site
+
+        yield from work_through(made, self._seeds, self._threads, "floor plans")
+        if missing:
+            cache.prune()
+
+    def _keep(self, sites: Iterable[Site]) -> None:
+        """Take the sites of the first slots."""
+        for site in sites:
+            self._starts.append(site.starts)
+            self.sites.put(len(self.sites), site)
+
+    def _world(self, slot: int) -> World:
+        """The world of a slot. Floor plans are drawn again, because thousands of them would be much memory."""
+        if self._config is None:
+            return self._worlds[slot]
+        return floor_plan(self._config, np.random.default_rng(self._seeds[slot]), self._robot.radius)
 
     def _begin_drawn(
         self, config: FloorPlanConfig, envs: IntArray, keys: Words, start: FloatArray | None
     ) -> FloatArray:
         """Generate a separate floor plan for each environment."""
-        poses = np.zeros((len(envs), self.num_robots, 3))
-        sites: list[Site] = []
-        for row, key in enumerate(keys):
-            world = floor_plan(config, np.random.default_rng(int(key)), self._robot.radius)
-            site = prepare(world, self._robot, self.num_robots, None if start is None else start[row])
-            poses[row : row + 1] = self._started(world, site, keys[row : row + 1])
-            # Starting places are most of a site, and not needed any more: only the first one's are kept.
-            sites.append(replace(site, places=sites[0].places if sites else site.places))
-        for env, site in zip(envs, sites, strict=True):
-            self._settle(int(env), site)
+
+        def begun(row: int) -> tuple[Site, FloatArray]:
+            world = floor_plan(config, np.random.default_rng(int(keys[row])), self._robot.radius)
+            if start is None:
+                site = prepare_plan(world, self._robot)
+            else:
+                site = prepare(world, self._robot, self.num_robots, start[row])
+            poses = self._started(site.starts, keys[row : row + 1], None, lambda: world)
+            # The places to start are most of a site, and not needed any more.
+            return replace(site, starts=_NO_STARTS), poses
+
+        made = list(work_through(begun, range(len(envs)), self._threads, "floor plans"))
+        poses = np.concatenate([each for _, each in made])
+        made.reverse()
+        for env in envs.tolist():
+            site, _ = made.pop()
+            # Slots in the order of the environments.
+            while len(self.sites) <= env:
+                self.sites.put(len(self.sites), site)
+            self.sites.put(env, site)
+            self.world_of[env] = env
         return poses
 
-    def _started(self, world: World, site: Site, keys: Words) -> FloatArray:
-        places, robot = site.places, self._robot
+    def _started(
+        self, starts: StartCells, keys: Words, known: FloatArray | None, world: Callable[[], World]
+    ) -> FloatArray:
+        """Poses (k, m, 3) for environments of these keys: ``known`` (k, g, 3) or the given ones, then drawn ones."""
+        robot = self._robot
         poses = np.zeros((len(keys), self.num_robots, 3))
-        given = places.given[: self.num_robots]
-        poses[:, : len(given)] = given
-        if not draw_starts(keys, len(given), places.cells, places.space, least_distance(robot), poses, TRIES):
-            raise no_room(world, self.num_robots)
+        given = starts.given if known is None else known
+        count = given.shape[-2]
+        poses[:, :count] = given
+        apart = least_distance(robot)
+        if not draw_starts(keys, count, starts.runs, starts.count, starts.space, apart, poses, TRIES):
+            raise no_room(world(), self.num_robots)
         return poses
 
-    def _settle(self, env: int, site: Site) -> None:
-        # Slots in the order of the environments.
-        while len(self.sites) <= env:
-            self.sites.put(len(self.sites), site)
-        self.sites.put(env, site)
-        self.world_of[env] = env
-
-    def _start_at(
-        self, rows: IntArray, world: World, start: FloatArray, keys: Words, poses: FloatArray
-    ) -> list[tuple[IntArray, tuple[World, bytes], Site]]:
-        """Start environments that share a world at poses of their own; what can be seen from there may differ.
-
-        Which rows are to have which variant of the world, and what it is by, comes back.
-        """
-        kinds, kind_of = np.unique(start[rows], axis=0, return_inverse=True)
+    def _start_at(self, rows: IntArray, slot: int, start: FloatArray, keys: Words, poses: FloatArray) -> list["_Move"]:
+        """Start environments that share a world at poses of their own; what can be seen from there may differ."""
+        world = self._world(slot)
+        known, counts = known_poses(world, self._robot, self.num_robots, start)
+        labels = world.free_space(self._robot.radius).labels_of(known[..., :2].reshape(-1, 2)).reshape(counts.size, -1)
+        is_known = np.arange(self.num_robots) < counts[:, None]
+        labels = np.where(is_known, labels, -1)
+        # A robot may stand where the grid of free space is too coarse to hold it. Then its place counts, too.
+        alone = np.where((labels == 0).any(axis=1), np.arange(1, len(start) + 1), 0)
+        _, kind_of = np.unique(np.column_stack((alone, counts, labels)), axis=0, return_inverse=True)
         moves = []
-        for kind, wanted in enumerate(kinds):
-            mine = rows[kind_of.ravel() == kind]
-            site = prepare(world, self._robot, self.num_robots, wanted)
-            poses[mine] = self._started(world, site, keys[mine])
-            moves.append((mine, (world, site.grid.coverable.tobytes()), site))
+        for _, mine in _groups(kind_of.ravel()):
+            site = prepare(world, self._robot, self.num_robots, start[mine[0]])
+            given = known[mine, : counts[mine[0]]]
+            poses[rows[mine]] = self._started(site.starts, keys[mine], given, lambda: world)
+            moves.append(_Move(rows[mine], slot, site))
         return moves
+
+    def _slot_of(self, move: "_Move") -> int:
+        """The slot with the coverage of a move: the world's own, or one that is added."""
+        tiles, home = move.site.tiles.ravel(), move.slot
+        if np.array_equal(self.sites.tiles[home, : tiles.size], tiles):
+            return home
+        variant = home, tiles.tobytes()
+        if variant not in self._variants:
+            self._variants[variant] = len(self.sites)
+            self.sites.put(len(self.sites), move.site)
+        return self._variants[variant]
+
+
+class _Move(NamedTuple):
+    """Rows of environments that begin at given poses in the world of a slot, and the site that suits these poses."""
+
+    rows: IntArray
+    slot: int
+    site: Site
+
+
+def _groups(values: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """The different values of an array (n,), and where each of them is."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    for part in np.split(order, np.flatnonzero(np.diff(ordered)) + 1):
+        yield int(values[part[0]]), part

@@ -6,40 +6,81 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Worlds
+from limslam_env.kernels.floor import survey
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.tiles import TILE
-from limslam_env.simulation.coverage import CoverageGrid, coverage_grid
+from limslam_env.simulation.coverage import CELL as COVERAGE_CELL
+from limslam_env.simulation.coverage import coverage_grid, grid_over, views
 from limslam_env.simulation.sensors import WallIndex, build_wall_index, walls_around
-from limslam_env.simulation.starts import StartingPlaces, starting_places
+from limslam_env.simulation.starts import no_room, starting_places
+from limslam_env.worlds.free_space import cell_for, grid_around
 from limslam_env.worlds.world import World
 
 # Near walls, on the average, up to which a ray tries them all.
 _MOST_NEAR = 60
 
+# Edges of a world that can be counted in two bytes.
+_MOST_EDGES = 65_536
+
+_NOWHERE = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class StartCells:
+    """Where robots start: the known poses, and for the other robots the cells of a region, row by row.
+
+    Attributes
+    ----------
+    given
+        Poses (g, 3) of the first robots, m and rad.
+    runs
+        (r, 2): the number of the first of some cells side by side, and how many cells come before it.
+    count
+        Number of all cells.
+    space
+        (4,): lower left corner x, y and side of the cells, m, and columns.
+    """
+
+    given: FloatArray
+    runs: NDArray[np.int32]
+    count: int
+    space: FloatArray
+
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A world prepared for a batch: its sorted walls, its coverage grid and its starting places.
+    """A world prepared for a batch: its sorted walls, the cells that count for coverage, and its starting places.
 
     Attributes
     ----------
     walls
         For rays and contact.
-    near
-        The walls within the beams' reach of each cell of that list; None where these are too many.
-    grid
-        The cells that count for coverage.
-    places
+    reach
+        Farthest that robots see, m.
+    area
+        (3,): lower left corner and cell side of the coverage grid, m.
+    shape
+        Rows and columns of the coverage grid.
+    tiles
+        Its coverable cells, as :func:`to_tiles` makes them.
+    starts
         Where robots start.
     """
 
     walls: WallIndex
-    near: tuple[IntArray, IntArray] | None
-    grid: CoverageGrid
-    places: StartingPlaces
+    reach: float
+    area: FloatArray
+    shape: tuple[int, int]
+    tiles: Words
+    starts: StartCells
+
+    @property
+    def near(self) -> tuple[IntArray, IntArray] | None:
+        """The walls within the beams' reach of each cell of their list; None where these are too many."""
+        return near_walls(self.walls, self.reach)
 
 
 def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
@@ -51,15 +92,48 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
         If a start cannot be used or there is no room.
     """
     places = starting_places(world, robot, num_robots, start)
-    walls = build_wall_index(world.edges)
-    return Site(walls, _near(walls, robot.reach), coverage_grid(world, robot, places.known), places)
+    grid = coverage_grid(world, robot, places.known)
+    firsts = np.flatnonzero(np.diff(places.cells, prepend=-2) != 1)
+    runs = np.column_stack((places.cells[firsts], firsts)).astype(np.int32)
+    starts = StartCells(places.given, runs, len(places.cells), places.space)
+    tiles = to_tiles(grid.coverable)
+    return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
 
 
-def _near(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
+def prepare_plan(world: World, robot: RobotSpec) -> Site:
+    """Make a world without starts ready: as :func:`prepare`, to the last bit, but in one compiled pass.
+
+    Raises
+    ------
+    WorldError
+        If there is no room for a robot.
+    """
+    edges, cell = world.edges, cell_for(world.edges, robot.radius)
+    walls = build_wall_index(edges)
+    near_starts, near_edges = near_walls(walls, robot.reach) or _NOWHERE
+    origin, shape = grid_around(edges, robot.radius, cell)
+    low, (rows, columns) = grid_over(edges)
+    area, coverable = np.array([*low, COVERAGE_CELL]), np.zeros((rows, columns), dtype=bool)
+    corners = np.vstack((no_rows(2), *world.obstacles))
+    firsts = np.cumsum([0, *map(len, world.obstacles)])
+    runs = survey(
+        *walls.scene, near_starts, near_edges, corners, firsts, robot.radius, np.array([*origin, cell]),
+        np.ones(shape, dtype=bool), views(), robot.reach, area, coverable,
+    )  # fmt: skip
+    if not len(runs):
+        raise no_room(world, 1)
+    lengths = runs[:, 2] - runs[:, 1]
+    cells = np.column_stack((runs[:, 0] * shape[1] + runs[:, 1], np.cumsum(lengths) - lengths)).astype(np.int32)
+    starts = StartCells(no_rows(3), cells, int(lengths.sum()), np.array([*origin, cell, shape[1]]))
+    return Site(walls, robot.reach, area, (rows, columns), to_tiles(coverable), starts)
+
+
+def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
+    """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
     # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
     low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
     share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
-    if share * len(walls.edges) > _MOST_NEAR:
+    if share * len(walls.edges) > _MOST_NEAR or len(walls.edges) > _MOST_EDGES:
         return None
     return walls_around(walls, reach)
 
@@ -101,12 +175,20 @@ class _RowStore:
             self._firsts[slot], self._sizes[slot] = self._taken, size
             self._taken += size
             if self._taken > len(self.rows):
-                grown = np.zeros((max(self._taken, len(self.rows) * 3 // 2), *self.rows.shape[1:]), self.rows.dtype)
-                grown[: len(self.rows)] = self.rows
-                self.rows = grown
+                self._grow(max(self._taken, len(self.rows) * 3 // 2))
         first = self._firsts[slot]
         self.rows[first : first + len(rows)] = rows
         return first
+
+    def _grow(self, count: int) -> None:
+        shape = count, *self.rows.shape[1:]
+        try:
+            # In place: thousands of worlds are a hundred megabytes.
+            self.rows.resize(shape)
+        except ValueError:  # others hold the array
+            grown = np.zeros(shape, self.rows.dtype)
+            grown[: len(self.rows)] = self.rows
+            self.rows = grown
 
 
 class Sites:
@@ -124,7 +206,7 @@ class Sites:
 
     def __init__(self) -> None:
         self._edges, self._cells, self._items = _RowStore(np.float64, 4), _RowStore(np.int32), _RowStore(np.int32)
-        self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.int32)
+        self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.uint16)
         self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
         self.grids: FloatArray = np.zeros((0, 3))
         self.areas: FloatArray = np.zeros((0, 3))
@@ -145,18 +227,17 @@ class Sites:
         """Put a world at a slot: the next one, or one whose world is needed no more."""
         if slot == len(self):
             self._grow()
-        walls, tiles = site.walls, to_tiles(site.grid.coverable)
+        walls, tiles, near = site.walls, site.tiles, site.near
         first_edge = self._edges.put(slot, walls.edges)
         first_item = self._items.put(slot, walls.cell_edges + first_edge)
         first_cell = self._cells.put(slot, walls.cell_starts + first_item)
         columns, rows = walls.grid[3:].astype(int)
-        starts, numbers = site.near or (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
-        first_item = self._near_items.put(slot, numbers + first_edge)
-        first_near = self._near_cells.put(slot, starts + first_item)
-        near = -1 if site.near is None else first_near
-        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], near
-        self.grids[slot], self.areas[slot] = walls.grid[:3], site.grid.area
-        self.totals[slot], self.shapes[slot] = max(site.grid.total, 1), site.grid.coverable.shape
+        starts, numbers = near or _NOWHERE
+        first_item = self._near_items.put(slot, numbers)
+        first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
+        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], first_near
+        self.grids[slot], self.areas[slot] = walls.grid[:3], site.area
+        self.totals[slot], self.shapes[slot] = max(int(np.bitwise_count(tiles).sum()), 1), site.shape
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
         self.tiles[slot] = 0

@@ -94,7 +94,8 @@ class Batched:
         self.task = TaskConfig(coverage_goal, rewards_of(rewards))
         self.noise = noise_of_each(noise, sensor_noise, num_envs)
         self._max_steps, self._num_robots, self.num_envs = max_steps, num_robots, num_envs
-        places = Places(worlds_of(world, num_envs), self.robot, num_robots, num_envs, seeds_of(plans, world))
+        source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
+        places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
         self._simulation = BatchSimulation(places, self.robot, self.noise, num_threads)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._lengths, self._is_over = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)

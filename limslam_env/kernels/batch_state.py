@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.random_numbers import Words
@@ -22,11 +23,14 @@ class Robots(NamedTuple):
         Radius of the body, m.
     beams
         (n_beams, 9), as :func:`limslam_env.kernels.observation.observe` takes them.
+    is_small
+        Whether :func:`limslam_env.kernels.tiles.unseen_nearby` can look at the body and at each beam at once.
     """
 
     wheel_travel: float
     radius: float
     beams: FloatArray
+    is_small: bool
 
 
 class Worlds(NamedTuple):
@@ -42,7 +46,8 @@ class Worlds(NamedTuple):
     edges, cell_starts, cell_edges
         Walls sorted into cells (:class:`limslam_env.kernels.wall_cells.Walls`).
     near_starts, near_edges
-        The walls within the beams' reach of each cell, in worlds where these walls are few.
+        The walls within the beams' reach of each cell, in worlds where these walls are few; counted from the world's
+        first edge, in two bytes each, since they are most of a world's memory.
     coverable
         (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.tiles`).
     """
@@ -54,7 +59,7 @@ class Worlds(NamedTuple):
     cell_starts: IntArray
     cell_edges: IntArray
     near_starts: IntArray
-    near_edges: IntArray
+    near_edges: NDArray[np.uint16]
     coverable: Words
 
 
@@ -129,6 +134,8 @@ class Scratch(NamedTuple):
         (m, 2): positions before the latest move, m.
     deep
         (m,): which robots overlap something too far.
+    found
+        (n_beams + 1,): whether there are unseen cells around each beam and around the body.
     """
 
     aims: FloatArray
@@ -137,10 +144,12 @@ class Scratch(NamedTuple):
     travel: FloatArray
     before: FloatArray
     deep: BoolArray
+    found: Words
 
 
 def scratch_for(num_robots: int, num_beams: int) -> Scratch:
     """Scratch memory for environments of a number of robots with a number of beams."""
     lanes = (num_beams + LANES - 1) // LANES * LANES
     turned, travel, before = (np.zeros((num_robots, 2)) for _ in range(3))
-    return Scratch(np.zeros((4, lanes)), np.zeros((2, lanes)), turned, travel, before, np.zeros(num_robots, dtype=bool))
+    deep, found = np.zeros(num_robots, dtype=bool), np.zeros(num_beams + 1, dtype=np.uint64)
+    return Scratch(np.zeros((4, lanes)), np.zeros((2, lanes)), turned, travel, before, deep, found)

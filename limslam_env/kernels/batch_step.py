@@ -6,17 +6,18 @@ Rays, readings and encoders are those of the single environment.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from limslam_env.compilation import inlined, lean_entry, merged
+from limslam_env.compilation import inlined, lean_entry, merged, prefetch
 from limslam_env.geometry import FloatArray, IntArray, se2
 from limslam_env.kernels.batch_state import Episodes, Measurements, Robots, Scratch, Worlds
 from limslam_env.kernels.contact import LONGEST_MOVE, separate
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.observation import CONE
-from limslam_env.kernels.random_numbers import GOLDEN, mixed, normal, unit
+from limslam_env.kernels.random_numbers import GOLDEN, Words, mixed, normal, unit
 from limslam_env.kernels.rays import ROBOT, cast_at_discs, first_wall, measure, meeting, turned
 from limslam_env.kernels.readings import noisy_reading, reported_travel
-from limslam_env.kernels.tiles import take_disc, take_ray
+from limslam_env.kernels.tiles import TILE, take_disc, take_ray, unseen_nearby, walk_disc, walk_ray
 from limslam_env.kernels.wall_cells import Walls
 
 SKIP, STEP, BEGIN = 0, 1, 2
@@ -25,7 +26,9 @@ SKIP, STEP, BEGIN = 0, 1, 2
 NUM_NOISES = 14
 """Columns of the table of noise."""
 
-_ONE = np.uint64(1)
+_NONE, _ONE = np.uint64(0), np.uint64(1)
+
+_AHEAD = 2  # environments between asking for memory and its use
 
 arc_end = inlined(se2.arc_end)
 
@@ -45,18 +48,19 @@ def aim(beams: FloatArray, body_x: float, body_y: float, cos: float, sin: float,
 @merged
 def cast_fan(
     cell: int,
+    first_edge: int,
     beams: FloatArray,
     aims: FloatArray,
     edges: FloatArray,
     near_starts: IntArray,
-    near_edges: IntArray,
+    near_edges: NDArray[np.uint16],
     rays: FloatArray,
 ) -> None:
     """Set ``rays`` (2, lanes) to the lengths of a robot's rays, m, and to the walls that they hit, or -1."""
     for number in range(len(beams)):
         rays[0, number], rays[1, number] = beams[number, 5] + beams[number, 3], -1.0
     for item in range(near_starts[cell], near_starts[cell + 1]):
-        edge = near_edges[item]
+        edge = first_edge + int(near_edges[item])
         ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
         from_x, from_y, which = edges[edge, 0], edges[edge, 1], float(edge)
         # No branches: the compiler takes several rays at once.
@@ -67,6 +71,73 @@ def cast_fan(
             is_met &= distance < rays[0, lane]
             rays[0, lane] = distance if is_met else rays[0, lane]
             rays[1, lane] = which if is_met else rays[1, lane]
+
+
+@merged
+def find_unseen(
+    env: int,
+    unseen: Words,
+    tile_columns: int,
+    tile_rows: int,
+    x: float,
+    y: float,
+    radius: float,
+    low_x: float,
+    low_y: float,
+    cell: float,
+    aims: FloatArray,
+    rays: FloatArray,
+    found: Words,
+) -> None:
+    """Set ``found`` (n_beams + 1,): where there are unseen cells around the rays of a robot, and around its body last.
+
+    Body: centre (x, y) and radius in cells. ``low_x`` and ``low_y`` (m) are the corner of the cells, ``cell`` (m) their
+    side. A robot covers cells in this step, too: a ray may find none left where this function has found some.
+    """
+    beams = len(found) - 1
+    found[beams] = unseen_nearby(unseen, env, tile_columns, tile_rows, x - radius, y - radius, x + radius, y + radius)
+    for number in range(beams):
+        from_x, from_y = (aims[0, number] - low_x) / cell, (aims[1, number] - low_y) / cell
+        end = rays[0, number] / cell - RAY_MARGIN
+        far_x, far_y = from_x + aims[2, number] * end, from_y + aims[3, number] * end
+        found[number] = unseen_nearby(unseen, env, tile_columns, tile_rows, from_x, from_y, far_x, far_y)
+
+
+@merged
+def cover_ray(
+    is_looked_for: bool,
+    found: np.uint64,
+    env: int,
+    unseen: Words,
+    tile_columns: int,
+    tile_rows: int,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    end: float,
+) -> int:
+    """:func:`limslam_env.kernels.tiles.take_ray`, without a test of its own if unseen cells were looked for already."""
+    if not is_looked_for:
+        return take_ray(unseen, env, tile_columns, tile_rows, x, y, dx, dy, end)
+    if found != _NONE:
+        return walk_ray(unseen, env, tile_columns, tile_rows, x, y, dx, dy, end)
+    return 0
+
+
+@merged
+def prefetch_unseen(env: int, worlds: Worlds, episodes: Episodes) -> None:
+    """Ask for the unseen cells around the robots of an environment that is soon to be stepped."""
+    world = episodes.world_of[env]
+    columns = worlds.layout[world, 4]
+    side = TILE * worlds.areas[world, 2]
+    for robot in range(episodes.poses.shape[1]):
+        row = int((episodes.poses[env, robot, 1] - worlds.areas[world, 1]) / side)
+        column = int((episodes.poses[env, robot, 0] - worlds.areas[world, 0]) / side)
+        for line in range(row - 2, row + 3):
+            # A row of five tiles lies in one or two lines of the processor's cache.
+            prefetch(episodes.unseen, env, line * columns + column - 2)
+            prefetch(episodes.unseen, env, line * columns + column + 2)
 
 
 @inlined
@@ -205,6 +276,34 @@ def read_encoders(
 
 
 @merged
+def measure_one(
+    env: int,
+    robot: int,
+    number: int,
+    distance: float,
+    hit: int,
+    own: np.uint64,
+    robots: Robots,
+    walls: Walls,
+    first_edge: int,
+    episodes: Episodes,
+    measured: Measurements,
+    aims: FloatArray,
+) -> None:
+    """Set what a beam measures whose ray has a length of ``distance``, m, and hits ``hit``; a cone may hit more."""
+    beams, noise, poses = robots.beams, episodes.noise, episodes.poses
+    if noise[env, 5] > 0.0:
+        offset, reach = beams[number, 3], beams[number, 5] + beams[number, 3]
+        x, y = aims[0, number] + offset * aims[2, number], aims[1, number] + offset * aims[3, number]
+        distance, hit = nearest_in_cone(
+            robot, distance, hit, x, y, poses[env, robot, 2] + beams[number, 2],
+            offset, reach, noise[env, 5], robots.radius, poses[env], walls,
+        )  # fmt: skip
+    measured.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
+    read_beam(env, robot, number, distance, hit, own, beams, noise, measured)
+
+
+@merged
 def measure_beams(
     env: int,
     robot: int,
@@ -218,45 +317,47 @@ def measure_beams(
     scratch: Scratch,
 ) -> None:
     """Measure with all beams of one robot that are due, and count the cells that the robot is the first to see."""
-    poses, noise, unseen, step = episodes.poses, episodes.noise, episodes.unseen, episodes.steps[env]
-    beams, radius, aims, rays = robots.beams, robots.radius, scratch.aims, scratch.rays
+    poses, unseen, step = episodes.poses, episodes.unseen, episodes.steps[env]
+    beams, radius, aims, rays, found = robots.beams, robots.radius, scratch.aims, scratch.rays, scratch.found
     area_x, area_y, cell = worlds.areas[world, 0], worlds.areas[world, 1], worlds.areas[world, 2]
     tile_columns, tile_rows = worlds.layout[world, 4], worlds.layout[world, 5]
     first_edge, near_cell = worlds.layout[world, 0], worlds.layout[world, 6]
     body_x, body_y, heading = poses[env, robot, 0], poses[env, robot, 1], poses[env, robot, 2]
-    new = take_disc(
-        unseen, env, tile_columns, tile_rows,
-        (body_x - area_x) / cell, (body_y - area_y) / cell, (radius - BODY_MARGIN) / cell,
-    )  # fmt: skip
+    cell_x, cell_y, cell_radius = (body_x - area_x) / cell, (body_y - area_y) / cell, (radius - BODY_MARGIN) / cell
+    is_looked_for = robots.is_small and near_cell >= 0
     aim(beams, body_x, body_y, math.cos(heading), math.sin(heading), aims)
     if near_cell >= 0:
         column = min(max(math.floor((body_x - walls.low_x) / walls.side), 0), walls.columns - 1)
         row = min(max(math.floor((body_y - walls.low_y) / walls.side), 0), walls.rows - 1)
         cell_number = near_cell + row * walls.columns + column
-        cast_fan(cell_number, beams, aims, walls.edges, worlds.near_starts, worlds.near_edges, rays)
+        cast_fan(cell_number, first_edge, beams, aims, walls.edges, worlds.near_starts, worlds.near_edges, rays)
+    if is_looked_for:
+        find_unseen(
+            env, unseen, tile_columns, tile_rows, cell_x, cell_y, cell_radius, area_x, area_y, cell, aims, rays, found
+        )  # fmt: skip
+        new = 0
+        if found[len(beams)] != _NONE:
+            new = walk_disc(unseen, env, tile_columns, tile_rows, cell_x, cell_y, cell_radius)
+    else:
+        new = take_disc(unseen, env, tile_columns, tile_rows, cell_x, cell_y, cell_radius)
     for number in range(len(beams)):
         if beams[number, 6] != 1.0 and step % int(beams[number, 6]) != 0:
             continue
-        offset, reach = beams[number, 3], beams[number, 5] + beams[number, 3]
         x, y, dx, dy = aims[0, number], aims[1, number], aims[2, number], aims[3, number]
         distance, hit = rays[0, number], int(rays[1, number])
         if near_cell < 0:
-            distance, hit = first_wall(x, y, dx, dy, reach, walls)
+            distance, hit = first_wall(x, y, dx, dy, beams[number, 5] + beams[number, 3], walls)
         if poses.shape[1] > 1:
             disc = cast_at_discs(x, y, dx, dy, distance, robot, poses[env], radius)
             if disc < distance:
                 distance, hit = disc, ROBOT
-        new += take_ray(
-            unseen, env, tile_columns, tile_rows,
+        new += cover_ray(
+            is_looked_for, found[number], env, unseen, tile_columns, tile_rows,
             (x - area_x) / cell, (y - area_y) / cell, dx, dy, distance / cell - RAY_MARGIN,
         )  # fmt: skip
-        if noise[env, 5] > 0.0:
-            distance, hit = nearest_in_cone(
-                robot, distance, hit, x + offset * dx, y + offset * dy, heading + beams[number, 2],
-                offset, reach, noise[env, 5], radius, poses[env], walls,
-            )  # fmt: skip
-        measured.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
-        read_beam(env, robot, number, distance, hit, own, beams, noise, measured)
+        measure_one(
+            env, robot, number, distance, hit, own, robots, walls, first_edge, episodes, measured, aims
+        )  # fmt: skip
     measured.new_cells[env, robot] = new
 
 
@@ -293,6 +394,8 @@ def advance(
     """
     num_robots = episodes.poses.shape[1]
     for env in range(first, last):
+        if env + _AHEAD < last:
+            prefetch_unseen(env + _AHEAD, worlds, episodes)
         if tasks[env] == SKIP:
             continue
         world = episodes.world_of[env]

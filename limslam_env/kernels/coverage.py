@@ -6,7 +6,7 @@ grid's lower left corner x, y and its cell side, m.
 
 import math
 
-from limslam_env.compilation import inlined, lean_entry
+from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.kernels.rays import crossings, first_wall, turned
 from limslam_env.kernels.wall_cells import scene_walls
@@ -18,7 +18,7 @@ BODY_MARGIN = 1e-3
 RAY_MARGIN = 1e-6
 
 
-@inlined
+@merged
 def mark_ray(
     seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, dx: float, dy: float, reach: float
 ) -> int:
@@ -53,7 +53,7 @@ def is_touched(column: int, row: int, x: float, y: float, radius: float) -> bool
     return aside * aside + above * above < radius * radius
 
 
-@inlined
+@merged
 def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float) -> int:
     """Set every cell that a body touches; the number of coverable cells that are new."""
     cell = area[2]

@@ -115,7 +115,14 @@ def fill_units(keys: Words, numbers: FloatArray) -> None:
 
 @lean_entry
 def draw_starts(
-    keys: Words, num_given: int, places: IntArray, space: FloatArray, apart: float, poses: FloatArray, tries: int
+    keys: Words,
+    num_given: int,
+    runs: IntArray,
+    count: int,
+    space: FloatArray,
+    apart: float,
+    poses: FloatArray,
+    tries: int,
 ) -> bool:
     """Put robots from the ``num_given``-th on at random free cells; returns whether there was enough space.
 
@@ -123,8 +130,11 @@ def draw_starts(
     ----------
     keys
         (n,), of random numbers.
-    places
-        Numbers of free cells, row by row, in a grid ``space``: lower left corner x, y, cell side (m) and columns.
+    runs, count
+        Free cells, row by row: (r, 2), number of the first of some cells side by side, and how many cells come before
+        it; and how many cells there are.
+    space
+        The grid of these cells: lower left corner x, y, cell side (m) and columns.
     apart
         Least distance of two robots, m.
     poses
@@ -136,9 +146,14 @@ def draw_starts(
     for env in range(len(keys)):
         state, placed = keys[env], num_given
         for _ in range(tries):
-            if placed == poses.shape[1] or len(places) == 0:
+            if placed == poses.shape[1] or count == 0:
                 break
-            cell = places[int(unit(mixed(state + GOLDEN)) * len(places))]
+            place = int(unit(mixed(state + GOLDEN)) * count)
+            run, end = 0, len(runs)
+            while end - run > 1:
+                middle = (run + end) // 2
+                run, end = (middle, end) if runs[middle, 1] <= place else (run, middle)
+            cell = int(runs[run, 0]) + place - int(runs[run, 1])
             heading = (2.0 * unit(mixed(state + GOLDEN + GOLDEN)) - 1.0) * math.pi
             state = state + GOLDEN + GOLDEN
             x, y = space[0] + (cell % columns + 0.5) * space[2], space[1] + (cell // columns + 0.5) * space[2]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import compiled, inlined, lean_entry
+from limslam_env.compilation import compiled, inlined, lean_entry, merged
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.kernels.wall_cells import Walls, scene_walls
 
@@ -54,7 +54,7 @@ def meeting(ax: float, ay: float, ex: float, ey: float, dx: float, dy: float) ->
     return distance, (distance >= 0.0) & (fraction >= -_END_SLACK) & (fraction <= 1.0 + _END_SLACK)
 
 
-@inlined
+@merged
 def first_wall(x: float, y: float, dx: float, dy: float, reach: float, walls: Walls) -> tuple[float, int]:
     """Distance (m) and index of the first wall on a ray; ``reach`` and ``NOTHING`` if it meets no wall.
 
@@ -108,7 +108,7 @@ def cast_at_discs(
     return best
 
 
-@inlined
+@merged
 def measure(
     robot: int,
     poses: FloatArray,

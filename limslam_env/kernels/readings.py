@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import inlined
+from limslam_env.compilation import merged
 from limslam_env.kernels.rays import NOTHING
 
 
-@inlined
+@merged
 def noisy_reading(
     ideal: float,
     hit: int,
@@ -38,7 +38,7 @@ def noisy_reading(
     return min(max(reading, shortest), longest)
 
 
-@inlined
+@merged
 def reported_travel(
     travel: float, unreported: float, factor: float, variance: float, resolution: float, limit: float, normal: float
 ) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import inlined, merged
+from limslam_env.compilation import compiled, inlined, merged
 from limslam_env.kernels.coverage import is_touched
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.rays import crossings
@@ -17,7 +17,10 @@ from limslam_env.kernels.rays import crossings
 TILE = 8
 """Cells of a tile's side."""
 
-_NONE, _ONE, _EIGHT, _SIXTEEN = np.uint64(0), np.uint64(1), np.uint64(8), np.uint64(16)
+LONGEST_LOOK = 16.0
+"""Longest side of a rectangle, in cells, that three by three tiles hold wherever it lies."""
+
+_NONE, _ONE, _TWO, _EIGHT, _SIXTEEN = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(8), np.uint64(16)
 _FULL, _BYTE, _EACH_ROW = np.uint64(0xFFFFFF), np.uint64(0xFF), np.uint64(0x0101010101010101)
 
 # Whole rows of a tile, for each set of rows as bits.
@@ -62,6 +65,54 @@ def is_any_left(
     return bool(found != _NONE)
 
 
+@merged
+def unseen_nearby(
+    left: Words,
+    env: int,
+    tile_columns: int,
+    tile_rows: int,
+    x: float,
+    y: float,
+    far_x: float,
+    far_y: float,
+) -> np.uint64:
+    """Which unseen cells touch a rectangle of at most ``LONGEST_LOOK`` cells a side: 0 if there is none.
+
+    The rectangle lies in the grid; two of its corners are given, in cells. The words of its three by three tiles are
+    joined, so that other numbers than 0 mean nothing more. No branches, no loops, no signed places in arrays: this is
+    done for each ray and each body in each step.
+    """
+    column0, column1 = max(int(min(x, far_x)), 0), min(int(max(x, far_x)), tile_columns * TILE - 1)
+    row0, row1 = max(int(min(y, far_y)), 0), min(int(max(y, far_y)), tile_rows * TILE - 1)
+    tile_column, tile_row = column0 >> 3, row0 >> 3
+    columns = _between(column0 - TILE * tile_column, column1 - TILE * tile_column)
+    rows = _between(row0 - TILE * tile_row, row1 - TILE * tile_row)
+    left_columns = (columns & _BYTE) * _EACH_ROW
+    middle_columns = ((columns >> _EIGHT) & _BYTE) * _EACH_ROW
+    right_columns = ((columns >> _SIXTEEN) & _BYTE) * _EACH_ROW
+    line, low = np.uint64(env), np.uint64(tile_row * tile_columns + tile_column)
+    middle = low + np.uint64(tile_columns)
+    high = middle + np.uint64(tile_columns)
+    low_words = (left[line, low] & left_columns) | (left[line, low + _ONE] & middle_columns)
+    low_words |= left[line, low + _TWO] & right_columns
+    middle_words = (left[line, middle] & left_columns) | (left[line, middle + _ONE] & middle_columns)
+    middle_words |= left[line, middle + _TWO] & right_columns
+    high_words = (left[line, high] & left_columns) | (left[line, high + _ONE] & middle_columns)
+    high_words |= left[line, high + _TWO] & right_columns
+    found: np.uint64 = (
+        (low_words & _ROW_MASKS[rows & _BYTE])
+        | (middle_words & _ROW_MASKS[(rows >> _EIGHT) & _BYTE])
+        | (high_words & _ROW_MASKS[(rows >> _SIXTEEN) & _BYTE])
+    )
+    return found
+
+
+@inlined
+def _between(low: int, high: int) -> np.uint64:
+    """:func:`_stretch` of bits that are among the first 24."""
+    return (_FULL >> np.uint64(23 - high)) & (_FULL << np.uint64(low))
+
+
 @inlined
 def _stretch(low: int, high: int) -> np.uint64:
     """Bits ``low`` to ``high`` of the first 24."""
@@ -99,6 +150,22 @@ def take_ray(
     low_x, low_y, high_x, high_y = min(x, far_x), min(y, far_y), max(x, far_x), max(y, far_y)
     if not is_any_left(left, env, tile_columns, tile_rows, low_x, low_y, high_x, high_y):
         return 0
+    return walk_ray(left, env, tile_columns, tile_rows, x, y, dx, dy, end)
+
+
+@compiled
+def walk_ray(
+    left: Words,
+    env: int,
+    tile_columns: int,
+    tile_rows: int,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    end: float,
+) -> int:
+    """:func:`take_ray` without the test whether there is anything to take."""
     columns, rows = tile_columns * TILE, tile_rows * TILE
     column, column_step, next_column, per_column = crossings(x, dx, 1.0)
     row, row_step, next_row, per_row = crossings(y, dy, 1.0)
@@ -124,6 +191,12 @@ def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float
     """
     if not is_any_left(left, env, tile_columns, tile_rows, x - radius, y - radius, x + radius, y + radius):
         return 0
+    return walk_disc(left, env, tile_columns, tile_rows, x, y, radius)
+
+
+@compiled
+def walk_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
+    """:func:`take_disc` without the test whether there is anything to take."""
     columns, rows = tile_columns * TILE, tile_rows * TILE
     new = 0
     for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius), rows - 1) + 1):

@@ -45,15 +45,28 @@ class CoverageGrid:
         return int(np.count_nonzero(self.coverable))
 
 
+def grid_over(edges: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
+    """Lower left corner (2,), m, and rows and columns of the coverage grid over edges (k, 4), m."""
+    low = np.floor(np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0) / CELL) * CELL
+    high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
+    columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)
+    return low, (int(rows), int(columns))
+
+
+@functools.cache
+def views() -> FloatArray:
+    """The directions (n, 2), unit vectors, in which what can be covered is looked for."""
+    angles = np.arange(_VIEWS) * (2.0 * np.pi / _VIEWS)
+    return np.column_stack((np.cos(angles), np.sin(angles)))
+
+
 @functools.lru_cache(maxsize=16)
 def _coverage_grid(
     world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
 ) -> CoverageGrid:
     edges, reach = world.edges, robot.reach
-    low = np.floor(np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0) / CELL) * CELL
-    high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
-    columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)
-    coverable = np.zeros((rows, columns), dtype=bool)
+    low, shape = grid_over(edges)
+    coverable = np.zeros(shape, dtype=bool)
     space = world.free_space(robot.radius)
     reachable = np.isin(space.labels, list(regions))
     # A robot sees the cell it stands in. Rows and columns are computed apart, as large worlds have millions of cells.
@@ -63,13 +76,11 @@ def _coverage_grid(
     )
     at_rows, at_columns = np.nonzero(reachable)
     coverable[standing_rows[at_rows], standing_columns[at_columns]] = True
-    angles = np.arange(_VIEWS) * (2.0 * np.pi / _VIEWS)
-    views = np.column_stack((np.cos(angles), np.sin(angles)))
     index = build_wall_index(edges)
     lookouts = np.vstack((_lookouts(space, reachable), np.array(loose).reshape(-1, 2)))
     grid = CoverageGrid(low, coverable)
     space_area = np.array([*space.origin, space.cell])
-    look_out(lookouts, views, reach, *index.scene, coverable, grid.area, reachable, space_area)
+    look_out(lookouts, views(), reach, *index.scene, coverable, grid.area, reachable, space_area)
     return grid
 
 

@@ -68,10 +68,11 @@ def walls_around(index: WallIndex, reach: float) -> tuple[IntArray, IntArray]:
 
 
 def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArray, IntArray]:
-    starts, empty = np.zeros(int(grid[3] * grid[4]) + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    list_walls(edges, grid, border, starts, empty)
+    count = int(grid[3] * grid[4])
+    starts, empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    list_walls(edges, grid, border, np.zeros(count, dtype=np.int64), starts, empty)
     numbers = np.empty(starts[-1], dtype=np.int64)
-    list_walls(edges, grid, border, starts, numbers)
+    list_walls(edges, grid, border, np.zeros(count, dtype=np.int64), starts, numbers)
     return starts, numbers
 
 

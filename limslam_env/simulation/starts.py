@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World, WorldError
 
@@ -57,25 +57,49 @@ def starting_places(world: World, robot: RobotSpec, num_robots: int, start: Floa
         If a given start collides or lies outside, if two start in one place, or if there is no room at all.
     """
     given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
-    if len(given) > num_robots:
-        raise WorldError(f"{len(given)} starts for {num_robots} robots")
-    poses: list[FloatArray] = []
-    for pose in given:
-        world.check_pose(pose, robot.radius)
-        if not is_apart(pose, poses, robot):
-            raise WorldError(f"world {world.name!r}: two robots are to start in one place")
-        poses.append(pose)
-    for pose in world.starts:
-        if len(poses) < num_robots and is_apart(pose, poses, robot):
-            poses.append(pose)
+    known, counts = known_poses(world, robot, num_robots, given[None])
+    poses = known[0, : counts[0]]
     cells, space = np.zeros(0, dtype=np.int64), np.array([0.0, 0.0, 1.0, 1.0])
     if len(poses) < num_robots:
         grid = world.free_space(robot.radius)
-        region = grid.region_of(poses[0][:2]) if poses else grid.largest_closed_region()
+        region = grid.region_of(poses[0, :2]) if len(poses) else grid.largest_closed_region()
         cells, space = np.flatnonzero(region), np.array([*grid.origin, grid.cell, region.shape[1]])
         if not len(cells):
             raise no_room(world, num_robots)
-    return StartingPlaces(np.array(poses).reshape(-1, 3), cells, space)
+    return StartingPlaces(poses, cells, space)
+
+
+def known_poses(world: World, robot: RobotSpec, num_robots: int, given: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The given poses (k, s, 3) of the first robots in k environments, and after them those of the world that fit in.
+
+    Returns
+    -------
+    poses
+        (k, num_robots, 3), m and rad; 0 where a robot has none.
+    counts
+        (k,), how many poses each environment has.
+
+    Raises
+    ------
+    WorldError
+        If a given start collides or lies outside, or if two start in one place.
+    """
+    count, number = given.shape[:2]
+    if number > num_robots:
+        raise WorldError(f"{number} starts for {num_robots} robots")
+    if number:
+        world.check_poses(given.reshape(count * number, given.shape[2]), robot.radius)
+    poses, counts = np.zeros((count, num_robots, 3)), np.full(count, number)
+    poses[:, :number] = given
+    for robot_number in range(1, number):
+        if not are_apart(poses[:, robot_number], poses[:, :robot_number], robot).all():
+            raise WorldError(f"world {world.name!r}: two robots are to start in one place")
+    for start in world.starts:
+        is_known = np.arange(num_robots) < counts[:, None]
+        fits = are_apart(start[None], poses, robot, is_known) & (counts < num_robots)
+        poses[fits, counts[fits]] = start
+        counts += fits
+    return poses, counts
 
 
 def drawn_starts(
@@ -107,4 +131,14 @@ def no_room(world: World, num_robots: int) -> WorldError:
 
 def is_apart(pose: FloatArray, poses: list[FloatArray], robot: RobotSpec) -> bool:
     """Whether a pose is far enough from all of some others for a robot to start at."""
-    return all(np.hypot(*(pose[:2] - other[:2])) > least_distance(robot) for other in poses)
+    return not poses or bool(are_apart(pose[None], np.array(poses)[None], robot)[0])
+
+
+def are_apart(poses: FloatArray, others: FloatArray, robot: RobotSpec, counted: BoolArray | None = None) -> BoolArray:
+    """Whether poses (k, 3) are far enough from others (k, n, 3) for robots to start at both.
+
+    Only the ``counted`` (k, n) of the others matter, or all.
+    """
+    x, y = np.moveaxis(poses[:, None, :2] - others[..., :2], -1, 0)
+    is_far = np.hypot(x, y) > least_distance(robot)
+    return np.asarray((is_far if counted is None else is_far | ~counted).all(axis=1))

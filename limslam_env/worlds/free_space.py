@@ -54,14 +54,21 @@ class FreeSpace:
 
     def label_of(self, point: FloatArray) -> int:
         """The number of the region that a disc at a point (2,) can reach; 0 where it does not fit."""
-        column, row = np.floor((point - self.origin) / self.cell).astype(int)
-        if not (0 <= row < self.labels.shape[0] and 0 <= column < self.labels.shape[1]):
-            return 0
-        if self.labels[row, column]:
-            return int(self.labels[row, column])
-        # A start may stand a fraction of a cell from the nearest free centre.
-        near = self.labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-        return int(near[near > 0][0]) if (near > 0).any() else 0
+        return int(self.labels_of(point[None])[0])
+
+    def labels_of(self, points: FloatArray) -> IntArray:
+        """The number of the region that a disc at each point (n, 2) can reach; 0 where it does not fit."""
+        columns, rows = np.floor((points - self.origin) / self.cell).astype(int).T
+        height, width = self.labels.shape
+        is_on_grid = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        found = np.zeros(len(points), dtype=np.int64)
+        found[is_on_grid] = self.labels[rows[is_on_grid], columns[is_on_grid]]
+        for number in np.flatnonzero(is_on_grid & (found == 0)):
+            # A start may stand a fraction of a cell from the nearest free centre.
+            row, column = rows[number], columns[number]
+            near = self.labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+            found[number] = near[near > 0][0] if (near > 0).any() else 0
+        return found
 
     def region_of(self, point: FloatArray) -> BoolArray:
         """The cells that a disc at a point (2,) can reach. Empty where it does not fit."""
@@ -75,13 +82,18 @@ class FreeSpace:
         for part in np.array_split(labels, labels.size // _COUNTED + 1):
             sizes += np.bincount(part.ravel(), minlength=len(sizes))
         sizes[0] = 0
-        border = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
-        sizes[np.unique(border)] = 0
+        sizes[self._border_labels] = 0
         return np.asarray(labels == np.argmax(sizes)) if sizes.any() else np.zeros_like(self.free)
 
-    def reaches_border(self, region: BoolArray) -> bool:
-        """Whether a region touches the outermost cells, which lie beyond every wall."""
-        return bool(region[0].any() or region[-1].any() or region[:, 0].any() or region[:, -1].any())
+    def is_open(self, points: FloatArray) -> BoolArray:
+        """Whether a disc at each point (n, 2) does not fit, or can reach the outermost cells, beyond every wall."""
+        labels = self.labels_of(points)
+        return np.asarray((labels == 0) | np.isin(labels, self._border_labels))
+
+    @functools.cached_property
+    def _border_labels(self) -> IntArray:
+        labels = self.labels
+        return np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
 
     @functools.cached_property
     def labels(self) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
@@ -111,18 +123,24 @@ def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence
     polygons
         Simple ones, each (k, 2), m.
     """
+    origin, shape = grid_around(edges, radius, cell)
+    free = np.ones(shape, dtype=bool)
+    for batch in _batches(edges, radius, cell):
+        _block_near(free, batch, origin, cell, radius)
+    for polygon in polygons:
+        block_inside(free, polygon, origin, cell)
+    return FreeSpace(origin, cell, free)
+
+
+def grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:
+    """Lower left corner (2,), m, and rows and columns of a grid of cells (m) that a disc can go around edges in."""
     low = np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0)
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
     margin = max(2.0 * radius, 3.0 * cell)
     # Half a cell off the round numbers on which walls tend to stand.
     origin = low - margin - 0.5 * cell
     columns, rows = (np.ceil((high + margin - origin) / cell)).astype(int) + 1
-    free = np.ones((rows, columns), dtype=bool)
-    for batch in _batches(edges, radius, cell):
-        _block_near(free, batch, origin, cell, radius)
-    for polygon in polygons:
-        block_inside(free, polygon, origin, cell)
-    return FreeSpace(origin, cell, free)
+    return origin, (int(rows), int(columns))
 
 
 def _batches(edges: FloatArray, radius: float, cell: float) -> Iterator[FloatArray]:

@@ -3,14 +3,14 @@
 import functools
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.geometry import BoolArray, FloatArray, no_rows
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
 from limslam_env.messages import one_line
 from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
@@ -20,6 +20,8 @@ MAX_EDGES = 100_000
 SHORTEST_EDGE = 1e-6
 MAX_LENGTH = 50_000.0
 """Largest total length of walls and obstacle edges, m. The time of the checks grows with it."""
+
+_PAIRS = 200_000  # points and edges that are compared in one go
 
 
 class WorldError(ValueError):
@@ -113,56 +115,73 @@ class World:
         WorldError
             If a start collides, if the robot's disc could escape, or if it fits nowhere.
         """
-        for number, start in enumerate(self.starts):
-            self._check_start(start, radius, f"starts[{number}]")
         if len(self.starts):
-            self._check_closed([(f"starts[{number}]", start) for number, start in enumerate(self.starts)], radius)
+            self._check_starts(self.starts, radius, "starts[{}]".format)
+            self._check_closed(self.starts[:, :2], radius, "starts[{}]".format)
             return
         space = self.free_space(radius)
         region = space.largest_closed_region()
         if not region.any():
             raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
-        self._check_closed([("its largest region", space.first_centre(region))], radius)
+        self._check_closed(space.first_centre(region)[None], radius, lambda _: "its largest region")
 
-    def check_pose(self, pose: FloatArray, radius: float) -> None:
-        """Make sure that a robot of ``radius`` (m) may start at ``pose`` (3,).
+    def check_poses(self, poses: FloatArray, radius: float) -> None:
+        """Make sure that a robot of ``radius`` (m) may start at each of ``poses`` (n, 3).
 
         Raises
         ------
         WorldError
-            If the pose is not finite, collides, or lies where the robot could leave the world.
+            If a pose is not finite, collides, or lies where the robot could leave the world.
         """
-        self._check_start(pose, radius, "start")
-        self._check_closed([(f"start {_text(pose)}", pose)], radius)
+        self._check_starts(poses, radius, lambda _: "start")
+        self._check_closed(poses[:, :2], radius, lambda number: f"start {_text(poses[number])}")
 
-    def _check_closed(self, places: list[tuple[str, FloatArray]], radius: float) -> None:
-        # A gap that the grid is too coarse to be sure of counts as a way out.
-        cell = cell_for(self.edges, radius)
-        wide = free_space(self.edges, radius - 0.75 * cell, cell, self.obstacles)
-        for label, place in places:
-            region = wide.region_of(place[:2])
-            if not region.any() or wide.reaches_border(region):
-                raise OpenWorldError(
-                    f"world {self.name!r}: {label} lies in a region that is not closed: "
-                    f"a robot of {radius:g} m radius could leave the world"
-                )
-
-    def _check_start(self, start: FloatArray, radius: float, label: str) -> None:
-        if start.shape != (3,) or not np.isfinite(start).all():
-            raise WorldError(f"world {self.name!r}: {label} must be three finite numbers (x, y, theta)")
-        gap = float(distances(start[None, :2], self.edges).min())
-        inside = any(inside_polygon(start[None, :2], polygon)[0] for polygon in self.obstacles)
-        if inside or gap < radius:
-            reason = "inside an obstacle" if inside else f"{gap:.3f} m from a wall"
-            raise WorldError(
-                f"world {self.name!r}: {label} {_text(start)} collides: a robot of {radius:g} m radius {reason}"
+    def _check_closed(self, points: FloatArray, radius: float, label: Callable[[int], str]) -> None:
+        is_open = _wide_space(self, radius).is_open(points)
+        if is_open.any():
+            raise OpenWorldError(
+                f"world {self.name!r}: {label(int(np.argmax(is_open)))} lies in a region that is not closed: "
+                f"a robot of {radius:g} m radius could leave the world"
             )
+
+    def _check_starts(self, starts: FloatArray, radius: float, label: Callable[[int], str]) -> None:
+        is_pose = np.isfinite(starts).all(axis=1) if starts.ndim == 2 and starts.shape[1] == 3 else np.zeros(1, bool)
+        if not is_pose.all():
+            raise WorldError(
+                f"world {self.name!r}: {label(int(np.argmin(is_pose)))} must be three finite numbers (x, y, theta)"
+            )
+        gaps, is_inside = self._gaps(starts[:, :2])
+        collides = is_inside | (gaps < radius)
+        if collides.any():
+            first = int(np.argmax(collides))
+            reason = "inside an obstacle" if is_inside[first] else f"{gaps[first]:.3f} m from a wall"
+            raise WorldError(
+                f"world {self.name!r}: {label(first)} {_text(starts[first])} collides: "
+                f"a robot of {radius:g} m radius {reason}"
+            )
+
+    def _gaps(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Distance (m) of each point (n, 2) from the nearest edge, and whether it lies inside an obstacle."""
+        gaps, is_inside = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+        parts = np.array_split(np.arange(len(points)), len(points) * len(self.edges) // _PAIRS + 1)
+        for part in parts:
+            gaps[part] = distances(points[part], self.edges).min(axis=1, initial=np.inf)
+            for polygon in self.obstacles:
+                is_inside[part] |= inside_polygon(points[part], polygon)
+        return gaps, is_inside
 
 
 # Checks, starts, coverage and metrics all ask for it. The largest floor plans have grids of tens of megabytes.
 @functools.lru_cache(maxsize=8)
 def _free_space(world: World, radius: float) -> FreeSpace:
     return free_space(world.edges, radius, cell_for(world.edges, radius), world.obstacles)
+
+
+@functools.lru_cache(maxsize=2)
+def _wide_space(world: World, radius: float) -> FreeSpace:
+    # A gap that the grid is too coarse to be sure of counts as a way out.
+    cell = cell_for(world.edges, radius)
+    return free_space(world.edges, radius - 0.75 * cell, cell, world.obstacles)
 
 
 @contextmanager

@@ -121,7 +121,7 @@ def test_a_world_can_move_out_and_a_larger_one_in():
     for slot in range(3):
         np.testing.assert_array_equal(edges[layout[slot, 0] :][:count], small.walls.edges)
         np.testing.assert_array_equal(tiles[slot, : before[-1].shape[1]], before[-1][0])
-        np.testing.assert_array_equal(sites.to_cells(slot, tiles[slot]), small.grid.coverable)
+        np.testing.assert_array_equal(sites.to_cells(slot, tiles[slot]), from_tiles(small.tiles, small.shape))
 
 
 def test_noise_of_many_is_the_noise_of_each():

@@ -241,17 +241,17 @@ def test_a_start_that_cannot_be_is_refused(start, reason):
     with pytest.raises(WorldError, match=reason):
         box_world(obstacles=(block,), starts=np.array([[1.0, 1.0, 0.0], start])).check(RADIUS)
     with pytest.raises(WorldError, match=reason):
-        box_world(obstacles=(block,)).check_pose(np.array(start), RADIUS)
+        box_world(obstacles=(block,)).check_poses(np.array([start]), RADIUS)
 
 
 @pytest.mark.parametrize("pose", [[math.nan, 1.0, 0.0], [1.0, math.inf, 0.0], [1.0, 1.0, math.nan], [1.0, 1.0]])
 def test_a_pose_that_is_not_three_finite_numbers_is_refused(pose):
     with pytest.raises(WorldError, match="three finite numbers"):
-        box_world().check_pose(np.array(pose), RADIUS)
+        box_world().check_poses(np.array([pose]), RADIUS)
 
 
 def test_a_pose_that_just_fits_is_fine():
-    box_world().check_pose(np.array([RADIUS, RADIUS, 1.0]), RADIUS)
+    box_world().check_poses(np.array([[RADIUS, RADIUS, 1.0]]), RADIUS)
 
 
 @pytest.mark.parametrize("middle", [2.0, 1.993, 2.0125])
@@ -265,7 +265,7 @@ def test_a_gap_wider_than_the_robot_is_refused(width, middle, starts):
 
 def test_a_pose_from_which_a_gap_leads_out_is_refused():
     with pytest.raises(WorldError, match="closed"):
-        box_world(walls=gap_walls(0.3, 2.0)).check_pose(np.array([1.0, 1.0, 0.0]), RADIUS)
+        box_world(walls=gap_walls(0.3, 2.0)).check_poses(np.array([[1.0, 1.0, 0.0]]), RADIUS)
 
 
 @pytest.mark.parametrize("starts", [[[1.0, 1.0, 0.0]], []], ids=["start", "no start"])

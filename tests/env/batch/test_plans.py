@@ -1,0 +1,242 @@
+"""Floor plans of a batch: prepared in one compiled pass as in the plain way, kept on disk, and little memory."""
+
+import io
+import os
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_env.batch import places, plan_cache
+from limslam_env.batch.places import Places
+from limslam_env.batch.plan_cache import FOLDER, PlanCache, cache_folder
+from limslam_env.batch.progress import work_through
+from limslam_env.batch.worlds import Site, prepare, prepare_plan
+from limslam_env.compilation import QUIET
+from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+from limslam_env.worlds.world import World, WorldError
+
+ROBOT = RobotSpec()
+FAR = RobotSpec(beams=beams_on_rim((0.0, 90.0, -90.0), 0.1, max_range=8.0))
+LARGE = RobotSpec(radius=0.17, beams=beams_on_rim((0.0, 70.0, -70.0), 0.17, max_range=1.2))
+SMALL = FloorPlanConfig(width=(3.0, 4.0), height=3.0)
+FULL = FloorPlanConfig(slanted=1.0, obstacles=5.0, obstacle_size=(0.2, 1.5))
+WIDE = FloorPlanConfig(width=14.0, height=9.0, door_width=(0.6, 0.8))
+
+
+def plan(config: FloorPlanConfig, seed: int, robot: RobotSpec = ROBOT) -> World:
+    return floor_plan(config, np.random.default_rng(seed), robot.radius)
+
+
+def assert_same(one: Site, other: Site) -> None:
+    for mine, their in (
+        (one.tiles, other.tiles), (one.area, other.area), (one.walls.edges, other.walls.edges),
+        (one.walls.cell_starts, other.walls.cell_starts), (one.walls.cell_edges, other.walls.cell_edges),
+        (one.walls.grid, other.walls.grid), (one.starts.runs, other.starts.runs),
+        (one.starts.space, other.starts.space), (one.starts.given, other.starts.given),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(mine, their)
+        assert mine.dtype == their.dtype
+    assert (one.shape, one.reach, one.starts.count) == (other.shape, other.reach, other.starts.count)
+    assert (one.near is None) == (other.near is None)
+
+
+@pytest.mark.parametrize("robot", [ROBOT, FAR, LARGE], ids=["default", "far", "large"])
+@pytest.mark.parametrize("config", [SMALL, FULL, WIDE], ids=["small", "full", "wide"])
+def test_one_compiled_pass_gives_the_same_bits(config, robot):
+    for seed in range(3):
+        world = plan(config, seed, robot)
+        assert_same(prepare_plan(world, robot), prepare(world, robot, 1))
+
+
+@pytest.mark.parametrize("name", ["square", "env2", "env3"])
+def test_worlds_with_several_regions_are_prepared_alike(name):
+    world = replace(load_world(name), starts=np.zeros((0, 3)))
+    assert_same(prepare_plan(world, ROBOT), prepare(world, ROBOT, 2))
+
+
+def test_where_no_robot_fits_is_refused():
+    corners = np.array([[0.0, 0.0], [0.15, 0.0], [0.15, 2.0], [0.0, 2.0]])
+    walls = np.hstack((corners, np.roll(corners, -1, axis=0)))
+    with pytest.raises(WorldError, match="no room"):
+        prepare_plan(World("slit", (0.15, 2.0), walls), ROBOT)
+
+
+def test_thousands_of_plans_need_little_memory():
+    made = Places(FloorPlanConfig(), ROBOT, 1, 16, range(16))
+    sites = made.sites
+    total = sum(array.nbytes for array in sites.worlds) + sum(each.runs.nbytes for each in made._starts)
+    # The rows grow in leaps, of which the last one is half empty at worst.
+    assert total / len(sites) < 35_000
+    assert not made._worlds
+
+
+@pytest.fixture
+def cache(tmp_path) -> PlanCache:
+    return PlanCache(SMALL, ROBOT, tmp_path / "plans")
+
+
+def test_what_is_kept_is_what_is_read(cache):
+    site = prepare_plan(plan(SMALL, 7), ROBOT)
+    assert cache.read(7) is None
+    cache.write(7, site)
+    assert_same(cache.read(7), site)
+    assert [path.name for path in cache.path(7).parent.iterdir()] == [cache.path(7).name]
+    if os.name == "posix":
+        assert cache.path(7).stat().st_mode & 0o777 == 0o644, "other users read it, too"
+
+
+def test_an_entry_belongs_to_one_plan_one_robot_and_one_version(cache, tmp_path, monkeypatch):
+    folder = tmp_path / "plans"
+    others = [cache.path(8), PlanCache(WIDE, ROBOT, folder).path(7), PlanCache(SMALL, LARGE, folder).path(7)]
+    monkeypatch.setattr(plan_cache, "source_stamp", lambda *_: "changed")
+    others.append(PlanCache(SMALL, ROBOT, folder).path(7))
+    assert len({cache.path(7), *others}) == 5
+
+
+@pytest.mark.parametrize("place", [0, 3, 20, 50, 60, 200, -1])
+def test_a_damaged_entry_counts_as_missing(cache, place):
+    cache.write(7, prepare_plan(plan(SMALL, 7), ROBOT))
+    data = bytearray(cache.path(7).read_bytes())
+    data[place] ^= 1
+    cache.path(7).write_bytes(data)
+    assert cache.read(7) is None
+
+
+@pytest.mark.parametrize("length", [0, 5, 40, 50, 80, 500])
+def test_an_entry_that_is_cut_off_counts_as_missing(cache, length):
+    cache.write(7, prepare_plan(plan(SMALL, 7), ROBOT))
+    cache.path(7).write_bytes(cache.path(7).read_bytes()[:length])
+    assert cache.read(7) is None
+
+
+def bad(**changes) -> Site:
+    site = prepare_plan(plan(SMALL, 7), ROBOT)
+    return replace(site, starts=replace(site.starts, **changes))
+
+
+@pytest.mark.parametrize(
+    "site",
+    [
+        lambda: bad(count=1),
+        lambda: bad(count=10**9),
+        lambda: bad(runs=np.array([[-5, 0]], dtype=np.int32)),
+        lambda: bad(runs=np.array([[5, 3]], dtype=np.int32)),
+        lambda: bad(runs=np.array([[10**9, 0]], dtype=np.int32)),
+    ],
+)
+def test_no_entry_leads_outside_of_the_grid(cache, site):
+    cache.write(7, site())
+    assert cache.path(7).exists()
+    assert cache.read(7) is None
+
+
+def test_a_cache_that_cannot_be_used_does_no_harm(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("not a folder", encoding="utf-8")
+    for folder in (tmp_path / "file", None):
+        cache = PlanCache(SMALL, ROBOT, folder)
+        cache.write(7, prepare_plan(plan(SMALL, 7), ROBOT))
+        assert cache.read(7) is None
+        cache.prune(0)
+    entry = PlanCache(SMALL, ROBOT, tmp_path).path(7)
+    entry.mkdir()
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    assert len(Places(SMALL, ROBOT, 1, 1, [7]).sites) == 1
+    assert entry.is_dir()
+
+
+def test_the_oldest_entries_make_room(cache):
+    site = prepare_plan(plan(SMALL, 7), ROBOT)
+    for seed in range(4):
+        cache.write(seed, site)
+        os.utime(cache.path(seed), (1000.0 + seed, 1000.0 + seed))
+    cache.prune(2 * cache.path(0).stat().st_size)
+    assert [seed for seed in range(4) if cache.read(seed)] == [2, 3]
+
+
+def test_readers_never_see_half_an_entry(cache):
+    site, seen, ended = prepare_plan(plan(SMALL, 7), ROBOT), [], threading.Event()
+    cache.write(7, site)
+
+    def read() -> None:
+        while not ended.is_set():
+            seen.append(cache.read(7) is not None)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for _ in range(50):
+        cache.write(7, site)
+    ended.set()
+    reader.join()
+    assert seen
+    assert all(seen)
+
+
+def test_plans_come_from_the_disk_the_second_time_and_damaged_ones_are_made_again(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    first = Places(SMALL, ROBOT, 1, 4, [3, 4, 5])
+    entries = sorted(tmp_path.iterdir())
+    assert len(entries) == 3
+    entries[0].write_bytes(b"damaged")
+    drawn = []
+
+    def counted(*arguments):
+        drawn.append(1)
+        return floor_plan(*arguments)
+
+    monkeypatch.setattr(places, "floor_plan", counted)
+    again = Places(SMALL, ROBOT, 1, 4, [3, 4, 5])
+    assert len(drawn) == 2, "one shows whether the settings can be used, and one was damaged"
+    for mine, their in zip(first.sites.worlds, again.sites.worlds, strict=True):
+        np.testing.assert_array_equal(mine, their)
+    assert entries[0].stat().st_size > 100
+
+
+def test_the_folder_is_the_user_s_unless_it_is_named_or_switched_off(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    assert cache_folder() == tmp_path
+    monkeypatch.setenv(FOLDER, "off")
+    assert cache_folder() is None
+    monkeypatch.delenv(FOLDER)
+    monkeypatch.setattr(plan_cache.sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    assert cache_folder() == tmp_path / "caches" / "limslam" / "plans"
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_results_come_in_order_and_the_first_error_ends_the_work(threads):
+    squares = work_through(lambda number: number**2, range(50), threads, "squares")
+    assert list(squares) == [number**2 for number in range(50)]
+    done = []
+
+    def failing(number: int) -> None:
+        if number == 3:
+            raise WorldError("no room")
+        done.append(number)
+
+    with pytest.raises(WorldError, match="no room"):
+        list(work_through(failing, range(300), threads, "failures"))
+    assert done[:3] == [0, 1, 2] or threads > 1
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_shows_how_far_long_work_is(monkeypatch):
+    clock = iter(np.arange(0.0, 1e3, 0.6))
+    terminal = Terminal()
+    monkeypatch.delenv(QUIET, raising=False)
+    monkeypatch.setattr("limslam_env.batch.progress.sys.stderr", terminal)
+    monkeypatch.setattr("limslam_env.batch.progress.time.monotonic", lambda: next(clock))
+    list(work_through(lambda number: number, range(4), 1, "floor plans"))
+    text = terminal.getvalue()
+    assert "floor plans [###############               ] 2 of 4, 1 s left" in text
+    assert text.endswith("\r\x1b[K"), "the bar is removed"
+    monkeypatch.setenv(QUIET, "1")
+    list(work_through(lambda number: number, range(4), 1, "floor plans"))
+    assert terminal.getvalue() == text
