@@ -19,6 +19,25 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
+NO_SUPPORT = "no other loop nearby agrees"
+REMOVED = "the map agrees better with itself without it"
+NOT_ADDED = "the map does not agree better with itself with it"
+OUTVOTED = "its weight in the graph of chunks is too low"
+KEPT = "kept"
+
+
+@dataclass(frozen=True, eq=False)
+class LoopVerdict:
+    """A loop that was found in the round of the result, and its status: ``KEPT``, or the reason for its rejection."""
+
+    loop: Loop
+    reason: str
+
+    @property
+    def kept(self) -> bool:
+        """Whether the loop is part of the result."""
+        return self.reason == KEPT
+
 
 def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Errors with which each loop (row) predicts each other loop (column).
@@ -65,6 +84,15 @@ def groups_of(loops: Sequence[Loop], poses: FloatArray, config: LoopConfig) -> l
         for column in np.nonzero(joined[row] | joined[:, row])[0]:
             label[label == label[column]] = label[row]
     return [list(map(int, np.nonzero(label == each)[0])) for each in dict.fromkeys(label.tolist())]
+
+
+def distances_after_alignment(poses: FloatArray, others: FloatArray) -> FloatArray:
+    """Distances (m,) between the positions of two paths (m, 3), after the rigid motion that fits them best."""
+    places, targets = poses[:, :2] - poses[:, :2].mean(axis=0), others[:, :2] - others[:, :2].mean(axis=0)
+    products = places.T @ targets
+    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
+    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
+    return np.asarray(np.hypot(*(moved - targets).T))
 
 
 @dataclass(frozen=True, eq=False)

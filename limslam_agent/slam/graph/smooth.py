@@ -16,7 +16,20 @@ from functools import partial
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import Decision, MapScore, accept_groups, prune_groups, supported
+from limslam_agent.slam.graph.agreement import (
+    KEPT,
+    NO_SUPPORT,
+    NOT_ADDED,
+    OUTVOTED,
+    REMOVED,
+    Decision,
+    LoopVerdict,
+    MapScore,
+    accept_groups,
+    distances_after_alignment,
+    prune_groups,
+    supported,
+)
 from limslam_agent.slam.graph.bundle import bundle
 from limslam_agent.slam.graph.chunk_graph import (
     ChunkSolution,
@@ -25,6 +38,7 @@ from limslam_agent.slam.graph.chunk_graph import (
     hops_between,
     information_matrix,
     solve_annealed,
+    unbent,
 )
 from limslam_agent.slam.graph.key_poses import (
     KeyPoses,
@@ -36,33 +50,14 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.least_squares import pose_columns, relation_factor
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.graph.local_smoothing import link_std, local_equations, smooth_locally
+from limslam_agent.slam.graph.local_smoothing import local_covariances, smooth_locally
 from limslam_agent.slam.graph.loop_search import Chunks, loops_along_the_way
-from limslam_agent.slam.graph.point_links import point_cloud
 from limslam_agent.slam.graph.union_matching import match_unions
 from limslam_agent.slam.graph.wide_search import search_widely
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-NO_SUPPORT = "no other loop nearby agrees"
-REMOVED = "the map agrees better with itself without it"
-NOT_ADDED = "the map does not agree better with itself with it"
-OUTVOTED = "its weight in the graph of chunks is too low"
-KEPT = "kept"
-
-
-@dataclass(frozen=True, eq=False)
-class LoopVerdict:
-    """A loop that was found in the round of the result, and its status: ``KEPT``, or the reason for its rejection."""
-
-    loop: Loop
-    reason: str
-
-    @property
-    def kept(self) -> bool:
-        """Whether the loop is part of the result."""
-        return self.reason == KEPT
+_MOST = 0.9  # share of a path that has to agree with another path
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +75,6 @@ class Round:
     middles, chunk_covariances
         Middle key poses of the chunks (c,); their covariances (c, 3, 3) from the graph of chunks, relative to the first
         chunk.
-    recognised
-        Number of loops from the wide search and from union matching.
     """
 
     trajectory: Trajectory
@@ -89,7 +82,6 @@ class Round:
     verdicts: list[LoopVerdict]
     middles: IntArray
     chunk_covariances: FloatArray
-    recognised: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +167,8 @@ def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Rep
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
         return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
-    turns = config.rounds.orientations
-    begun = [
-        _begun(keys, data, config, turn, partial(_say, report, f"frame {number} of {len(turns)}"))
-        for number, turn in enumerate(turns, start=1)
-    ]
-    searches = _searched([search for each in begun for search in each])
-    best = max(searches, key=lambda search: search.score)
+    searches = _searched(_frames(keys, data, config, report))
+    best = max(searches, key=_score)
     found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
     return _result(keys, best.name, found, scores)
@@ -227,6 +214,15 @@ class _Log:
         hops = hops_between(poses, self._hop_covariances(number), config.chunks)
         return Chunks(maps, middles, poses, self.keys.key_travel[middles], hops, config)
 
+    def unbent(self, trajectory: Trajectory, number: int) -> Trajectory:
+        """A trajectory whose hops follow the local smoothing again where a bundle has bent them too far.
+
+        Links between visits can pull at a segment of the path that no loop holds, and bend it more in each round.
+        """
+        middles, covariances = self.middles(number), self._hop_covariances(number)
+        hops = hops_between(self.local.poses[middles], covariances, self.config.chunks)
+        return unbent(trajectory, self.local, middles, hops, self.config.chunks.bent)
+
     def score(self, trajectory: Trajectory) -> float:
         """G of a trajectory's map, for chunks whose middles are ``config.maps.half`` apart."""
         middles = chunk_middles(self.keys, self.config.maps, self.config.maps.half)
@@ -242,18 +238,6 @@ class _Log:
         return self._covariances[hop]
 
 
-def local_covariances(
-    keys: KeyPoses, trajectory: Trajectory, middles: IntArray, config: GraphConfig, range_std: float
-) -> FloatArray:
-    """Covariances (c - 1, 3, 3) of the motions between key poses (c,), from odometry and links along the way."""
-    cloud = point_cloud(keys, trajectory, config.links, range_std)
-    std = config.bundle.link_inflation * link_std(config, range_std)
-    equations = local_equations(keys, trajectory, cloud, config, std)
-    first, second = middles[:-1], middles[1:]
-    _, jacobian = relation_factor(trajectory.poses, first, second, np.zeros((len(first), 3)))
-    return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
-
-
 @dataclass(frozen=True, eq=False)
 class _Placed:
     """The graph of chunks after a round's search: its loops, their solution, and the rejected loops."""
@@ -261,13 +245,11 @@ class _Placed:
     loops: list[Loop]
     solution: ChunkSolution
     dropped: list[LoopVerdict]
-    recognised: int = 0
 
     def after(self, decision: Decision, reason: str) -> "_Placed":
         """The graph after a decision that rejected loops for a reason."""
         dropped = self.dropped + [LoopVerdict(loop, reason) for loop in decision.dropped]
-        gained = max(0, len(decision.loops) - len(self.loops))
-        return _Placed(decision.loops, decision.solution, dropped, self.recognised + gained)
+        return _Placed(decision.loops, decision.solution, dropped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,8 +262,6 @@ class _Search:
         The log in this frame.
     start, turn
         The name of the start, and the first heading in this frame, rad.
-    found
-        Loops along the way in the local trajectory, for the first round.
     report
         Called at the start of each round.
     rounds
@@ -291,9 +271,8 @@ class _Search:
     log: _Log
     start: str
     turn: float
-    found: list[Loop]
     report: Report
-    rounds: list[Round] = field(default_factory=list)
+    rounds: list[Round]
 
     @property
     def name(self) -> str:
@@ -305,29 +284,87 @@ class _Search:
         """The highest score of the search's rounds."""
         return max(each.score for each in self.rounds)
 
+    def finds_the_path_of(self, other: "_Search") -> bool:
+        """Whether both searches have found the same path, which may begin with another heading."""
+        poses, others = self.rounds[-1].trajectory.poses, other.rounds[-1].trajectory.poses
+        same = self.log.config.rounds.same_path
+        return float(np.quantile(distances_after_alignment(poses, others), _MOST)) <= same
+
     def advanced(self, end: int) -> "_Search":
         """The search after ``end`` rounds."""
         return replace(self, rounds=_rounds(self, end))
+
+
+@dataclass(eq=False)
+class _Candidates:
+    """The chunks of a round, and the loops that were found among them.
+
+    Both starts of the first round share the result of the wide search.
+    """
+
+    chunks: Chunks
+    loops: list[Loop]
+    _groups: list[list[Loop]] | None = None
+
+    def groups(self, placed: _Placed) -> list[list[Loop]]:
+        """The groups of the wide search, which begins with the graph ``placed`` when it is asked for first."""
+        if self._groups is None:
+            self._groups = search_widely(self.chunks, placed.solution, placed.loops)
+        return self._groups
+
+
+def _frames(keys: KeyPoses, data: LogData, config: GraphConfig, report: Report) -> list[_Search]:
+    """The first rounds of all searches, in frame after frame, until two frames have led to the same path.
+
+    Further frames would most probably lead to this path as well.
+    """
+    turns, searches, best = config.rounds.orientations, list[_Search](), list[_Search]()
+    for number, turn in enumerate(turns, start=1):
+        begun = _begun(keys, data, config, turn, partial(_say, report, f"frame {number} of {len(turns)}"))
+        searches += begun
+        best = sorted([*best, max(begun, key=_score)], key=_score, reverse=True)
+        if any(best[0].finds_the_path_of(other) for other in best[1:]):
+            break
+    return searches
+
+
+def _score(search: _Search) -> float:
+    return search.score
 
 
 def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float, report: Report) -> list[_Search]:
     """The first round of both starts, in the frame in which the first heading is ``turn`` (rad)."""
     report("local smoothing")
     log = _Log(keys, _local(keys, data, config, turn), data, config)
-    found = loops_along_the_way(log.chunks(log.local, 0))
-    return [_Search(log, start, turn, found, report).advanced(1) for start in _STARTS]
+    chunks = log.chunks(log.local, 0)
+    candidates = _Candidates(chunks, loops_along_the_way(chunks))
+    searches = []
+    for start in _STARTS:
+        _say_round(report, log, start, 0, len(candidates.loops))
+        searches.append(_Search(log, start, turn, report, [_round(log, log.local, 0, candidates, start)]))
+    return searches
+
+
+def _say_round(report: Report, log: _Log, start: str, number: int, loops: int) -> None:
+    report(f"start {start}, round {number + 1} of at most {len(log.config.rounds.hops)}, {loops} loops")
 
 
 def _searched(searches: list[_Search]) -> list[_Search]:
-    """All searches. Only the best searches do the trial rounds, and only the best of these do all rounds."""
+    """All searches. Only the best searches do the trial rounds, and only the best of these do all rounds.
+
+    Of searches that have found the same path after the trial, one goes on.
+    """
     config = searches[0].log.config.rounds
     tried = _continued(searches, config.trial, config.tried, math.inf)
-    return _continued(tried, len(config.hops), config.finished, config.hopeless)
+    best = max(tried, key=_score)
+    same = [each for each in tried if each is not best and each.finds_the_path_of(best)]
+    others = [each for each in tried if each not in same]
+    return same + _continued(others, len(config.hops), config.finished, config.hopeless)
 
 
 def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
     """Continue at most ``most`` searches, none worse than the best search by ``hopeless``, up to round ``end``."""
-    best = sorted(searches, key=lambda search: search.score, reverse=True)[:most]
+    best = sorted(searches, key=_score, reverse=True)[:most]
     least = best[0].score - hopeless
     return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
 
@@ -340,28 +377,31 @@ def _best(rounds: list[Round], tie: float) -> Round:
 
 def _rounds(search: _Search, end: int) -> list[Round]:
     """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
-    log, found, start, rounds = search.log, search.found, search.start, list(search.rounds)
+    log, start, rounds = search.log, search.start, list(search.rounds)
     for number in range(len(rounds), end):
-        loops = sum(verdict.kept for verdict in rounds[-1].verdicts) if rounds else len(found)
-        search.report(f"start {start}, round {number + 1} of at most {len(log.config.rounds.hops)}, {loops} loops")
-        trajectory = rounds[-1].trajectory if rounds else log.local
-        rounds.append(_round(log, trajectory, number, None if rounds else found, start))
-        if (
-            number >= 2
-            and rounds[-1].score < rounds[-2].score + log.config.rounds.settled
-            and not rounds[-1].recognised
-        ):
+        if _settled(rounds, log.config):
             break
+        kept = sum(verdict.kept for verdict in rounds[-1].verdicts)
+        _say_round(search.report, log, start, number, kept)
+        trajectory = log.unbent(rounds[-1].trajectory, number)
+        chunks = log.chunks(trajectory, number)
+        candidates = _Candidates(chunks, loops_along_the_way(chunks))
+        rounds.append(_round(log, trajectory, number, candidates, start))
     return rounds
 
 
-def _round(log: _Log, trajectory: Trajectory, number: int, found: list[Loop] | None, start: str) -> Round:
-    """Do one round: loops along the way, support, wide search, unions from the second round on, and the bundle."""
-    config, chunks = log.config, log.chunks(trajectory, number)
-    loops = loops_along_the_way(chunks) if found is None else found
-    placed, score = _supported(chunks, loops), MapScore.of(chunks.maps, config.agreement)
+def _settled(rounds: list[Round], config: GraphConfig) -> bool:
+    """Whether the last two rounds, which differ in the hop of their chunks, have not raised the score."""
+    scores = [each.score for each in rounds]
+    return len(scores) > 2 and max(scores[-2:]) < max(scores[:-2]) + config.rounds.settled
+
+
+def _round(log: _Log, trajectory: Trajectory, number: int, candidates: _Candidates, start: str) -> Round:
+    """Do one round: support, wide search, unions from the second round on, and the bundle."""
+    config, chunks = log.config, candidates.chunks
+    placed, score = _supported(chunks, candidates.loops), MapScore.of(chunks.maps, config.agreement)
     if number < config.rounds.wide_search:
-        placed = _STARTS[start](chunks, placed, score)
+        placed = _STARTS[start](candidates, placed, score)
     elif start == "guard":
         placed = _pruned(chunks, placed, score)
     if number > 0:
@@ -377,25 +417,26 @@ def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:
     return _Placed(kept, solve_annealed(chunks.poses[0], chunks.hops, kept, chunks.config.chunks), dropped)
 
 
-def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
+def _place_guarded(candidates: _Candidates, placed: _Placed, score: MapScore) -> _Placed:
     """The guarded start: groups of the wide search must raise G, and doubtful groups are removed."""
+    chunks = candidates.chunks
     placed = _pruned(chunks, placed, score)
-    groups = search_widely(chunks, placed.solution, placed.loops)
+    groups = candidates.groups(placed)
     decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
     gained = len(decision.loops) > len(placed.loops)
     placed = placed.after(decision, NOT_ADDED)
     return _pruned(chunks, placed, score) if gained else placed
 
 
-def _place_all(chunks: Chunks, placed: _Placed, _: MapScore) -> _Placed:
+def _place_all(candidates: _Candidates, placed: _Placed, _: MapScore) -> _Placed:
     """The unguarded start: all groups of the wide search are added, and only the robust kernels reject loops."""
-    groups = search_widely(chunks, placed.solution, placed.loops)
+    chunks, groups = candidates.chunks, candidates.groups(placed)
     loops = placed.loops + [loop for group in groups for loop in group]
     solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
-    return _Placed(loops, solution, placed.dropped, len(loops) - len(placed.loops))
+    return _Placed(loops, solution, placed.dropped)
 
 
-_STARTS: dict[str, Callable[[Chunks, _Placed, MapScore], _Placed]] = {"guard": _place_guarded, "all": _place_all}
+_STARTS: dict[str, Callable[[_Candidates, _Placed, MapScore], _Placed]] = {"guard": _place_guarded, "all": _place_all}
 
 
 def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
@@ -428,7 +469,6 @@ def _bundled(log: _Log, trajectory: Trajectory, chunks: Chunks, placed: _Placed,
         verdicts=verdicts + placed.dropped,
         middles=chunks.middles,
         chunk_covariances=_covariances(chunks, placed),
-        recognised=placed.recognised,
     )
 
 
@@ -456,7 +496,7 @@ def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
 
 def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
     """The result of a log that is too short for chunks."""
-    found = Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)), 0)
+    found = Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)))
     return _result(keys, name, found, {name: [0.0]})
 
 
