@@ -381,6 +381,8 @@ class AgreementConfig(Bounded):
         Largest number of groups whose removal is tried in a pass.
     prune_gain
         A group of loops is removed if its removal raises the score by this.
+    doubtful_share
+        If other visits contradict a larger share of the points that they confirm or contradict, the result is doubtful.
     """
 
     min_travel: NonNegative = 13.5
@@ -390,6 +392,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
+    doubtful_share: NonNegative = 0.2
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.graph import AgreementConfig, GraphConfig, LoopConfig
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, refine, solve_annealed
-from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
@@ -149,6 +150,21 @@ class MapScore:
         """Share of points that other visits confirm, minus the share that other visits contradict, for poses (c, 3)."""
         confirmed, contradicted = self.verdicts(poses)
         return float(confirmed.mean() - contradicted.mean())
+
+
+def agreement_of_visits(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float
+) -> tuple[float, float]:
+    """Shares of the points of a trajectory that other visits confirm and contradict.
+
+    The chunks of the comparison have middles that are ``config.maps.half`` apart.
+    """
+    middles = chunk_middles(keys, config.maps, config.maps.half)
+    maps = cut_chunks(keys, trajectory, config.maps, middles, max_range)
+    confirmed, contradicted = MapScore.of(maps, config.agreement).verdicts(trajectory.poses[middles])
+    if not len(confirmed):
+        return 0.0, 0.0
+    return float(confirmed.mean()), float(contradicted.mean())
 
 
 @kernel
