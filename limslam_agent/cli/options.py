@@ -168,6 +168,10 @@ Accumulated = Annotated[
 ]
 RangeUnit = Annotated[str | None, _option(_TABLE, "Unit of the ranges: m, cm or mm.", _REPLAY.range_unit)]
 TimeUnit = Annotated[str | None, _option(_TABLE, "Unit of the times: s, ms or us.", _REPLAY.time_unit)]
+ZoneAxes = Annotated[
+    str | None,
+    _option(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
+]
 ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
 RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
 OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]

@@ -28,6 +28,7 @@ def replay(
     accumulated: take.Accumulated = None,
     range_unit: take.RangeUnit = None,
     time_unit: take.TimeUnit = None,
+    zone_axes: take.ZoneAxes = None,
     noise: take.AssumedNoise = None,
     preset: take.ReplayPreset = None,
     odometry_noise: take.OdometryNoise = None,
@@ -139,7 +140,9 @@ def _job(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
     known = read_relations(options.relations, limits) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
-    table = TableOptions(robot, options.metres_per_tick, options.accumulated, options.range_unit, options.time_unit)
+    axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
+    units = options.range_unit, options.time_unit
+    table = TableOptions(robot, options.metres_per_tick, options.accumulated, *units, axes)
 
     def opened(path: Path) -> "RecordedLog":
         return read_log(path, angles, options.max_range, topics, limits, table)

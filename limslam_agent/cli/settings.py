@@ -66,6 +66,7 @@ class ReplayOptions(Bounded):
     accumulated: bool = False
     range_unit: str = "m"
     time_unit: str = "s"
+    zone_axes: str | None = None
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     odometry_noise: str | None = None

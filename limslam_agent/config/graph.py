@@ -171,7 +171,7 @@ class MatchConfig(Bounded):
     Attributes
     ----------
     block
-        Width of the coarse search's blocks, cells.
+        Width of the search's smallest blocks, cells.
     prior
         Penalty of a match at the border of its window, for shift and for turn.
     sharpness
@@ -180,7 +180,7 @@ class MatchConfig(Bounded):
         Least standard deviations of a match, m and rad.
     """
 
-    block: Count = 8
+    block: Count = 4
     prior: NonNegative = 0.05
     sharpness: NonNegative = 0.25
     floor_position: NonNegative = 0.06
@@ -255,6 +255,9 @@ class ChunkGraphConfig(Bounded):
         Largest number of iterations for each factor, and the step (m, rad) below which iteration stops.
     kept
         Loops with a lower weight are not used further.
+    bent
+        A hop whose difference from the local smoothing has a larger chi-square is taken from the local smoothing at the
+        beginning of a round.
     """
 
     hop_inflation: NonNegative = 6.0
@@ -267,6 +270,7 @@ class ChunkGraphConfig(Bounded):
     iterations: Count = 8
     tolerance: NonNegative = 1e-3
     kept: NonNegative = 0.3
+    bent: NonNegative = 25.0
 
 
 @dataclass(frozen=True)
@@ -377,6 +381,8 @@ class AgreementConfig(Bounded):
         Largest number of groups whose removal is tried in a pass.
     prune_gain
         A group of loops is removed if its removal raises the score by this.
+    doubtful_share
+        If other visits contradict a larger share of the points that they confirm or contradict, the result is doubtful.
     """
 
     min_travel: NonNegative = 13.5
@@ -386,6 +392,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
+    doubtful_share: NonNegative = 0.2
 
 
 @dataclass(frozen=True)
@@ -412,15 +419,17 @@ class RoundConfig(Bounded):
     tie
         Scores within this distance of the best score are considered equal; the last such round is taken.
     settled
-        Rounds end when the score rises by less than this and no new place was recognised.
+        Rounds end when the last two rounds together have raised the score by less than this.
+    same_path
+        Two searches have found the same path if 90 % of their key poses lie within this distance, m.
     restart, restarts
         If odometry misses at least this much heading per metre, rad/m, its errors are corrected and the log is
         smoothed again, at most this number of times. The result is kept if its score is higher.
     """
 
-    hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8)
-    iterations: tuple[int, ...] = (6, 6, 6, 8)
-    wide_search: Count = 4
+    hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8, 1.0, 0.8)
+    iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8)
+    wide_search: Count = 6
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
     tried: Count = 3
     finished: Count = 2
@@ -428,6 +437,7 @@ class RoundConfig(Bounded):
     hopeless: NonNegative = 0.02
     tie: NonNegative = 0.003
     settled: NonNegative = 0.002
+    same_path: NonNegative = 0.5
     restart: Angle = 3.0 * _DEGREE
     restarts: CountOrNone = 3
 

@@ -131,6 +131,7 @@ class _Rows:
         self.leading = len(_POSE)
         self.beams: list[SensorSpec] = []
         self.columns: list[int] = []
+        self.metres: list[float] = []
         self.separator: bytes | None = None
         self.directions: list[float] = []
         self.moves = array("d")
@@ -161,6 +162,7 @@ class _Rows:
             beams = [beam(math.radians(degrees), reach) for degrees in self.directions]
         self.columns = choose_beams(beams, self.beams_deg)
         self.beams = [beams[index] for index in self.columns]
+        self.metres = [self.options.along_beam(self.directions[index]) for index in self.columns]
 
     def _add_row(self, fields: list[bytes]) -> None:
         count = self.leading + len(self.directions)
@@ -174,7 +176,7 @@ class _Rows:
         if self.moves and move[0] < self.moves[-self.leading] - LARGEST_STEP_BACK:
             raise ValueError(f"the time steps back by {self.moves[-self.leading] - move[0]:.1f} s")
         values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
-        self.ranges.extend(self.options.metres * values[column] for column in self.columns)
+        self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
         self.moves.extend(move)
         self.has_scan.append(not silent)
 

@@ -1,11 +1,11 @@
-"""What a table of a log does not say itself: the robot that recorded it, and the units of its columns."""
+"""What a table of a log does not say itself: the robot that recorded it, and what its columns mean."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -13,6 +13,9 @@ LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 """Units of times, s."""
+
+LARGEST_OFF_AXIS_DEG = 45.0
+"""Directions of zones lie at most this far from the optical axis of their sensor, deg."""
 
 TOO_FAST = 10.0
 """A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
@@ -37,12 +40,16 @@ class TableOptions:
         ``m``, ``cm`` or ``mm``.
     time_unit
         ``s``, ``ms`` or ``us``.
+    zone_axes
+        Directions of the optical axes of multi-zone sensors in the robot's frame, deg. The columns then hold
+        perpendicular distances, along the axis that is nearest to the direction of the column. Without axes the columns
+        hold distances along their own directions.
 
     Raises
     ------
     ValueError
-        If a unit is unknown, or the metres per tick are not a number above 0. The message names the option of the
-        command line.
+        If a unit is unknown, the metres per tick are not a number above 0, or an axis is not a number. The message
+        names the option of the command line.
     """
 
     robot: RobotSpec | None = None
@@ -50,6 +57,7 @@ class TableOptions:
     accumulated: bool = False
     range_unit: str = "m"
     time_unit: str = "s"
+    zone_axes: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres_per_tick) and self.metres_per_tick > 0.0):
@@ -60,6 +68,8 @@ class TableOptions:
         ):
             if unit not in known:
                 raise ValueError(f"{option} must be one of {', '.join(known)}, not {unit!r}")
+        if not all(map(math.isfinite, self.zone_axes)):
+            raise ValueError(f"--zone-axes must be directions in degrees, not {self.zone_axes}")
 
     @property
     def metres(self) -> float:
@@ -70,6 +80,26 @@ class TableOptions:
     def seconds(self) -> float:
         """Seconds for each 1 in the time column."""
         return TIMES[self.time_unit]
+
+    def along_beam(self, degrees: float) -> float:
+        """Metres along a beam in the direction ``degrees`` for each 1 in its range column.
+
+        A multi-zone sensor reports the distance d along its optical axis. At an angle a from this axis, the distance
+        along the zone's own direction is d / cos(a).
+
+        Raises
+        ------
+        ValueError
+            If no axis of ``zone_axes`` is near this direction.
+        """
+        if not self.zone_axes:
+            return self.metres
+        apart = np.abs(se2.wrap_angle(np.radians(np.array(self.zone_axes) - degrees))).min()
+        if apart > math.radians(LARGEST_OFF_AXIS_DEG):
+            raise ValueError(
+                f"--zone-axes: no axis lies within {LARGEST_OFF_AXIS_DEG:g} deg of the column at {degrees:g} deg"
+            )
+        return self.metres / math.cos(apart)
 
     def wheel_travel(self, columns: FloatArray) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).

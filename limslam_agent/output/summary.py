@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_env.geometry import FloatArray
 
+_MOST_TIMES = 8  # that are shown of the times at which a path passes through walls
 _SIZES = {"left": "left wheel", "right": "right wheel", "axle": "axle"}
 
 
@@ -121,7 +122,7 @@ def _limit(metrics: Mapping[str, Any]) -> list[str]:
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
-    lines = _status(metrics) + _errors(metrics)
+    lines = _status(metrics) + _smoothed_status(metrics) + _errors(metrics)
     trajectories = {
         "smoothed_": "smoothed, at the end", "": "filter, while driving", "odometry_": "odometry, corrected",
         "raw_odometry_": "odometry, raw",
@@ -153,6 +154,20 @@ def _status(metrics: Mapping[str, Any]) -> list[str]:
     elif any("smoothed" in name for name in metrics):
         then = " while driving"
     return [f"status      {level}{then}{f': {reason}' if reason else ''}{lost}"]
+
+
+def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
+    """Whether the smoothed path can be trusted, and where it passes through walls."""
+    level, reason = metrics.get("smoothed_status"), metrics.get("smoothed_status_reason")
+    listed = metrics.get("smoothed_wall_crossing_times")
+    if not isinstance(level, str):
+        return []
+    lines = [f"            {level} at the end{f': {reason}' if reason else ''}"]
+    times = [time for time in listed if isinstance(time, int | float)] if isinstance(listed, list) else []
+    if times:
+        shown = ", ".join(f"{time:.0f}" for time in times[:_MOST_TIMES]) + (", ..." if times[_MOST_TIMES:] else "")
+        lines.append(f"            may be wrong where the path passes through walls, after {shown} s")
+    return lines
 
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:

@@ -17,11 +17,13 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.trust import PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.graph.agreement import agreement_of_visits
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
-from limslam_agent.slam.graph.smooth import GraphResult, smooth_log
+from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
 from limslam_agent.status.smoothed_status import smoothed_status
@@ -72,13 +74,41 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     log, range_std = replay.log, replay.config.range_std
     begin = time.process_time()
     found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config, report)
+    found, landmarks, signals = _trusted(found, config, log, range_std)
     seconds = time.process_time() - begin
-    cloud = point_cloud(found.keys, found.trajectory, config.links, range_std)
-    landmarks = draw_walls(cloud, range_std)
-    segments = np.array([mark.ends.ravel() for mark in landmarks]).reshape(-1, 4)
-    smoothed = Smoothed(found.poses, _figures(found), _loops(found, log), seconds)
+    smoothed = Smoothed(found.poses, {**_figures(found), **signals.figures}, _loops(found, log), seconds)
     grid = draw_grid(replay, found.poses)
-    return replace(replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed)
+    return replace(replay, landmarks=landmarks, segments=_ends(landmarks), grid=grid, smoothed=smoothed)
+
+
+def _trusted(
+    found: GraphResult, config: GraphConfig, log: RecordedLog, range_std: float
+) -> tuple[GraphResult, list[Landmark], PathSignals]:
+    """The smoothed log with its walls and signals, or odometry alone if its signals are clearly better."""
+    landmarks, signals = _signals(found, config, log, range_std)
+    if signals.status.level == "ok":
+        return found, landmarks, signals
+    plain = without_loops(found, log.start_pose)
+    others, of_odometry = _signals(plain, config, log, range_std)
+    return (plain, others, of_odometry) if signals.is_worse_than(of_odometry) else (found, landmarks, signals)
+
+
+def _signals(
+    found: GraphResult, config: GraphConfig, log: RecordedLog, range_std: float
+) -> tuple[list[Landmark], PathSignals]:
+    """The walls through the points of a path, and what speaks for or against the path."""
+    keys, trajectory = found.keys, found.trajectory
+    landmarks = draw_walls(point_cloud(keys, trajectory, config.links, range_std), range_std)
+    reach, loops = float(log.robot.max_ranges.max()), sum(verdict.kept for verdict in found.verdicts)
+    agreement = agreement_of_visits(keys, trajectory, config, reach) if len(keys) > 1 else (0.0, 0.0)
+    time = log.time[keys.first_event] - log.time[0]
+    crossed = time[1:][crossings(trajectory.poses[:, :2], _ends(landmarks))]
+    return landmarks, PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *agreement, loops)
+
+
+def _ends(landmarks: list[Landmark]) -> FloatArray:
+    """Ends (k, 4) of the walls, m."""
+    return np.array([mark.ends.ravel() for mark in landmarks]).reshape(-1, 4)
 
 
 def log_data(log: RecordedLog, odometry: FloatArray, range_std: float) -> LogData:

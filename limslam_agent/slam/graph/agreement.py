@@ -12,12 +12,32 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.graph import AgreementConfig, GraphConfig, LoopConfig
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, refine, solve_annealed
-from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
+
+NO_SUPPORT = "no other loop nearby agrees"
+REMOVED = "the map agrees better with itself without it"
+NOT_ADDED = "the map does not agree better with itself with it"
+OUTVOTED = "its weight in the graph of chunks is too low"
+KEPT = "kept"
+
+
+@dataclass(frozen=True, eq=False)
+class LoopVerdict:
+    """A loop that was found in the round of the result, and its status: ``KEPT``, or the reason for its rejection."""
+
+    loop: Loop
+    reason: str
+
+    @property
+    def kept(self) -> bool:
+        """Whether the loop is part of the result."""
+        return self.reason == KEPT
 
 
 def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -65,6 +85,15 @@ def groups_of(loops: Sequence[Loop], poses: FloatArray, config: LoopConfig) -> l
         for column in np.nonzero(joined[row] | joined[:, row])[0]:
             label[label == label[column]] = label[row]
     return [list(map(int, np.nonzero(label == each)[0])) for each in dict.fromkeys(label.tolist())]
+
+
+def distances_after_alignment(poses: FloatArray, others: FloatArray) -> FloatArray:
+    """Distances (m,) between the positions of two paths (m, 3), after the rigid motion that fits them best."""
+    places, targets = poses[:, :2] - poses[:, :2].mean(axis=0), others[:, :2] - others[:, :2].mean(axis=0)
+    products = places.T @ targets
+    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
+    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
+    return np.asarray(np.hypot(*(moved - targets).T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +150,21 @@ class MapScore:
         """Share of points that other visits confirm, minus the share that other visits contradict, for poses (c, 3)."""
         confirmed, contradicted = self.verdicts(poses)
         return float(confirmed.mean() - contradicted.mean())
+
+
+def agreement_of_visits(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float
+) -> tuple[float, float]:
+    """Shares of the points of a trajectory that other visits confirm and contradict.
+
+    The chunks of the comparison have middles that are ``config.maps.half`` apart.
+    """
+    middles = chunk_middles(keys, config.maps, config.maps.half)
+    maps = cut_chunks(keys, trajectory, config.maps, middles, max_range)
+    confirmed, contradicted = MapScore.of(maps, config.agreement).verdicts(trajectory.poses[middles])
+    if not len(confirmed):
+        return 0.0, 0.0
+    return float(confirmed.mean()), float(contradicted.mean())
 
 
 @kernel

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
+from numpy.typing import NDArray
 
 from limslam_agent.config.graph import ChunkGraphConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
@@ -20,6 +19,8 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
+
+PlaceArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +97,14 @@ def solve(
 ) -> ChunkSolution:
     """Solve from poses (c, 3), which may be fewer than the poses that the hops connect."""
     edges = _edges(hops, loops, len(poses))
-    pattern = _Pattern(edges[0], edges[1], len(poses))
+    equations = _Elimination(edges[0], edges[1], len(poses))
     kinds = len(poses) - 1
     for factor in annealing:
         for _ in range(iterations):
             blocks, gradient, _ = _edge_blocks(
                 poses, *edges, kinds, config.hop_kernel * factor, config.loop_kernel * factor
             )
-            step = pattern.solve(blocks, gradient)
+            step = equations.solve(blocks, gradient)
             poses = poses + step
             poses[:, 2] = se2.wrap_angle(poses[:, 2])
             if np.abs(step).max() < config.tolerance:
@@ -142,6 +143,25 @@ def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses:
     return Trajectory(moved, trajectory.bias)
 
 
+def unbent(trajectory: Trajectory, local: Trajectory, middles: IntArray, hops: Hops, limit: float) -> Trajectory:
+    """A trajectory that follows a local trajectory in each hop where the chi-square between both exceeds ``limit``.
+
+    ``hops`` are the hops of the local trajectory between the key poses ``middles`` (c,). All later key poses move with
+    a hop.
+    """
+    poses = trajectory.poses[middles]
+    numbers = np.arange(len(middles) - 1)
+    error, _ = relation_factor(poses, numbers, numbers + 1, hops.motions)
+    bent = np.einsum("fi,fij,fj->f", error, np.linalg.inv(hops.covariances), error) > limit
+    if not bent.any():
+        return trajectory
+    steps = se2.between(trajectory.poses[:-1], trajectory.poses[1:])
+    by_local = se2.between(local.poses[:-1], local.poses[1:])
+    for begin, end in zip(middles[:-1][bent], middles[1:][bent], strict=True):
+        steps[begin:end] = by_local[begin:end]
+    return Trajectory(integrate(trajectory.poses[0], steps), trajectory.bias)
+
+
 def _edges(hops: Hops, loops: Sequence[Loop], count: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     chain = np.arange(count - 1)
     first = np.append(chain, [loop.first for loop in loops]).astype(np.int64)
@@ -153,31 +173,157 @@ def _edges(hops: Hops, loops: Sequence[Loop], count: int) -> tuple[IntArray, Int
     return first, second, measured, information
 
 
-class _Pattern:
-    """Positions of the edges' blocks in the sparse matrix, which are the same in all iterations."""
+class _Elimination:
+    """The normal equations of a graph of ``count`` poses, solved by eliminating pose after pose.
+
+    The first pose is fixed. The order of the elimination and the blocks that it fills are the same in all iterations.
+    """
 
     def __init__(self, first: IntArray, second: IntArray, count: int) -> None:
-        self._columns = np.hstack((3 * first[:, None] + np.arange(3), 3 * second[:, None] + np.arange(3)))
-        self._size = 3 * count
-        rows, columns = np.repeat(self._columns, 6, axis=1).ravel(), np.tile(self._columns, (1, 6)).ravel()
-        free = (rows >= 3) & (columns >= 3)
-        self._used = np.nonzero(free)[0]
-        inner = self._size - 3
-        places, self._place = np.unique((columns[free] - 3) * inner + rows[free] - 3, return_inverse=True)
-        self._indices = (places % inner).astype(np.int32)
-        self._pointers = np.searchsorted(places // inner, np.arange(inner + 1)).astype(np.int32)
+        self._ends = first, second
+        self._order, self._later, self._begins = _elimination_order(first, second, count)
 
     def solve(self, blocks: FloatArray, gradient: FloatArray) -> FloatArray:
-        """The step (c, 3) for blocks (e, 6, 6) and gradients (e, 6)."""
-        values = np.bincount(self._place, blocks.ravel()[self._used], len(self._indices))
-        inner = self._size - 3
-        matrix = csc_matrix((values, self._indices, self._pointers), shape=(inner, inner))
-        right = np.bincount(self._columns.ravel(), gradient.ravel(), self._size)
-        options = {"SymmetricMode": True}
-        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        step = np.zeros(self._size)
-        step[3:] = -factors.solve(right[3:])
-        return step.reshape(-1, 3)
+        """The step (c, 3) for blocks (e, 6, 6) and gradients (e, 6) of the edges."""
+        return _eliminate(*self._ends, blocks, gradient, self._order, self._later, self._begins)
+
+
+@kernel
+def _elimination_order(first: IntArray, second: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Poses in the order of elimination by least degree, and the poses (k,) that each is then joined with.
+
+    The neighbours of the n-th eliminated pose are the entries from ``begins[n]`` up to ``begins[n + 1]``. The fixed
+    first pose has no equations.
+    """
+    joined = np.zeros((count, count), np.bool_)
+    for e in range(len(first)):
+        if first[e] and second[e] and first[e] != second[e]:
+            joined[first[e], second[e]] = joined[second[e], first[e]] = True
+    degree, left = joined.sum(axis=1), np.ones(count, np.bool_)
+    left[0] = False
+    order, later = np.empty(count - 1, np.int64), np.empty(count * count, np.int64)
+    begins, written = np.zeros(count, np.int64), 0
+    for n in range(count - 1):
+        best = int(np.argmin(np.where(left, degree, count)))
+        order[n], left[best] = best, False
+        begin = written
+        for i in range(1, count):
+            if left[i] and joined[best, i]:
+                later[written] = i
+                written += 1
+        for a in later[begin:written]:
+            degree[a] -= 1
+            for b in later[begin:written]:
+                if a != b and not joined[a, b]:
+                    joined[a, b] = True
+                    degree[a] += 1
+        begins[n + 1] = written
+    return order, later[:written].copy(), begins
+
+
+@kernel
+def _inverse(matrix: FloatArray, out: FloatArray) -> None:
+    """The inverse of a symmetric matrix (3, 3)."""
+    a, b, c, d, e, f = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
+    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * out[0, 0] + b * out[0, 1] + c * out[0, 2])
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    out *= scale
+
+
+@kernel
+def _subtract_product(out: FloatArray, left: FloatArray, right: FloatArray) -> None:
+    """Subtract ``left @ right.T`` of matrices (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] -= left[i, 0] * right[j, 0] + left[i, 1] * right[j, 1] + left[i, 2] * right[j, 2]
+
+
+@kernel
+def _assembled(
+    first: IntArray,
+    second: IntArray,
+    blocks: FloatArray,
+    gradients: FloatArray,
+    place: PlaceArray,
+    rank: IntArray,
+    filled: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sums over the edges: own blocks (c, 3, 3), blocks (k, 3, 3) between poses, right side (c, 3)."""
+    count = len(rank)
+    own, across, right = np.zeros((count, 3, 3)), np.zeros((filled, 3, 3)), np.zeros((count, 3))
+    for e in range(len(first)):
+        a, b = first[e], second[e]
+        own[a] += blocks[e, :3, :3]
+        own[b] += blocks[e, 3:, 3:]
+        right[a] += gradients[e, :3]
+        right[b] += gradients[e, 3:]
+        if not a or not b or a == b:
+            continue
+        if rank[a] < rank[b]:
+            across[place[b, a]] += blocks[e, 3:, :3]
+        else:
+            across[place[a, b]] += blocks[e, :3, 3:]
+    return own, across, right
+
+
+@kernel
+def _eliminate(
+    first: IntArray,
+    second: IntArray,
+    blocks: FloatArray,
+    gradients: FloatArray,
+    order: IntArray,
+    later: IntArray,
+    begins: IntArray,
+) -> FloatArray:
+    """Solve for the step (c, 3). Block (i, k) of the matrix is kept for each pose i that is eliminated after pose k."""
+    count = len(order) + 1
+    place, rank = np.empty((count, count), np.int32), np.zeros(count, np.int64)
+    for n in range(count - 1):
+        rank[order[n]] = n
+        for at in range(begins[n], begins[n + 1]):
+            place[later[at], order[n]] = at
+    own, across, right = _assembled(first, second, blocks, gradients, place, rank, len(later))
+    inverse, gain = np.empty((count, 3, 3)), np.empty((3, 3))
+    for n in range(count - 1):
+        k = order[n]
+        _inverse(own[k], inverse[k])
+        for at in range(begins[n], begins[n + 1]):
+            i = later[at]
+            gain[:] = 0.0
+            # The inverse is symmetric. The gain is minus the product of the block and the inverse.
+            _subtract_product(gain, across[at], inverse[k])
+            for row in range(3):
+                right[i, row] += gain[row, 0] * right[k, 0] + gain[row, 1] * right[k, 1] + gain[row, 2] * right[k, 2]
+            gain *= -1.0
+            for other in range(begins[n], begins[n + 1]):
+                j = later[other]
+                if j == i:
+                    _subtract_product(own[i], gain, across[at])
+                elif rank[j] < rank[i]:
+                    _subtract_product(across[place[i, j]], gain, across[other])
+    return _substitute(inverse, across, right, order, later, begins)
+
+
+@kernel
+def _substitute(
+    inverse: FloatArray, across: FloatArray, right: FloatArray, order: IntArray, later: IntArray, begins: IntArray
+) -> FloatArray:
+    """The step (c, 3) by back substitution, from the last eliminated pose to the first."""
+    step, rest = np.zeros_like(right), np.empty(3)
+    for n in range(len(order) - 1, -1, -1):
+        k = order[n]
+        rest[:] = right[k]
+        for at in range(begins[n], begins[n + 1]):
+            for row in range(3):
+                for column in range(3):
+                    rest[row] += across[at, column, row] * step[later[at], column]
+        for row in range(3):
+            for column in range(3):
+                step[k, row] -= inverse[k, row, column] * rest[column]
+    return step
 
 
 @kernel
@@ -194,7 +340,7 @@ def _edge_blocks(
     """Weighted blocks (e, 6, 6), gradients (e, 6) and weights (e,) of the edges. The hops come first."""
     count = len(first)
     blocks, gradients, weights = np.empty((count, 6, 6)), np.empty((count, 6)), np.empty(count)
-    by, error = np.zeros((3, 6)), np.empty(3)
+    by, product, error, weighted = np.zeros((3, 6)), np.empty((3, 6)), np.empty(3), np.empty(3)
     for e in range(count):
         a, b = poses[first[e]], poses[second[e]]
         cos, sin = np.cos(a[2]), np.sin(a[2])
@@ -206,13 +352,25 @@ def _edge_blocks(
         by[0, 0], by[0, 1], by[0, 2], by[0, 3], by[0, 4] = -cos, -sin, y, cos, sin
         by[1, 0], by[1, 1], by[1, 2], by[1, 3], by[1, 4] = sin, -cos, -x, -sin, cos
         by[2, 2], by[2, 5] = -1.0, 1.0
-        weighted = information[e] @ error
-        chi2 = error[0] * weighted[0] + error[1] * weighted[1] + error[2] * weighted[2]
+        chi2 = 0.0
+        for i in range(3):
+            weighted[i] = 0.0
+            for j in range(3):
+                weighted[i] += information[e, i, j] * error[j]
+            chi2 += error[i] * weighted[i]
         if e < hops:
             weight = 1.0 / (1.0 + chi2 / hop_kernel)
         else:
             weight = min(1.0, 2.0 * loop_kernel / (loop_kernel + chi2)) ** 2
-        gradients[e] = weight * (by.T @ weighted)
-        blocks[e] = weight * (by.T @ (information[e] @ by))
+        for u in range(6):
+            gradients[e, u] = 0.0
+            for i in range(3):
+                gradients[e, u] += weight * by[i, u] * weighted[i]
+                product[i, u] = 0.0
+                for j in range(3):
+                    product[i, u] += weight * information[e, i, j] * by[j, u]
+        for u in range(6):
+            for v in range(6):
+                blocks[e, u, v] = by[0, u] * product[0, v] + by[1, u] * product[1, v] + by[2, u] * product[2, v]
         weights[e] = weight
     return blocks, gradients, weights

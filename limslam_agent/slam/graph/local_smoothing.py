@@ -11,10 +11,16 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import NormalEquations, add_links, add_odometry, relation_factor
+from limslam_agent.slam.graph.least_squares import (
+    NormalEquations,
+    add_links,
+    add_odometry,
+    pose_columns,
+    relation_factor,
+)
 from limslam_agent.slam.graph.point_links import PointCloud, links_along, point_cloud
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, IntArray
 
 
 def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float) -> Trajectory:
@@ -53,6 +59,18 @@ def local_equations(
     links = links_along(cloud, config.links)
     add_links(equations, trajectory.poses, cloud.geometry, links, std, config.links.kernel)
     return equations
+
+
+def local_covariances(
+    keys: KeyPoses, trajectory: Trajectory, middles: IntArray, config: GraphConfig, range_std: float
+) -> FloatArray:
+    """Covariances (c - 1, 3, 3) of the motions between key poses (c,), from odometry and links along the way."""
+    cloud = point_cloud(keys, trajectory, config.links, range_std)
+    std = config.bundle.link_inflation * link_std(config, range_std)
+    equations = local_equations(keys, trajectory, cloud, config, std)
+    first, second = middles[:-1], middles[1:]
+    _, jacobian = relation_factor(trajectory.poses, first, second, np.zeros((len(first), 3)))
+    return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
 
 
 def chained(trajectory: Trajectory, step: FloatArray) -> Trajectory:

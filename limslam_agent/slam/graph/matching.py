@@ -1,10 +1,11 @@
 """Correlative matching: the pose at which the points of one chunk fit best into the grid of another.
 
 The score of a pose is the mean of the cells at the points, minus a small penalty towards the border of the window. The
-score is 1 if all points lie in occupied cells. The search is exact branch and bound on two levels. The maximum over
-each block of shifts bounds the scores in the block (Olson, "Real-time correlative scan matching", 2009). Blocks are
-evaluated in the order of their bounds until no bound is better than the best score. The grid of block maxima is stored
-by its phase. The bounds of a whole row of blocks are therefore contiguous and are summed together.
+score is 1 if all points lie in occupied cells. The search is exact branch and bound. The maximum over each block of
+shifts bounds the scores in the block (Olson, "Real-time correlative scan matching", 2009). A block is divided into
+four blocks of half the width only if its bound exceeds the least score (Hess et al., "Real-time loop closure in 2D
+LIDAR SLAM", 2016). The smallest blocks are evaluated in the order of their bounds until no bound is better than the
+best score.
 """
 
 from dataclasses import dataclass
@@ -21,11 +22,12 @@ from limslam_env.geometry import FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
-# Rows of bounds are summed in vectors of this length.
-_LANES = 16
 NO_MATCH = -9.0
 
 Sums = NDArray[np.int16]
+FlatCells = NDArray[np.int8]
+IndexArray = NDArray[np.uint64]
+Maxima = tuple[Cells, Cells, Cells, Cells]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +38,11 @@ class SearchGrid:
     ----------
     padded
         Cells (n, n), padded on all sides by the size of the window.
-    blocks
-        Maxima (w, w, r, r + 16) over blocks of w x w cells, by the phase of their first cell. Rows have spare entries,
-        since they are read in whole vectors.
+    maxima
+        Maxima over blocks of ``width`` cells from each cell on (n, n), over blocks of twice the width from every second
+        cell on, over blocks of four times the width from every fourth cell on, and so on.
+    width
+        Width of the smallest blocks, cells.
     low
         Lowest x and y of the padded grid, m.
     cell
@@ -48,7 +52,8 @@ class SearchGrid:
     """
 
     padded: Cells
-    blocks: Cells
+    maxima: Maxima
+    width: int
     low: float
     cell: float
     margin: int
@@ -78,8 +83,9 @@ def search_grid(chunk: LocalMap, window: float, config: MatchConfig) -> SearchGr
     # A point that lies further outside can be moved nearer, since it still meets only unknown cells.
     pad = -(-(2 * margin + 2 * width + 2) // width) * width
     size = -(-(len(chunk.grid) + 2 * pad) // width) * width
-    padded, blocks = _blocks_of(chunk.grid, pad, size, width, _LANES)
-    return SearchGrid(padded, blocks, chunk.low - pad * chunk.cell, chunk.cell, margin)
+    padded = np.zeros((size, size), np.int8)
+    padded[pad : pad + len(chunk.grid), pad : pad + len(chunk.grid)] = chunk.grid
+    return SearchGrid(padded, _maxima_of(padded, width), width, chunk.low - pad * chunk.cell, chunk.cell, margin)
 
 
 def match(
@@ -99,7 +105,7 @@ def match(
     if not len(points):
         return Match(NO_MATCH, guess)
     numbers = np.array([grid.low, grid.cell, window.turn_step, config.prior, least])
-    found = _search(grid.padded, grid.blocks, points, guess, margin, turns, numbers)
+    found = _search(grid.padded, grid.maxima, grid.width, points, guess, margin, turns, numbers)
     return Match(float(found[0]), np.array(found[1:]))
 
 
@@ -128,9 +134,9 @@ def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
 
 
 @kernel
-def _blocks_of(grid: Cells, pad: int, size: int, width: int, spare: int) -> tuple[Cells, Cells]:
-    padded = np.zeros((size, size), np.int8)
-    padded[pad : pad + len(grid), pad : pad + len(grid)] = grid
+def _maxima_of(padded: Cells, width: int) -> Maxima:
+    """Maxima over blocks of four sizes, for blocks that begin at each, every second, fourth and eighth cell."""
+    size = len(padded)
     # The maximum over a block is computed from maxima over 2, 4, 8, ... cells.
     maxima, done = padded.copy(), 1
     while done < width:
@@ -142,12 +148,28 @@ def _blocks_of(grid: Cells, pad: int, size: int, width: int, spare: int) -> tupl
             for j in range(size):
                 maxima[i, j] = max(maxima[i, j], maxima[i + more, j])
         done += more
-    rows = size // width
-    blocks = np.zeros((width, width, rows, rows + spare), np.int8)
+    second = _coarser(maxima, width)
+    third = _coarser(second, width)
+    return maxima, second, third, _coarser(third, width)
+
+
+@kernel
+def _coarser(maxima: Cells, width: int) -> Cells:
+    """Maxima over blocks of twice the width, with half as many entries in each direction.
+
+    An entry holds for all blocks that begin at one of the cells up to the next entry.
+    """
+    size = -(-len(maxima) // 2)
+    coarse = np.zeros((size, size), np.int8)
     for i in range(size):
         for j in range(size):
-            blocks[i % width, j % width, i // width, j // width] = maxima[i, j]
-    return padded, blocks
+            most = maxima[2 * i, 2 * j]
+            for a in (0, width, width + 1):
+                row = min(2 * i + a, len(maxima) - 1)
+                for b in (0, width, width + 1):
+                    most = max(most, maxima[row, min(2 * j + b, len(maxima) - 1)])
+            coarse[i, j] = most
+    return coarse
 
 
 @kernel
@@ -173,13 +195,64 @@ def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
 
 
 @kernel
-def _bounds(blocks: Cells, pixels: IntArray, margin: int, sums: Sums) -> None:
-    """Sums of the maxima over all blocks of shifts; the first block begins at minus ``margin``."""
-    width = blocks.shape[0]
-    sums[:] = 0
+def _bound(maxima: FlatCells, places: IndexArray, first: int, least: float) -> float:
+    """Sum of the maxima over a block of shifts; any upper limit of the sum if it cannot exceed ``least``.
+
+    The maximum for each point lies ``first`` entries after its place.
+    """
+    total, count, begin = 0, len(places), 0
+    while begin < count:
+        end = min(begin + 32, count)
+        for k in range(begin, end):
+            total += maxima[places[k] + np.uint64(first)]
+        begin = end
+        if total + 5 * (count - begin) <= least:
+            break
+    return total + 5.0 * (count - begin)
+
+
+@kernel
+def _places(maxima: Cells, pixels: IntArray, margin: int, stride: int, out: IndexArray) -> None:
+    """Index of each point (k,) at the shift (-margin, -margin) in maxima of every ``stride`` th cell."""
     for k in range(len(pixels)):
-        i, j = pixels[k, 0] - margin, pixels[k, 1] - margin
-        _add_rows(sums, blocks[i % width, j % width], i // width, j // width)
+        i, j = (pixels[k, 0] - margin) // stride, (pixels[k, 1] - margin) // stride
+        out[k] = i * maxima.shape[1] + j
+
+
+@kernel
+def _promising(
+    maxima: Maxima, width: int, pixels: IntArray, margin: int, least: float, blocks: IntArray, bounds: FloatArray
+) -> int:
+    """Write the smallest blocks (k, 2) whose sums can exceed ``least``, and their bounds (k,); return their number."""
+    found, end, waiting = 0, 2 * margin + 1, 0
+    places, flat = (
+        np.empty((4, len(pixels)), np.uint64),
+        (maxima[0].ravel(), maxima[1].ravel(), maxima[2].ravel(), maxima[3].ravel()),
+    )
+    for level in range(4):
+        _places(maxima[level], pixels, margin, 1 << level, places[level])
+    top = 8 * width
+    stack = np.empty(((end // top + 1) ** 2 + 16, 3), np.int64)
+    for x in range(0, end, top):
+        for y in range(0, end, top):
+            stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = x, y, 3
+            waiting += 1
+    while waiting:
+        waiting -= 1
+        x, y, level = stack[waiting]
+        bound = _bound(flat[level], places[level], (x >> level) * maxima[level].shape[1] + (y >> level), least)
+        if bound <= least:
+            continue
+        if level == 0:
+            blocks[found, 0], blocks[found, 1], bounds[found] = x - margin, y - margin, bound
+            found += 1
+            continue
+        half = width << (level - 1)
+        for u in range(x, min(x + 2 * half, end), half):
+            for v in range(y, min(y + 2 * half, end), half):
+                stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = u, v, level - 1
+                waiting += 1
+    return found
 
 
 @kernel
@@ -207,30 +280,37 @@ def _best_in_block(
 
 @kernel
 def _search(
-    padded: Cells, blocks: Cells, points: FloatArray, guess: FloatArray, margin: int, turns: int, numbers: FloatArray
+    padded: Cells,
+    maxima: Maxima,
+    width: int,
+    points: FloatArray,
+    guess: FloatArray,
+    margin: int,
+    turns: int,
+    numbers: FloatArray,
 ) -> tuple[float, float, float, float]:
     """Score, x, y and turn of the best pose; the score is -9 if no score exceeds the least score."""
     low, cell, turn_step, prior, least = numbers
-    width, size, count = blocks.shape[0], padded.shape[0], len(points)
+    size, count = padded.shape[0], len(points)
     across, angles = (2 * margin) // width + 1, 2 * turns + 1
     full, edge = 5.0 * count, margin + width
     by_shift, by_turn = prior / (margin * margin + 1.0), prior / (turns * turns + 1.0)
     pixels = np.empty((angles, count, 2), np.int64)
-    bounds = np.empty((angles, across, across), np.float32)
-    sums = np.empty((across, -(-across // 16) * 16), np.int16)
+    blocks, bounds = np.empty((across * across * angles, 2), np.int64), np.empty(across * across * angles)
+    turn_of, worth = np.empty(len(bounds), np.int64), 0
     for t in range(angles):
         _pixels(points, guess[0], guess[1], guess[2] + (t - turns) * turn_step, low, cell, edge, size, pixels[t])
-        _bounds(blocks, pixels[t], margin, sums)
-        bounds[t] = sums[:, :across] / full - by_turn * (t - turns) ** 2
-    flat = bounds.ravel()
-    worth = np.nonzero(flat > least)[0]
+        penalty = by_turn * (t - turns) ** 2
+        more = _promising(maxima, width, pixels[t], margin, (least + penalty) * full, blocks[worth:], bounds[worth:])
+        for place in range(worth, worth + more):
+            bounds[place], turn_of[place] = bounds[place] / full - penalty, t
+        worth += more
     best, best_x, best_y, best_turn, found = least, 0, 0, 0, False
     inner = np.empty((width, width), np.int16)
-    for place in worth[np.argsort(-flat[worth])]:
-        if flat[place] <= best:
+    for place in np.argsort(-bounds[:worth]):
+        if bounds[place] <= best:
             break
-        t, a, b = place // (across * across), (place // across) % across, place % across
-        first = (a * width - margin, b * width - margin)
+        t, first = turn_of[place], (blocks[place, 0], blocks[place, 1])
         _open(padded, pixels[t], first[0], first[1], inner)
         score, x, y = _best_in_block(inner, full, first, margin, by_shift)
         score -= by_turn * (t - turns) ** 2

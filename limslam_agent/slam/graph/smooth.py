@@ -9,22 +9,18 @@ Hough transforms, and can thereby change which loops are found. The search is th
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import Decision, MapScore, accept_groups, prune_groups, supported
-from limslam_agent.slam.graph.bundle import bundle
-from limslam_agent.slam.graph.chunk_graph import (
-    ChunkSolution,
-    Loop,
-    carry_over,
-    hops_between,
-    information_matrix,
-    solve_annealed,
+from limslam_agent.slam.graph.agreement import (
+    NOT_ADDED,
+    LoopVerdict,
+    agreement_of_visits,
+    distances_after_alignment,
 )
 from limslam_agent.slam.graph.key_poses import (
     KeyPoses,
@@ -36,60 +32,13 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.least_squares import pose_columns, relation_factor
-from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.graph.local_smoothing import link_std, local_equations, smooth_locally
-from limslam_agent.slam.graph.loop_search import Chunks, loops_along_the_way
-from limslam_agent.slam.graph.point_links import point_cloud
-from limslam_agent.slam.graph.union_matching import match_unions
-from limslam_agent.slam.graph.wide_search import search_widely
+from limslam_agent.slam.graph.local_maps import chunk_middles
+from limslam_agent.slam.graph.local_smoothing import smooth_locally
+from limslam_agent.slam.graph.loop_search import loops_along_the_way
+from limslam_agent.slam.graph.rounds import STARTS, Candidates, LogProblem, Round, do_round
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-NO_SUPPORT = "no other loop nearby agrees"
-REMOVED = "the map agrees better with itself without it"
-NOT_ADDED = "the map does not agree better with itself with it"
-OUTVOTED = "its weight in the graph of chunks is too low"
-KEPT = "kept"
-
-
-@dataclass(frozen=True, eq=False)
-class LoopVerdict:
-    """A loop that was found in the round of the result, and its status: ``KEPT``, or the reason for its rejection."""
-
-    loop: Loop
-    reason: str
-
-    @property
-    def kept(self) -> bool:
-        """Whether the loop is part of the result."""
-        return self.reason == KEPT
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """The result of a round.
-
-    Attributes
-    ----------
-    trajectory
-        The trajectory after the bundle.
-    score
-        G of the bundled map.
-    verdicts
-        The verdicts on all loops that were found.
-    middles, chunk_covariances
-        Middle key poses of the chunks (c,); their covariances (c, 3, 3) from the graph of chunks, relative to the first
-        chunk.
-    recognised
-        Number of loops from the wide search and from union matching.
-    """
-
-    trajectory: Trajectory
-    score: float
-    verdicts: list[LoopVerdict]
-    middles: IntArray
-    chunk_covariances: FloatArray
-    recognised: int
+_MOST = 0.9  # share of a path that has to agree with another path
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +124,8 @@ def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Rep
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
         return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
-    turns = config.rounds.orientations
-    begun = [
-        _begun(keys, data, config, turn, partial(_say, report, f"frame {number} of {len(turns)}"))
-        for number, turn in enumerate(turns, start=1)
-    ]
-    searches = _searched([search for each in begun for search in each])
-    best = max(searches, key=lambda search: search.score)
+    searches = _all_searches(keys, data, config, report)
+    best = max(searches, key=_score)
     found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
     return _result(keys, best.name, found, scores)
@@ -202,75 +146,6 @@ def _local(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> T
 
 
 @dataclass(frozen=True, eq=False)
-class _Log:
-    """The common data of all rounds: key poses, local trajectory, recording, settings, and covariances of the hops."""
-
-    keys: KeyPoses
-    local: Trajectory
-    data: LogData
-    config: GraphConfig
-    _covariances: dict[float, FloatArray] = field(default_factory=dict)
-
-    def hop(self, number: int) -> float:
-        """Distance driven between the chunks of a round, m."""
-        return self.config.maps.hop * self.config.rounds.hops[number]
-
-    def middles(self, number: int) -> IntArray:
-        """Key poses in the middle of the chunks of a round."""
-        return chunk_middles(self.keys, self.config.maps, self.hop(number))
-
-    def chunks(self, trajectory: Trajectory, number: int) -> Chunks:
-        """The chunks of a round, cut from a trajectory."""
-        middles, config = self.middles(number), self.config
-        maps = cut_chunks(self.keys, trajectory, config.maps, middles, self.data.max_range)
-        poses = trajectory.poses[middles]
-        hops = hops_between(poses, self._hop_covariances(number), config.chunks)
-        return Chunks(maps, middles, poses, self.keys.key_travel[middles], hops, config)
-
-    def score(self, trajectory: Trajectory) -> float:
-        """G of a trajectory's map, for chunks whose middles are ``config.maps.half`` apart."""
-        middles = chunk_middles(self.keys, self.config.maps, self.config.maps.half)
-        maps = cut_chunks(self.keys, trajectory, self.config.maps, middles, self.data.max_range)
-        return MapScore.of(maps, self.config.agreement)(trajectory.poses[middles])
-
-    def _hop_covariances(self, number: int) -> FloatArray:
-        """Covariances (c - 1, 3, 3) of the hops of a round, from the graph of the local smoothing."""
-        hop = self.hop(number)
-        if hop not in self._covariances:
-            middles = self.middles(number)
-            self._covariances[hop] = local_covariances(self.keys, self.local, middles, self.config, self.data.range_std)
-        return self._covariances[hop]
-
-
-def local_covariances(
-    keys: KeyPoses, trajectory: Trajectory, middles: IntArray, config: GraphConfig, range_std: float
-) -> FloatArray:
-    """Covariances (c - 1, 3, 3) of the motions between key poses (c,), from odometry and links along the way."""
-    cloud = point_cloud(keys, trajectory, config.links, range_std)
-    std = config.bundle.link_inflation * link_std(config, range_std)
-    equations = local_equations(keys, trajectory, cloud, config, std)
-    first, second = middles[:-1], middles[1:]
-    _, jacobian = relation_factor(trajectory.poses, first, second, np.zeros((len(first), 3)))
-    return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """The graph of chunks after a round's search: its loops, their solution, and the rejected loops."""
-
-    loops: list[Loop]
-    solution: ChunkSolution
-    dropped: list[LoopVerdict]
-    recognised: int = 0
-
-    def after(self, decision: Decision, reason: str) -> "_Placed":
-        """The graph after a decision that rejected loops for a reason."""
-        dropped = self.dropped + [LoopVerdict(loop, reason) for loop in decision.dropped]
-        gained = max(0, len(decision.loops) - len(self.loops))
-        return _Placed(decision.loops, decision.solution, dropped, self.recognised + gained)
-
-
-@dataclass(frozen=True, eq=False)
 class _Search:
     """The rounds of one start in one frame.
 
@@ -280,20 +155,17 @@ class _Search:
         The log in this frame.
     start, turn
         The name of the start, and the first heading in this frame, rad.
-    found
-        Loops along the way in the local trajectory, for the first round.
     report
         Called at the start of each round.
     rounds
         The completed rounds.
     """
 
-    log: _Log
+    log: LogProblem
     start: str
     turn: float
-    found: list[Loop]
     report: Report
-    rounds: list[Round] = field(default_factory=list)
+    rounds: list[Round]
 
     @property
     def name(self) -> str:
@@ -305,29 +177,89 @@ class _Search:
         """The highest score of the search's rounds."""
         return max(each.score for each in self.rounds)
 
+    def finds_the_path_of(self, other: "_Search") -> bool:
+        """Whether both searches have found the same path, which may begin with another heading."""
+        poses, others = self.rounds[-1].trajectory.poses, other.rounds[-1].trajectory.poses
+        same = self.log.config.rounds.same_path
+        return float(np.quantile(distances_after_alignment(poses, others), _MOST)) <= same
+
     def advanced(self, end: int) -> "_Search":
         """The search after ``end`` rounds."""
         return replace(self, rounds=_rounds(self, end))
 
 
+def _all_searches(keys: KeyPoses, data: LogData, config: GraphConfig, report: Report) -> list[_Search]:
+    """The searches in as many frames as are needed; in all frames if visits contradict each other in the result."""
+    turns = config.rounds.orientations
+    frames = [
+        partial(_begun, keys, data, config, turn, partial(_say, report, f"frame {number} of {len(turns)}"))
+        for number, turn in enumerate(turns, start=1)
+    ]
+    searches = _searched(_frames(frames))
+    rest = frames[len(searches) // len(STARTS) :]
+    return searches + _searched(_frames(rest)) if rest and _doubtful(searches) else searches
+
+
+def _doubtful(searches: list[_Search]) -> bool:
+    """Whether other visits contradict too many of the points that they see, in the best result so far."""
+    log, best = searches[0].log, max(searches, key=_score)
+    trajectory = _best(best.rounds, log.config.rounds.tie).trajectory
+    confirmed, contradicted = agreement_of_visits(log.keys, trajectory, log.config, log.data.max_range)
+    return contradicted > log.config.agreement.doubtful_share * (confirmed + contradicted)
+
+
+def _frames(frames: Sequence[Callable[[], list[_Search]]]) -> list[_Search]:
+    """The first rounds of all searches, in frame after frame, until two frames have led to the same path.
+
+    Further frames would most probably lead to this path as well.
+    """
+    searches, best = list[_Search](), list[_Search]()
+    for frame in frames:
+        begun = frame()
+        searches += begun
+        best = sorted([*best, max(begun, key=_score)], key=_score, reverse=True)
+        if any(best[0].finds_the_path_of(other) for other in best[1:]):
+            break
+    return searches
+
+
+def _score(search: _Search) -> float:
+    return search.score
+
+
 def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float, report: Report) -> list[_Search]:
     """The first round of both starts, in the frame in which the first heading is ``turn`` (rad)."""
     report("local smoothing")
-    log = _Log(keys, _local(keys, data, config, turn), data, config)
-    found = loops_along_the_way(log.chunks(log.local, 0))
-    return [_Search(log, start, turn, found, report).advanced(1) for start in _STARTS]
+    log = LogProblem(keys, _local(keys, data, config, turn), data, config)
+    chunks = log.chunks(log.local, 0)
+    candidates = Candidates(chunks, loops_along_the_way(chunks))
+    searches = []
+    for start in STARTS:
+        _say_round(report, log, start, 0, len(candidates.loops))
+        searches.append(_Search(log, start, turn, report, [do_round(log, log.local, 0, candidates, start)]))
+    return searches
+
+
+def _say_round(report: Report, log: LogProblem, start: str, number: int, loops: int) -> None:
+    report(f"start {start}, round {number + 1} of at most {len(log.config.rounds.hops)}, {loops} loops")
 
 
 def _searched(searches: list[_Search]) -> list[_Search]:
-    """All searches. Only the best searches do the trial rounds, and only the best of these do all rounds."""
+    """All searches. Only the best searches do the trial rounds, and only the best of these do all rounds.
+
+    Of searches that have found the same path after the trial, one goes on.
+    """
     config = searches[0].log.config.rounds
     tried = _continued(searches, config.trial, config.tried, math.inf)
-    return _continued(tried, len(config.hops), config.finished, config.hopeless)
+    best = max(tried, key=_score)
+    same = [each for each in tried if each is not best and each.finds_the_path_of(best)]
+    others = [each for each in tried if each not in same]
+    return same + _continued(others, len(config.hops), config.finished, config.hopeless)
 
 
 def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
     """Continue at most ``most`` searches, none worse than the best search by ``hopeless``, up to round ``end``."""
-    best = sorted(searches, key=lambda search: search.score, reverse=True)[:most]
+    best = sorted(searches, key=_score, reverse=True)[:most]
     least = best[0].score - hopeless
     return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
 
@@ -340,104 +272,23 @@ def _best(rounds: list[Round], tie: float) -> Round:
 
 def _rounds(search: _Search, end: int) -> list[Round]:
     """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
-    log, found, start, rounds = search.log, search.found, search.start, list(search.rounds)
+    log, start, rounds = search.log, search.start, list(search.rounds)
     for number in range(len(rounds), end):
-        loops = sum(verdict.kept for verdict in rounds[-1].verdicts) if rounds else len(found)
-        search.report(f"start {start}, round {number + 1} of at most {len(log.config.rounds.hops)}, {loops} loops")
-        trajectory = rounds[-1].trajectory if rounds else log.local
-        rounds.append(_round(log, trajectory, number, None if rounds else found, start))
-        if (
-            number >= 2
-            and rounds[-1].score < rounds[-2].score + log.config.rounds.settled
-            and not rounds[-1].recognised
-        ):
+        if _settled(rounds, log.config):
             break
+        kept = sum(verdict.kept for verdict in rounds[-1].verdicts)
+        _say_round(search.report, log, start, number, kept)
+        trajectory = log.unbent(rounds[-1].trajectory, number)
+        chunks = log.chunks(trajectory, number)
+        candidates = Candidates(chunks, loops_along_the_way(chunks))
+        rounds.append(do_round(log, trajectory, number, candidates, start))
     return rounds
 
 
-def _round(log: _Log, trajectory: Trajectory, number: int, found: list[Loop] | None, start: str) -> Round:
-    """Do one round: loops along the way, support, wide search, unions from the second round on, and the bundle."""
-    config, chunks = log.config, log.chunks(trajectory, number)
-    loops = loops_along_the_way(chunks) if found is None else found
-    placed, score = _supported(chunks, loops), MapScore.of(chunks.maps, config.agreement)
-    if number < config.rounds.wide_search:
-        placed = _STARTS[start](chunks, placed, score)
-    elif start == "guard":
-        placed = _pruned(chunks, placed, score)
-    if number > 0:
-        unions = [[loop] for loop in match_unions(chunks, placed.solution.poses, placed.loops)]
-        placed = placed.after(_accept(chunks, placed, unions, score, 0.0, near=True), NOT_ADDED)
-    return _bundled(log, trajectory, chunks, placed, config.rounds.iterations[number])
-
-
-def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:
-    good = supported(loops, chunks.poses, chunks.travel, chunks.config.loops)
-    kept = [loop for loop, agreed in zip(loops, good, strict=True) if agreed]
-    dropped = [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(loops, good, strict=True) if not agreed]
-    return _Placed(kept, solve_annealed(chunks.poses[0], chunks.hops, kept, chunks.config.chunks), dropped)
-
-
-def _place_guarded(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
-    """The guarded start: groups of the wide search must raise G, and doubtful groups are removed."""
-    placed = _pruned(chunks, placed, score)
-    groups = search_widely(chunks, placed.solution, placed.loops)
-    decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
-    gained = len(decision.loops) > len(placed.loops)
-    placed = placed.after(decision, NOT_ADDED)
-    return _pruned(chunks, placed, score) if gained else placed
-
-
-def _place_all(chunks: Chunks, placed: _Placed, _: MapScore) -> _Placed:
-    """The unguarded start: all groups of the wide search are added, and only the robust kernels reject loops."""
-    groups = search_widely(chunks, placed.solution, placed.loops)
-    loops = placed.loops + [loop for group in groups for loop in group]
-    solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
-    return _Placed(loops, solution, placed.dropped, len(loops) - len(placed.loops))
-
-
-_STARTS: dict[str, Callable[[Chunks, _Placed, MapScore], _Placed]] = {"guard": _place_guarded, "all": _place_all}
-
-
-def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
-    if not placed.loops:
-        return placed
-    return placed.after(prune_groups(chunks.poses, chunks.hops, placed.loops, score, chunks.config), REMOVED)
-
-
-def _accept(
-    chunks: Chunks, placed: _Placed, groups: list[list[Loop]], score: MapScore, gain: float, *, near: bool
-) -> Decision:
-    return accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, chunks.config, gain, near=near)
-
-
-def _bundled(log: _Log, trajectory: Trajectory, chunks: Chunks, placed: _Placed, iterations: int) -> Round:
-    """Transfer the poses of the chunks to the key poses, solve the bundle, and give a verdict on each loop."""
-    config, solution = log.config, placed.solution
-    strong = solution.weights > config.chunks.kept
-    kept = [loop for loop, good in zip(placed.loops, strong, strict=True) if good]
-    moved = carry_over(log.keys, trajectory, chunks.middles, solution.poses)
-    ends = np.array([(loop.first, loop.second) for loop in kept], dtype=np.int64).reshape(-1, 2)
-    relative = np.array([loop.relative for loop in kept]).reshape(-1, 3)
-    information = np.array([loop.information for loop in kept]).reshape(-1, 3, 3)
-    relations = chunks.middles[ends], relative, information
-    bundled = bundle(log.keys, moved, relations, config, log.data.range_std, iterations)
-    verdicts = [LoopVerdict(loop, KEPT if good else OUTVOTED) for loop, good in zip(placed.loops, strong, strict=True)]
-    return Round(
-        trajectory=bundled,
-        score=log.score(bundled),
-        verdicts=verdicts + placed.dropped,
-        middles=chunks.middles,
-        chunk_covariances=_covariances(chunks, placed),
-        recognised=placed.recognised,
-    )
-
-
-def _covariances(chunks: Chunks, placed: _Placed) -> FloatArray:
-    """Covariances (c, 3, 3) of the chunks relative to the first chunk, from the graph of chunks."""
-    count = len(chunks)
-    solution = placed.solution
-    joint = np.linalg.inv(information_matrix(solution.poses, chunks.hops, placed.loops, solution.weights))
-    return np.asarray(joint.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)])
+def _settled(rounds: list[Round], config: GraphConfig) -> bool:
+    """Whether the last two rounds, which differ in the hop of their chunks, have not raised the score."""
+    scores = [each.score for each in rounds]
+    return len(scores) > 2 and max(scores[-2:]) < max(scores[:-2]) + config.rounds.settled
 
 
 def _moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:
@@ -454,9 +305,24 @@ def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
     return replace(found, trajectory=_moved(found.trajectory, motion), chunk_covariances=covariances)
 
 
+def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
+    """The result by odometry alone, which begins at the pose ``start`` (3,); all loops are rejected."""
+    verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
+    plain = _unlooped(found.keys, "odometry", odometry_trajectory(found.keys, start))
+    middles = found.keys.event_key[found.chunk_events]
+    return replace(
+        plain,
+        scores=found.scores,
+        verdicts=verdicts,
+        chunk_events=found.chunk_events,
+        chunk_poses=plain.trajectory.poses[middles],
+        chunk_covariances=found.chunk_covariances,
+    )
+
+
 def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
     """The result of a log that is too short for chunks."""
-    found = Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)), 0)
+    found = Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)))
     return _result(keys, name, found, {name: [0.0]})
 
 

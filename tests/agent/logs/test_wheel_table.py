@@ -8,7 +8,7 @@ from support.data import refusal
 
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 
 ROBOT = RobotSpec(radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0))
 HEAD = "t,left,right,r_90,r_54,r_-90\n"
@@ -100,12 +100,51 @@ def test_a_gap_in_the_log_allows_a_longer_travel(write):
     assert read_log(write(HEAD + rows), table=TableOptions(ROBOT)).wheels[-1, 0] == 1.5
 
 
+def zone_readings(pose, zones, width=1.0):
+    """Perpendicular distances, m, of a multi-zone sensor between walls at y = -width and y = width, zone by zone.
+
+    A zone is a triple: place in the robot's frame (x, y), axis and direction, both in degrees.
+    """
+    readings = []
+    for (x, y), axis, direction in zones:
+        origin_y = pose[1] + np.sin(pose[2]) * x + np.cos(pose[2]) * y
+        slope = np.sin(pose[2] + math.radians(direction))
+        along = (width - origin_y) / slope if slope > 0.0 else (-width - origin_y) / slope
+        readings.append(along * math.cos(math.radians(direction - axis)))
+    return readings
+
+
+def test_zones_of_perpendicular_distances_give_the_walls_that_they_measured(write):
+    places, axes = {90: (0.03, 0.05), -90: (0.03, -0.05)}, (90.0, -90.0)
+    zones = [(places[axis], axis, axis + off) for axis in (90, -90) for off in (16.875, 5.625, -5.625, -16.875)]
+    robot = RobotSpec(beams=tuple(SensorSpec(*at, math.radians(to), 0.02, 4.0) for at, _, to in zones))
+    poses = [(0.05 * step, 0.1 * math.sin(0.1 * step), 0.05 * math.cos(0.1 * step)) for step in range(20)]
+    rows = [[f"{0.1 * step:.1f}", *map(repr, pose), *(f"{1e3 * each:.3f}" for each in zone_readings(pose, zones))]
+            for step, pose in enumerate(poses)]  # fmt: skip
+    header = ["t", "x", "y", "theta", *(f"r_{to:g}" for *_, to in zones)]
+    path = write("\n".join(",".join(row) for row in [header, *rows]) + "\n")
+    log = read_log(path, table=TableOptions(robot, range_unit="mm", zone_axes=axes))
+    for pose, ranges in zip(poses, log.ranges, strict=True):
+        turn = pose[2] + log.robot.beam_angles
+        origins = pose[1] + np.sin(pose[2]) * log.robot.beam_origins[:, 0]
+        origins = origins + np.cos(pose[2]) * log.robot.beam_origins[:, 1]
+        np.testing.assert_allclose(np.abs(origins + ranges * np.sin(turn)), 1.0, atol=1e-5)
+    as_rays = read_log(path, table=TableOptions(robot, range_unit="mm"))
+    assert log.ranges[0, 0] == pytest.approx(as_rays.ranges[0, 0] / math.cos(math.radians(16.875)))
+
+
+def test_a_column_far_from_all_axes_is_refused(write):
+    words = "--zone-axes: no axis lies within 45 deg of the column at -90 deg"
+    assert words in refusal(write(HEAD + METRES), table=TableOptions(ROBOT, zone_axes=(72.0,)))
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
         ({"metres_per_tick": 0.0}, "--metres-per-tick must be a number above 0, not 0"),
         ({"metres_per_tick": math.nan}, "--metres-per-tick must be a number above 0, not nan"),
         ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, not 'inch'"),
+        ({"zone_axes": (90.0, math.inf)}, "--zone-axes must be directions in degrees"),
         ({"time_unit": "min"}, "--time-unit must be one of s, ms, us, not 'min'"),
     ],
 )

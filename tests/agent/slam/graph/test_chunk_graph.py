@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import AgreementConfig, ChunkGraphConfig, LoopConfig
-from limslam_agent.slam.graph.agreement import agreements, groups_of, supported
-from limslam_agent.slam.graph.chunk_graph import Hops, Loop, hops_between, information_matrix, solve, solve_annealed
+from limslam_agent.slam.graph.agreement import agreements, distances_after_alignment, groups_of, supported
+from limslam_agent.slam.graph.chunk_graph import (
+    Hops,
+    Loop,
+    hops_between,
+    information_matrix,
+    solve,
+    solve_annealed,
+    unbent,
+)
+from limslam_agent.slam.graph.key_poses import Trajectory, integrate
 from limslam_env.geometry import se2
 
 CONFIG = ChunkGraphConfig()
@@ -83,6 +92,30 @@ def test_a_slip_bends_the_graph_in_one_place(truth):
     bent = np.abs(se2.wrap_angle(se2.between(closed.poses[:-1], closed.poses[1:])[:, 2] - motions[:, 2]))
     assert bent.argmax() == 20
     assert np.sort(bent)[-2] < np.radians(10.0)
+
+
+def test_a_bent_hop_follows_the_local_path_again_and_the_others_stay(truth):
+    middles, covariance = np.arange(0, len(truth), 4), np.diag([0.2**2, 0.2**2, 0.1**2])
+    steps = se2.between(truth[:-1], truth[1:])
+    hops = Hops(se2.between(truth[middles[:-1]], truth[middles[1:]]), np.tile(covariance, (len(middles) - 1, 1, 1)))
+    corrected = steps + np.array([0.0, 0.0, 0.01])
+    bent = corrected.copy()
+    bent[20:22, 2] += np.radians(40.0)
+    bias, local = np.array([0.1, 0.2, 0.3]), Trajectory(truth, np.zeros(3))
+    found = unbent(Trajectory(integrate(truth[0], bent), bias), local, middles, hops, 25.0)
+    expected = corrected.copy()
+    expected[20:24] = steps[20:24]
+    assert np.allclose(found.poses, integrate(truth[0], expected))
+    assert found.bias is bias
+    healthy = Trajectory(integrate(truth[0], corrected), bias)
+    assert unbent(healthy, local, middles, hops, 25.0) is healthy
+
+
+def test_paths_are_compared_after_the_motion_that_fits_them(truth):
+    moved = se2.compose(np.array([5.0, -3.0, 2.5]), truth)
+    assert distances_after_alignment(truth, moved) == pytest.approx(np.zeros(len(truth)), abs=1e-9)
+    moved[10, 0] += 1.0
+    assert distances_after_alignment(truth, moved).max() > 0.9
 
 
 def test_a_solution_is_where_no_step_is_left(truth):

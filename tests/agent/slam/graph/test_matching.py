@@ -66,6 +66,17 @@ def test_bounds_of_wide_windows_hold_beyond_the_grid():
     assert found.pose[:2] == pytest.approx([-9.0, 9.0], abs=0.11)
 
 
+@pytest.mark.parametrize("block", [1, 2, 3, 5, 8])
+def test_blocks_of_any_width_give_the_best_pose(block):
+    generator = np.random.default_rng(11)
+    chunk, config = chunk_of(corner(generator)), MatchConfig(block=block)
+    points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
+    window = Window(1.3, np.radians(20.0), np.radians(5.0))
+    found = match(search_grid(chunk, window.shift, config), points, np.zeros(3), window, config, -1.0)
+    best, _ = by_trying_everything(search_grid(chunk, window.shift, config), points, np.zeros(3), window)
+    assert found.score == pytest.approx(best, abs=1e-6)
+
+
 @pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (2.1, -1.4, 0.5), (-5.0, 4.0, -1.5)])
 def test_a_moved_chunk_is_found(moved):
     generator = np.random.default_rng(7)

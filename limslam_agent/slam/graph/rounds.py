@@ -1,0 +1,232 @@
+"""One round of the smoothing of a log: the loops of its chunks are found and tested, and the bundle is solved."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.agreement import (
+    KEPT,
+    NO_SUPPORT,
+    NOT_ADDED,
+    OUTVOTED,
+    REMOVED,
+    Decision,
+    LoopVerdict,
+    MapScore,
+    accept_groups,
+    agreement_of_visits,
+    prune_groups,
+    supported,
+)
+from limslam_agent.slam.graph.bundle import bundle
+from limslam_agent.slam.graph.chunk_graph import (
+    ChunkSolution,
+    Loop,
+    carry_over,
+    hops_between,
+    information_matrix,
+    solve_annealed,
+    unbent,
+)
+from limslam_agent.slam.graph.key_poses import (
+    KeyPoses,
+    LogData,
+    Trajectory,
+)
+from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.graph.local_smoothing import local_covariances
+from limslam_agent.slam.graph.loop_search import Chunks
+from limslam_agent.slam.graph.union_matching import match_unions
+from limslam_agent.slam.graph.wide_search import search_widely
+from limslam_env.geometry import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """The result of a round.
+
+    Attributes
+    ----------
+    trajectory
+        The trajectory after the bundle.
+    score
+        G of the bundled map.
+    verdicts
+        The verdicts on all loops that were found.
+    middles, chunk_covariances
+        Middle key poses of the chunks (c,); their covariances (c, 3, 3) from the graph of chunks, relative to the first
+        chunk.
+    """
+
+    trajectory: Trajectory
+    score: float
+    verdicts: list[LoopVerdict]
+    middles: IntArray
+    chunk_covariances: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LogProblem:
+    """The common data of all rounds: key poses, local trajectory, recording, settings, and covariances of the hops."""
+
+    keys: KeyPoses
+    local: Trajectory
+    data: LogData
+    config: GraphConfig
+    _covariances: dict[float, FloatArray] = field(default_factory=dict)
+
+    def hop(self, number: int) -> float:
+        """Distance driven between the chunks of a round, m."""
+        return self.config.maps.hop * self.config.rounds.hops[number]
+
+    def middles(self, number: int) -> IntArray:
+        """Key poses in the middle of the chunks of a round."""
+        return chunk_middles(self.keys, self.config.maps, self.hop(number))
+
+    def chunks(self, trajectory: Trajectory, number: int) -> Chunks:
+        """The chunks of a round, cut from a trajectory."""
+        middles, config = self.middles(number), self.config
+        maps = cut_chunks(self.keys, trajectory, config.maps, middles, self.data.max_range)
+        poses = trajectory.poses[middles]
+        hops = hops_between(poses, self._hop_covariances(number), config.chunks)
+        return Chunks(maps, middles, poses, self.keys.key_travel[middles], hops, config)
+
+    def unbent(self, trajectory: Trajectory, number: int) -> Trajectory:
+        """A trajectory whose hops follow the local smoothing again where a bundle has bent them too far.
+
+        Links between visits can pull at a segment of the path that no loop holds, and bend it more in each round.
+        """
+        middles, covariances = self.middles(number), self._hop_covariances(number)
+        hops = hops_between(self.local.poses[middles], covariances, self.config.chunks)
+        return unbent(trajectory, self.local, middles, hops, self.config.chunks.bent)
+
+    def score(self, trajectory: Trajectory) -> float:
+        """G of a trajectory's map."""
+        confirmed, contradicted = agreement_of_visits(self.keys, trajectory, self.config, self.data.max_range)
+        return confirmed - contradicted
+
+    def _hop_covariances(self, number: int) -> FloatArray:
+        """Covariances (c - 1, 3, 3) of the hops of a round, from the graph of the local smoothing."""
+        hop = self.hop(number)
+        if hop not in self._covariances:
+            middles = self.middles(number)
+            self._covariances[hop] = local_covariances(self.keys, self.local, middles, self.config, self.data.range_std)
+        return self._covariances[hop]
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """The graph of chunks after a round's search: its loops, their solution, and the rejected loops."""
+
+    loops: list[Loop]
+    solution: ChunkSolution
+    dropped: list[LoopVerdict]
+
+    def after(self, decision: Decision, reason: str) -> "_Placed":
+        """The graph after a decision that rejected loops for a reason."""
+        dropped = self.dropped + [LoopVerdict(loop, reason) for loop in decision.dropped]
+        return _Placed(decision.loops, decision.solution, dropped)
+
+
+@dataclass(eq=False)
+class Candidates:
+    """The chunks of a round, and the loops that were found among them.
+
+    Both starts of the first round share the result of the wide search.
+    """
+
+    chunks: Chunks
+    loops: list[Loop]
+    _groups: list[list[Loop]] | None = None
+
+    def groups(self, placed: _Placed) -> list[list[Loop]]:
+        """The groups of the wide search, which begins with the graph ``placed`` when it is asked for first."""
+        if self._groups is None:
+            self._groups = search_widely(self.chunks, placed.solution, placed.loops)
+        return self._groups
+
+
+def do_round(log: LogProblem, trajectory: Trajectory, number: int, candidates: Candidates, start: str) -> Round:
+    """Do one round: support, wide search, unions from the second round on, and the bundle."""
+    config, chunks = log.config, candidates.chunks
+    placed, score = _supported(chunks, candidates.loops), MapScore.of(chunks.maps, config.agreement)
+    if number < config.rounds.wide_search:
+        placed = STARTS[start](candidates, placed, score)
+    elif start == "guard":
+        placed = _pruned(chunks, placed, score)
+    if number > 0:
+        unions = [[loop] for loop in match_unions(chunks, placed.solution.poses, placed.loops)]
+        placed = placed.after(_accept(chunks, placed, unions, score, 0.0, near=True), NOT_ADDED)
+    return _bundled(log, trajectory, chunks, placed, config.rounds.iterations[number])
+
+
+def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:
+    good = supported(loops, chunks.poses, chunks.travel, chunks.config.loops)
+    kept = [loop for loop, agreed in zip(loops, good, strict=True) if agreed]
+    dropped = [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(loops, good, strict=True) if not agreed]
+    return _Placed(kept, solve_annealed(chunks.poses[0], chunks.hops, kept, chunks.config.chunks), dropped)
+
+
+def _place_guarded(candidates: Candidates, placed: _Placed, score: MapScore) -> _Placed:
+    """The guarded start: groups of the wide search must raise G, and doubtful groups are removed."""
+    chunks = candidates.chunks
+    placed = _pruned(chunks, placed, score)
+    groups = candidates.groups(placed)
+    decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
+    gained = len(decision.loops) > len(placed.loops)
+    placed = placed.after(decision, NOT_ADDED)
+    return _pruned(chunks, placed, score) if gained else placed
+
+
+def _place_all(candidates: Candidates, placed: _Placed, _: MapScore) -> _Placed:
+    """The unguarded start: all groups of the wide search are added, and only the robust kernels reject loops."""
+    chunks, groups = candidates.chunks, candidates.groups(placed)
+    loops = placed.loops + [loop for group in groups for loop in group]
+    solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
+    return _Placed(loops, solution, placed.dropped)
+
+
+STARTS: dict[str, Callable[[Candidates, _Placed, MapScore], _Placed]] = {"guard": _place_guarded, "all": _place_all}
+
+
+def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
+    if not placed.loops:
+        return placed
+    return placed.after(prune_groups(chunks.poses, chunks.hops, placed.loops, score, chunks.config), REMOVED)
+
+
+def _accept(
+    chunks: Chunks, placed: _Placed, groups: list[list[Loop]], score: MapScore, gain: float, *, near: bool
+) -> Decision:
+    return accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, chunks.config, gain, near=near)
+
+
+def _bundled(log: LogProblem, trajectory: Trajectory, chunks: Chunks, placed: _Placed, iterations: int) -> Round:
+    """Transfer the poses of the chunks to the key poses, solve the bundle, and give a verdict on each loop."""
+    config, solution = log.config, placed.solution
+    strong = solution.weights > config.chunks.kept
+    kept = [loop for loop, good in zip(placed.loops, strong, strict=True) if good]
+    moved = carry_over(log.keys, trajectory, chunks.middles, solution.poses)
+    ends = np.array([(loop.first, loop.second) for loop in kept], dtype=np.int64).reshape(-1, 2)
+    relative = np.array([loop.relative for loop in kept]).reshape(-1, 3)
+    information = np.array([loop.information for loop in kept]).reshape(-1, 3, 3)
+    relations = chunks.middles[ends], relative, information
+    bundled = bundle(log.keys, moved, relations, config, log.data.range_std, iterations)
+    verdicts = [LoopVerdict(loop, KEPT if good else OUTVOTED) for loop, good in zip(placed.loops, strong, strict=True)]
+    return Round(
+        trajectory=bundled,
+        score=log.score(bundled),
+        verdicts=verdicts + placed.dropped,
+        middles=chunks.middles,
+        chunk_covariances=_covariances(chunks, placed),
+    )
+
+
+def _covariances(chunks: Chunks, placed: _Placed) -> FloatArray:
+    """Covariances (c, 3, 3) of the chunks relative to the first chunk, from the graph of chunks."""
+    count = len(chunks)
+    solution = placed.solution
+    joint = np.linalg.inv(information_matrix(solution.poses, chunks.hops, placed.loops, solution.weights))
+    return np.asarray(joint.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)])
