@@ -1,4 +1,4 @@
-"""The command line: ``limslam run``, ``replay``, ``show``, ``play``, ``warmup`` and ``worlds``.
+"""The command line: ``limslam run``, ``replay``, ``live``, ``show``, ``play``, ``warmup`` and ``worlds``.
 
 Modules that take long to import are imported inside the commands, so that help appears at once.
 """
@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from limslam_agent.cli.live import live
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.show import show
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(replay)
+app.command()(live)
 app.command()(show)
 app.command()(warmup)
 app.add_typer(worlds)
