@@ -69,7 +69,8 @@ def carry_out(options: LiveOptions, config: "AgentConfig", described: "RobotSpec
         hello = link.first_hello(options.patience)
         recording = Recording(_robot(hello, described), hello)
         _warn_about(hello)
-        with kept(recording, folder.target.with_name(f"{folder.target.name}-log.npz")) as save_if_due:
+        copy = folder.target.with_name(f"{folder.target.name}-log.npz")
+        with _named(copy), kept(recording, copy) as save_if_due:
             agent = _agent(options, config, recording.robot)
             with _display(options, agent, save_if_due) as watch:
                 session = Session(link, hello, agent, recording, watch)
@@ -152,6 +153,17 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", save_if_due: Any) -> "
             advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost")
 
         yield watch
+
+
+@contextmanager
+def _named(copy: Path) -> "Iterator[None]":
+    """Say where the copy of the log is, if an error has left one."""
+    try:
+        yield
+    except BaseException:
+        if copy.is_file():
+            _warn(f"what the robot has sent is in {copy}: limslam replay draws the map")
+        raise
 
 
 def _warn_about(hello: "Hello") -> None:

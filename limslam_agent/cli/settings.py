@@ -91,7 +91,7 @@ class LiveOptions(Bounded):
 
     serial: str | None = None
     baud: Annotated[int, Bounds(300, 10**7)] = 115200
-    udp: Annotated[int | None, Bounds(1, 65535)] = None
+    udp: int | None = None
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     policy: str = "frontier"

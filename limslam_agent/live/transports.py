@@ -17,6 +17,8 @@ REOPEN_AFTER = 0.5
 SILENT_AFTER = 1.0
 """Time after which a robot is no longer heard, so that another one may take its place, s."""
 
+LAST_PORT = 65535
+
 _MOST_BYTES = 65536
 
 
@@ -62,11 +64,15 @@ class UdpTransport:
 
     Raises
     ------
+    ValueError
+        If it is no number of a port.
     OSError
         If the port cannot be used.
     """
 
     def __init__(self, port: int) -> None:
+        if not 0 <= port <= LAST_PORT:
+            raise ValueError(f"a UDP port is a number up to {LAST_PORT}, not {port}")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(("", port))
