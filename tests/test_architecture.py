@@ -90,10 +90,17 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "status"),
     },
+    "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.
-COMPOSITION = {"limslam_agent", "limslam_agent.__main__", "limslam_agent.runs", "limslam_agent.cli"}
+COMPOSITION = {
+    "limslam_agent",
+    "limslam_agent.__main__",
+    "limslam_agent.runs",
+    "limslam_agent.cli",
+    "limslam_agent.live.emulator",
+}
 # Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis <- training; speed beside.
 BENCHMARKS = {
     "benchmarks": set(),

@@ -12,6 +12,7 @@ import typer
 
 from limslam_agent.cli.compare import compare
 from limslam_agent.cli.export import export
+from limslam_agent.cli.live import live
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.score import score
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(replay)
+app.command()(live)
 app.command()(show)
 app.command()(compare)
 app.command()(score)

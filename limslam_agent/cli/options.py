@@ -9,12 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from limslam_agent.cli.settings import ReplayOptions, RunOptions
+from limslam_agent.cli.settings import LiveOptions, ReplayOptions, RunOptions
 
-_RUN, _REPLAY = RunOptions(), ReplayOptions()
+_RUN, _REPLAY, _LIVE = RunOptions(), ReplayOptions(), LiveOptions()
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
 _FAULTS = "Errors that the simulated robot has"
 _LOG, _TABLE, _ODOMETRY, _SCORE = "Log", "Tables (.csv)", "Odometry", "Score"
+_CONNECTION = "Connection and robot"
 _PRESETS = (
     "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
     "or graph (consistent, and a recorded log is smoothed at its end)."
@@ -217,4 +218,36 @@ CalibrateLog = Annotated[
 ]
 RelationsFile = Annotated[
     Path | None, _option(_SCORE, "File of known relative poses to score the trajectory with.", None, "--relations")
+]
+
+# Of limslam live.
+Serial = Annotated[str | None, _option(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")]
+Baud = Annotated[int | None, _option(_CONNECTION, "Bits per second of the serial port.", _LIVE.baud)]
+Udp = Annotated[int | None, _option(_CONNECTION, "UDP port on which to wait for the robot.")]
+LiveRobot = Annotated[
+    str | None,
+    _option(
+        _CONNECTION,
+        "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.",
+        "what the robot calls itself",
+        "--robot",
+    ),
+]
+Patience = Annotated[
+    float | None,
+    _option(_CONNECTION, "How long to wait for a robot that is silent, s.", f"{_LIVE.patience:g}", "--patience"),
+]
+LivePolicy = Annotated[
+    str | None,
+    _option(
+        _AGENT,
+        "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
+        "or FILE.py:CLASS for your own (a class or a function that makes a policy).",
+        _LIVE.policy,
+        "--policy",
+    ),
+]
+LiveTime = Annotated[
+    float | None,
+    _option(_CONNECTION, "Longest time of the session by the robot's clock, s.", f"{_LIVE.max_time:g}", "--max-time"),
 ]

@@ -86,7 +86,24 @@ class ReplayOptions(Bounded):
     force: bool = False
 
 
-Options = TypeVar("Options", RunOptions, ReplayOptions)
+@dataclass(frozen=True)
+class LiveOptions(Bounded):
+    """The options of ``limslam live``; they are described there."""
+
+    serial: str | None = None
+    baud: Annotated[int, Bounds(300, 10**7)] = 115200
+    udp: int | None = None
+    noise: _Std = 0.02
+    preset: str = DEFAULT_PRESET
+    policy: str = "frontier"
+    until: str = "walls"
+    max_time: _Time = 1800.0
+    patience: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
+    out: Path | None = None
+    force: bool = False
+
+
+Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
 
 
 @dataclass(frozen=True)
@@ -153,7 +170,7 @@ class Given:
 
     def _hint(self, unknown: set[str]) -> str:
         """Which command the file is of, if its unknown keys are options of another command."""
-        commands = {"run": RunOptions, "replay": ReplayOptions}
+        commands = {"run": RunOptions, "replay": ReplayOptions, "live": LiveOptions}
         others = [name for name, kind in commands.items() if unknown & {field.name for field in fields(kind)}]
         return f": this is a file of limslam {others[0]}" if others else ""
 
@@ -427,6 +444,15 @@ def write_replay_settings(
     if robot is not None:
         table["robot"] = table_of(robot)
     write_toml(folder / FILE, table, f"All settings of a replay: limslam replay --config {FILE} repeats it.")
+
+
+def write_live_settings(folder: Path, options: LiveOptions, agent: "AgentConfig") -> None:
+    """Write the file that repeats the map of a live session from its log, which lies beside the file."""
+    from limslam_agent.output.finished_run import LOG
+
+    told: Table = {"log": LOG, "preset": options.preset, "noise": options.noise}
+    table = {**told, "agent": _agent_table(agent, options.noise)}
+    write_toml(folder / FILE, table, f"All settings of a map: limslam replay --config {FILE} draws it again.")
 
 
 def _option_table(options: RunOptions | ReplayOptions) -> dict[str, Any]:

@@ -135,8 +135,8 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
     ----------
     path
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
-        ``true_pose`` (n, 3) after each step, ``wall_seen`` (n, n_beams), ``start_pose`` (3,), and ``robot``, the text
-        of :meth:`RobotSpec.to_json`. Pickled objects are refused.
+        ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log of a simulated run also has
+        the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams). Pickled objects are refused.
     limits
         Largest log that is read.
 
@@ -144,8 +144,8 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
     ------
     LogError
         If the file is larger than the limits or cannot be read, is cut short or is not such a zip file; if an array is
-        missing or has a wrong shape, or holds something other than finite numbers. Ranges may be infinite, NaN or
-        negative, as `limslam_agent.readings` defines.
+        missing, or one of the two arrays of the truth; or if an array has a wrong shape or holds something other than
+        finite numbers. Ranges may be infinite, NaN or negative, as `limslam_agent.readings` defines.
     """
     arrays = _load_arrays(path, limits)
     try:
@@ -157,7 +157,9 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
             robots = arrays["ranges"].shape[1]
             raise LogError(f"is the log of {robots} robots; only the log of one robot can be replayed")
         _check("action", arrays["action"], (count, 2))
-        _check("wall_seen", arrays["wall_seen"], (count, beams))
+        has_truth = "true_pose" in arrays
+        if has_truth:
+            _check("wall_seen", arrays["wall_seen"], (count, beams))
         return RecordedLog(
             robot=robot,
             time=_floats("time", arrays),
@@ -165,7 +167,7 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
             has_scan=np.ones(count, dtype=np.bool_),
             start_pose=_floats("start_pose", arrays),
             wheels=_floats("wheels", arrays),
-            true_pose=_floats("true_pose", arrays),
+            true_pose=_floats("true_pose", arrays) if has_truth else None,
         )
     except ValueError as error:
         raise LogError(f"{fspath(path)}: {error}") from error
@@ -249,7 +251,8 @@ def parse_number(field: bytes, what: str) -> float:
     return value
 
 
-_ARRAYS = ("time", "ranges", "wheels", "action", "true_pose", "wall_seen", "robot", "start_pose")
+_TRUTH = ("true_pose", "wall_seen")
+_ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 
 
 def _refuse_size(path: FilePath, lines: int, size: int, limits: Limits) -> None:
@@ -272,7 +275,8 @@ def _load_arrays(path: FilePath, limits: Limits) -> dict[str, NDArray[Any]]:
     except ValueError as error:
         raise LogError(f"{fspath(path)}: {error}") from error
     missing = [name for name in _ARRAYS if name not in arrays]
-    if missing:
+    # The log of a live robot has no truth at all.
+    if missing and missing != list(_TRUTH):
         raise LogError(f"{fspath(path)}: has no {' and no '.join(missing)}")
     return arrays
 

@@ -14,6 +14,7 @@ from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, comman
 from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.cli.settings import robot_named
 from limslam_agent.config.shared import OdometryConfig
+from limslam_agent.live.emulator.__main__ import app as emulator_app
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.options import CalibrationRun
@@ -26,6 +27,7 @@ DIAGRAMS = {
     "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
     "geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
     "# t1   t2": "relations of a tape; a test below reads them",
+    "H,1,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
@@ -56,7 +58,7 @@ NOT_SHORT = {"--engine": "needs a cluster", "explore": "its jobs name 100 floor 
 
 def apps() -> dict[str, typer.Typer]:
     """The command lines by their names; the benchmarks do not travel with a wheel."""
-    found = {"limslam": limslam_app}
+    found = {"limslam": limslam_app, "python -m limslam_agent.live.emulator": emulator_app}
     if find_spec("benchmarks"):
         from benchmarks.__main__ import app as benchmarks_app
 
@@ -74,7 +76,7 @@ def reason_for(block: Block, reasons: dict[str, str]) -> str | None:
 def own(words: list[str]) -> tuple[str, list[str]] | None:
     """The project's command line that a command calls, and its arguments."""
     line = " ".join(words)
-    for name in ("limslam", ".venv/bin/limslam", "python -m benchmarks"):
+    for name in ("limslam", ".venv/bin/limslam", "python -m limslam_agent.live.emulator", "python -m benchmarks"):
         if line.startswith(f"{name} "):
             return name.removeprefix(".venv/bin/"), words[len(name.split()) :]
     return None

@@ -1,0 +1,178 @@
+"""``limslam live``: a live robot explores, and its folder."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from limslam_agent.cli import options as take
+from limslam_agent.cli.progress import progress_bar
+from limslam_agent.cli.settings import Given, LiveOptions, robot_named, write_live_settings
+
+if TYPE_CHECKING:
+    from limslam_agent.agent import LimSlamAgent
+    from limslam_agent.config.presets import AgentConfig
+    from limslam_agent.live.protocol import Hello
+    from limslam_agent.live.session import Session
+    from limslam_agent.live.transports import Transport
+    from limslam_env.interface import RobotSpec
+
+
+def live(
+    serial: take.Serial = None,
+    baud: take.Baud = None,
+    udp: take.Udp = None,
+    robot: take.LiveRobot = None,
+    patience: take.Patience = None,
+    max_time: take.LiveTime = None,
+    noise: take.AssumedNoise = None,
+    preset: take.RunPreset = None,
+    policy: take.LivePolicy = None,
+    until: take.Until = None,
+    out: take.Out = None,
+    force: take.Force = None,
+    config: take.Config = None,
+) -> None:
+    """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
+    arguments = locals()
+    given = Given.read(arguments.pop("config"), arguments)
+    options = given.merged(LiveOptions(), ("agent", "robot"))
+    if (options.serial is None) == (options.udp is None):
+        raise ValueError("either --serial PORT or --udp PORT is needed, the place where the robot is")
+    agent = _agent_config(given, options)
+    for warning in given.warnings(options.preset):
+        _warn(warning)
+    carry_out(options, agent, given.replay_robot())
+
+
+def carry_out(options: LiveOptions, config: "AgentConfig", described: "RobotSpec | None") -> None:
+    """Drive a robot, write the folder of the session, and print its summary.
+
+    Raises
+    ------
+    ValueError
+        If no robot answers, the robot cannot be driven, or the folder cannot be written.
+    """
+    from limslam_agent.live.folder import session_lines, write_session
+    from limslam_agent.live.recording import Recording, kept
+    from limslam_agent.live.session import Link, NoRobotError, Session
+    from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.runs.results import versions
+    from limslam_env.messages import printable
+
+    target = options.out or Path("runs") / "live"
+    with new_folder(target, force=options.force, numbered=options.out is None) as folder, _transport(options) as port:
+        typer.echo(f"waiting     for a robot at {_place(options)}", err=True)
+        link = Link(port)
+        hello = link.first_hello(options.patience)
+        recording = Recording(_robot(hello, described), hello)
+        _warn_about(hello)
+        copy = folder.target.with_name(f"{folder.target.name}-log.npz")
+        with _named(copy), kept(recording, copy) as save_if_due:
+            agent = _agent(options, config, recording.robot)
+            with _display(options, agent, save_if_due) as watch:
+                session = Session(link, hello, agent, recording, watch)
+                reason = _driven(session, options)
+            if not len(recording):
+                raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")
+            typer.echo("smoothing   and writing the map", err=True)
+            result = write_session(folder.beside, session, f"live {hello.name}", reason, versions())
+            write_live_settings(folder.beside, options, config)
+    for line in session_lines(result):
+        typer.echo(printable(line))
+    typer.echo(printable(f"results     {folder.target}"))
+
+
+def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":
+    """The agent's settings, with the changes in the file of ``--config``."""
+    from limslam_agent.config.presets import preset, with_until
+    from limslam_env.interface import NominalNoise
+
+    base = with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
+    return given.agent(base, given.table.get("preset", options.preset))
+
+
+@contextmanager
+def _transport(options: LiveOptions) -> "Iterator[Transport]":
+    from limslam_agent.live.transports import SerialTransport, UdpTransport
+
+    port = options.serial
+    with closing(UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)) as transport:
+        yield transport
+
+
+def _place(options: LiveOptions) -> str:
+    return options.serial or f"UDP port {options.udp}"
+
+
+def _robot(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
+    """The robot of ``--robot``, else the shipped robot that it says it is.
+
+    Raises
+    ------
+    ValueError
+        If there is no such robot, or it has another number of beams.
+    """
+    from limslam_env.robots import ROBOTS
+
+    if described is None and hello.name not in ROBOTS:
+        raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
+    robot = described or robot_named(hello.name)
+    if len(robot.beams) != hello.beams:
+        raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
+    return robot
+
+
+def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec") -> "LimSlamAgent":
+    from limslam_agent.agent import LimSlamAgent
+    from limslam_agent.runs.oracle import policies_by_belief
+
+    policies = policies_by_belief(options.policy, robot, config, robots=1, seed=0)
+    return LimSlamAgent(robot, config, policies[0] if policies else None)
+
+
+def _driven(session: "Session", options: LiveOptions) -> str:
+    from limslam_agent.runs.policy_file import naming_lines_of
+
+    with naming_lines_of(options.policy):
+        return session.drive(options.max_time, options.patience)
+
+
+@contextmanager
+def _display(options: LiveOptions, agent: "LimSlamAgent", save_if_due: Any) -> "Iterator[Any]":
+    """The progress bar of a session, whose function is called after each decision."""
+    with progress_bar("driving", options.max_time) as advance:
+
+        def watch(session: "Session") -> None:
+            save_if_due()
+            newest = session.recording.newest
+            seconds = 0.0 if newest is None else newest.time
+            walls = f"{len(agent.slam.segments)} walls"
+            advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost")
+
+        yield watch
+
+
+@contextmanager
+def _named(copy: Path) -> "Iterator[None]":
+    """Say where the copy of the log is, if an error has left one."""
+    try:
+        yield
+    except BaseException:
+        if copy.is_file():
+            _warn(f"what the robot has sent is in {copy}: limslam replay draws the map")
+        raise
+
+
+def _warn_about(hello: "Hello") -> None:
+    if hello.watchdog_ms < 2 * hello.period_ms:
+        periods = f"two periods of {hello.period_ms} ms"
+        _warn(
+            f"the robot's watchdog of {hello.watchdog_ms} ms is shorter than {periods}: one lost line stops the wheels"
+        )
+
+
+def _warn(words: str) -> None:
+    typer.echo(f"limslam: warning: {words}", err=True)

@@ -1,0 +1,156 @@
+"""``python -m limslam_agent.live.emulator``: a simulated robot behind a serial port or a UDP socket."""
+
+import sys
+import time
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated
+
+import typer
+
+from limslam_agent.live.protocol import BadLineError, Speeds, Stop, Telemetry, decode
+
+if TYPE_CHECKING:
+    from limslam_agent.live.emulator.emulator import Emulator
+    from limslam_agent.live.emulator.ports import Port
+
+ANSWER_WITHIN = 2.0
+"""Longest time for which an emulator without a fixed speed waits for the host's answer, s."""
+
+_LONELY_POLL = 0.02  # s, between two steps of a robot that nobody has greeted
+
+app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
+
+
+@app.command()
+def emulate(
+    udp: Annotated[int | None, typer.Option(help="Send to this UDP port of the host.", show_default=False)] = None,
+    host: Annotated[str, typer.Option(help="Address of the host.")] = "127.0.0.1",
+    *,
+    pty: Annotated[bool, typer.Option("--pty", help="Make a serial port, and print its name.")] = False,
+    world: Annotated[str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")] = "env1",
+    robot: Annotated[str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")] = "paper",
+    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
+    seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
+    loss: Annotated[float, typer.Option(help="Share of lines that are lost, in both directions.")] = 0.0,
+    delay: Annotated[float, typer.Option(help="Delay of every line, ms.")] = 0.0,
+    late: Annotated[float, typer.Option(help="Share of lines that are late, and that later lines overtake.")] = 0.0,
+    late_by: Annotated[float, typer.Option(help="By how much these lines are late, ms.")] = 200.0,
+    double: Annotated[float, typer.Option(help="Share of lines that arrive twice.")] = 0.0,
+    damage: Annotated[float, typer.Option(help="Share of lines in which a byte is changed.")] = 0.0,
+    watchdog: Annotated[int, typer.Option(help="Time without a line after which the wheels stop, ms.")] = 500,
+    speed: Annotated[float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")] = 1.0,
+    truth: Annotated[
+        Path | None, typer.Option(help="File for the true poses, lines of t x y heading.", show_default=False)
+    ] = None,
+) -> None:
+    """Emulate a robot until the process is ended."""
+    from limslam_agent.cli.settings import robot_named
+    from limslam_agent.live.emulator.channel import Faults
+    from limslam_agent.live.emulator.emulator import Body, Emulator
+    from limslam_env.config import NoiseConfig
+    from limslam_env.worlds.formats.loading import load_world
+
+    if not 0.0 <= speed <= 1000.0:
+        raise ValueError(f"--speed must be a number from 0 to 1000, not {speed:g}")
+    faults = Faults(loss, 1e-3 * delay, late, 1e-3 * late_by, double, damage)
+    errors = replace(NoiseConfig(), sensor_noise=noise)
+    name = Path(robot).stem.replace("_", "-")
+    body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed)
+    emulator, port = Emulator(body, faults), _port(udp, host, is_pty=pty)
+    sys.stdout.write(f"{port.name}\n")
+    sys.stdout.flush()
+    with nullcontext() if truth is None else truth.open("w", encoding="utf-8", buffering=1) as file:
+        run(emulator, port, body.robot.control_period / speed if speed else 0.0, file)
+
+
+def run(emulator: "Emulator", port: "Port", pace: float, truth: IO[str] | None) -> None:
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer."""
+    due, newest = time.monotonic(), -1
+    while True:
+        latest = newest
+        for line in emulator.step():
+            port.send(line)
+            latest = max(latest, _number(line))
+        if truth is not None:
+            x, y, heading = emulator.pose
+            truth.write(f"{emulator.time:.3f} {x:.5f} {y:.5f} {heading:.6f}\n")
+        if pace:
+            due = max(due + pace, time.monotonic() - pace)  # no attempt to catch up
+            _hear_until(emulator, port, due)
+        elif latest > newest:
+            _hear_answer(emulator, port, latest)
+        else:
+            _hear_until(emulator, port, time.monotonic() + (0.0 if emulator.has_host else _LONELY_POLL))
+        newest = latest
+
+
+def _number(line: bytes) -> int:
+    """The sequence number of telemetry. -1 for other lines, which the host does not answer."""
+    try:
+        message = decode(line)
+    except BadLineError:  # the connection has damaged it
+        return -1
+    return message.seq if isinstance(message, Telemetry) else -1
+
+
+def _hear_until(emulator: "Emulator", port: "Port", due: float) -> None:
+    while True:
+        left = due - time.monotonic()
+        for line in port.receive(max(left, 0.0)):
+            emulator.hear(line)
+        if left <= 0.0:
+            return
+
+
+def _hear_answer(emulator: "Emulator", port: "Port", number: int) -> None:
+    """Wait until the host has answered the telemetry with a sequence number, or stops the robot."""
+    give_up = time.monotonic() + ANSWER_WITHIN
+    while (left := give_up - time.monotonic()) > 0.0:
+        lines = port.receive(left)
+        for line in lines:
+            emulator.hear(line)
+        if any(_is_answer(line, number) for line in lines):
+            return
+
+
+def _is_answer(line: bytes, number: int) -> bool:
+    try:
+        message = decode(line)
+    except BadLineError:
+        return False
+    return isinstance(message, Stop) or (isinstance(message, Speeds) and message.answers >= number)
+
+
+def _port(udp: int | None, host: str, *, is_pty: bool) -> "Port":
+    from limslam_agent.live.emulator.ports import PtyPort, UdpPort
+
+    if (udp is not None) == is_pty:
+        raise ValueError("either --udp PORT or --pty is needed")
+    return PtyPort() if udp is None else UdpPort(host, udp)
+
+
+def main() -> None:
+    """Entry point. An error that the user can correct gives exit code 2 and one line."""
+    try:
+        app(standalone_mode=False)
+    except typer.TyperException as error:
+        _fail(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        sys.exit(130)
+    except ValueError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or 'port'}: {error.strerror or error}")
+
+
+def _fail(message: str) -> None:
+    from limslam_env.messages import one_line
+
+    sys.stderr.write(f"emulator: {one_line(message)}\n")
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

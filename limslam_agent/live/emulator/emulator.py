@@ -1,0 +1,116 @@
+"""The emulated robot: a body in the simulator, the firmware, and a connection with faults."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.live.emulator.channel import Channel, Faults
+from limslam_agent.live.emulator.firmware import Firmware
+from limslam_agent.live.protocol import MAX_BEAMS, NOTHING_SEEN, VERSION, Hello
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.simulation.simulation import Readings, Simulation
+from limslam_env.worlds.world import World
+
+NM_PER_TICK = 100_000
+"""Wheel travel for each tick of the emulated encoders, nm."""
+
+
+class Body(NamedTuple):
+    """The robot that is emulated, and its world.
+
+    Attributes
+    ----------
+    world, robot, noise
+        Where it drives, what it is, and its errors.
+    name
+        What it calls itself.
+    watchdog_ms
+        Time without a line from the host after which its wheels stop, ms.
+    seed
+        Seed of all random numbers.
+    """
+
+    world: World
+    robot: RobotSpec
+    noise: NoiseConfig
+    name: str = "paper"
+    watchdog_ms: int = 500
+    seed: int = 0
+
+
+class Emulator:
+    """A simulated robot behind the line protocol. Each step is one control period.
+
+    Parameters
+    ----------
+    body
+        The robot and its world.
+    faults
+        What the connection does to lines, in both directions.
+
+    Attributes
+    ----------
+    pose
+        True pose (3,), m and rad.
+
+    Raises
+    ------
+    ValueError
+        If the protocol cannot describe the robot, or the robot cannot start in the world.
+    """
+
+    def __init__(self, body: Body, faults: Faults | None = None) -> None:
+        robot = body.robot
+        if len(robot.beams) > MAX_BEAMS:
+            raise ValueError(f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}")
+        start, boot, *ways = np.random.SeedSequence(body.seed).spawn(4)
+        self._down, self._up = (Channel(faults or Faults(), np.random.default_rng(way)) for way in ways)
+        self._simulation, self._robot = Simulation(body.world, robot), robot
+        self._readings, truth = self._simulation.reset(start, body.noise)
+        self.pose: FloatArray = truth.poses[0]
+        self._steps, self._travel = 0, np.zeros(2)
+        period = round(1e3 * robot.control_period)
+        number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
+        self._firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
+
+    @property
+    def time(self) -> float:
+        """Time since the start, s."""
+        return self._steps * self._robot.control_period
+
+    @property
+    def has_host(self) -> bool:
+        """Whether a host has greeted the robot, and was heard since."""
+        return self._firmware.has_host
+
+    def hear(self, line: bytes) -> None:
+        """Take a line that the host has sent."""
+        self._up.push(line, self.time)
+
+    def step(self) -> list[bytes]:
+        """Drive for a control period. The lines that arrive at the host after it."""
+        for line in self._up.due(self.time):
+            self._firmware.hear(line, self._now)
+        speeds = self._firmware.speeds(self._now)
+        left, right = (1e-3 * speed / self._robot.max_wheel_speed for speed in speeds)
+        self._readings, truth = self._simulation.step([(left, right)])
+        self.pose, self._steps = truth.poses[0], self._steps + 1
+        self._travel += self._readings.wheels[0]
+        left_ticks, right_ticks = (int(round(1e9 * travel) // NM_PER_TICK) for travel in self._travel.tolist())
+        for line in self._firmware.say(self._now, (left_ticks, right_ticks), ranges_in_mm(self._readings, self._robot)):
+            self._down.push(line, self.time)
+        return self._down.due(self.time)
+
+    @property
+    def _now(self) -> int:
+        return round(1e3 * self.time)
+
+
+def ranges_in_mm(readings: Readings, robot: RobotSpec) -> tuple[int, ...]:
+    """The ranges of a robot's readings as telemetry has them."""
+    ranges = readings.ranges[0].astype(float)
+    mm = np.minimum(np.round(1e3 * ranges), NOTHING_SEEN - 1)
+    mm = np.where(ranges >= robot.too_far, NOTHING_SEEN, np.where(ranges <= robot.too_near, 0.0, mm))
+    return tuple(int(each) for each in mm)

@@ -1,0 +1,94 @@
+"""What runs on the robot: it says hello, obeys commands, sends telemetry, and stops the wheels when nothing comes.
+
+``examples/live/limslam_link.c`` is the same in C, and tests compare the two.
+"""
+
+from limslam_agent.live.protocol import (
+    BadLineError,
+    Greeting,
+    Heartbeat,
+    Hello,
+    Speeds,
+    Stop,
+    Telemetry,
+    decode,
+    difference,
+    encode,
+)
+
+HELLO_EVERY = 500
+"""Time between two hellos of a robot without a host, ms."""
+
+HOST_LOST_AFTER = 3000
+"""Time without a line from the host after which the robot looks for a host again, ms."""
+
+_SPAN = 1 << 32
+
+
+class Firmware:
+    """The robot's side of the protocol.
+
+    Parameters
+    ----------
+    hello
+        What the robot says about itself.
+
+    Attributes
+    ----------
+    has_host
+        Whether the robot has been greeted, and has heard the host since.
+    """
+
+    def __init__(self, hello: Hello) -> None:
+        self.hello, self.has_host = hello, False
+        self._seq = self._ack = self._heard = 0
+        self._left = self._right = 0
+        self._is_stopped, self._owes_hello, self._next_hello = False, True, 0
+
+    def hear(self, line: bytes, now: int) -> bool:
+        """Take a line of the host at the time ``now``, ms. Whether it was a command."""
+        try:
+            message = decode(line)
+        except BadLineError:
+            return False
+        if isinstance(message, Hello | Telemetry):
+            return False
+        if isinstance(message, Greeting):
+            self._left = self._right = 0
+            self.has_host = self._owes_hello = True
+            self._ack, self._heard = message.seq, now
+            return True
+        is_new = self.has_host and difference(message.seq, self._ack) > 0
+        if isinstance(message, Stop):
+            self._left = self._right = 0
+        if is_new:
+            self._ack, self._heard = message.seq, now
+            self._obey(message)
+        return True
+
+    def speeds(self, now: int) -> tuple[int, int]:
+        """Left and right wheel speed at the time ``now`` (ms), mm/s. The watchdog stops the wheels here."""
+        silence = difference(now, self._heard)
+        if silence > self.hello.watchdog_ms and (self._left or self._right):
+            self._left = self._right = 0
+            self._is_stopped = True
+        if silence > HOST_LOST_AFTER:
+            self.has_host = False
+        return self._left, self._right
+
+    def say(self, now: int, ticks: tuple[int, int], ranges: tuple[int | None, ...]) -> list[bytes]:
+        """The lines to send at the time ``now``, ms, once in each period."""
+        lines = []
+        if self._owes_hello or (not self.has_host and difference(now, self._next_hello) >= 0):
+            self._owes_hello, self._next_hello = False, (now + HELLO_EVERY) % _SPAN
+            lines.append(encode(self.hello))
+        if self.has_host:
+            left, right = (difference(each % _SPAN, 0) for each in ticks)
+            measured = Telemetry(self._seq, now % _SPAN, left, right, self._ack, int(self._is_stopped), ranges)
+            lines.append(encode(measured))
+            self._seq = (self._seq + 1) % _SPAN
+        return lines
+
+    def _obey(self, command: Speeds | Heartbeat | Stop) -> None:
+        if isinstance(command, Speeds):
+            self._left, self._right, self._is_stopped = command.left, command.right, False

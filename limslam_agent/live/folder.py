@@ -1,0 +1,57 @@
+"""The folder of a session, which has the form of a replayed log."""
+
+from pathlib import Path
+from typing import Any
+
+from limslam_agent.live.session import Session
+from limslam_agent.output.finished_run import LOG
+from limslam_agent.output.summary import record_summary, replay_summary
+from limslam_agent.replay.replay import replay_log, write_replay
+
+
+def write_session(folder: Path, session: Session, title: str, reason: str, versions: dict[str, str]) -> dict[str, Any]:
+    """Write log, map, trajectories, picture and result of a session. Returns the content of ``result.json``.
+
+    The log is replayed, because lines that came late are in their places in it. What is written is therefore what
+    ``limslam replay`` makes of the log.
+
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    session
+        A session that has ended.
+    title
+        What the picture is called.
+    reason
+        Why the session has ended.
+    versions
+        Versions of the libraries.
+    """
+    session.recording.save(folder / LOG)
+    replay = replay_log(session.recording.log(), session.agent.config)
+    scores = {**session.figures, "stop_reason": reason}
+    return write_replay(folder, replay, {"log": title}, scores, versions)
+
+
+def session_lines(result: dict[str, Any]) -> list[str]:
+    """A session in a few lines of text, from its ``result.json``."""
+    metrics = result["metrics"]
+    period, delay = metrics["period_s"], metrics["loop_delay_s"]
+    times = [f"{words} {1e3 * seconds:.0f} ms" for words, seconds in (("period", period), ("delay", delay)) if seconds]
+    counts = [
+        f"{metrics[name]} {words}"
+        for name, words in (
+            ("packets_lost", "lines lost"), ("packets_late", "late"), ("packets_doubled", "doubled"),
+            ("packets_implausible", "implausible"), ("lines_bad", "not readable"),
+            ("reconnections", "reconnections"), ("watchdog_stops", "stops by the watchdog"),
+        )
+        if metrics[name]
+    ]  # fmt: skip
+    link = ", ".join([f"{metrics['packets']} lines", *times, *counts])
+    return [
+        *record_summary(result),
+        f"stopped     {metrics['stop_reason']}",
+        f"connection  {link}",
+        *replay_summary(metrics),
+    ]

@@ -1,0 +1,309 @@
+"""A session with a live robot: telemetry in, wheel speeds out, until the agent is done or the robot is gone."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.agent import LimSlamAgent
+from limslam_agent.live.protocol import (
+    VERSION,
+    BadLineError,
+    Command,
+    Greeting,
+    Heartbeat,
+    Hello,
+    Message,
+    Speeds,
+    Stop,
+    Telemetry,
+    decode,
+    difference,
+    encode,
+)
+from limslam_agent.live.recording import MM, Recording, Row
+from limslam_agent.live.transports import SILENT_AFTER, Transport
+
+OUT_OF_TIME = "time: the longest time of the session is over"
+BY_HAND = "stopped by hand"
+
+ASK_AGAIN = 0.5
+"""Time between two greetings to a robot that is not heard, s."""
+
+HEARTBEAT_AFTER, HOLD = 1.5, 3.0
+"""Periods without telemetry after which the host sends heartbeats, and after which it stops the wheels."""
+
+LINK_DELAY = 2.0
+"""Delay of the loop, in periods, up to which the robot drives at the speed that the agent wants."""
+
+_POLL = 0.02  # s
+_DELAYS = 15  # number of delays whose median counts
+_STOP_ATTEMPTS = 20
+_STOP_WAIT = 0.05  # s, between two attempts to stop the wheels
+
+
+class NoRobotError(ValueError):
+    """No robot that can be driven has answered."""
+
+
+class Link:
+    """Messages instead of lines, over a transport.
+
+    Parameters
+    ----------
+    transport
+        Where lines come from and go to.
+    clock
+        The host's clock, s.
+
+    Attributes
+    ----------
+    bad_lines
+        Number of lines that were no messages.
+    """
+
+    def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
+        self.transport, self.clock, self.bad_lines = transport, clock, 0
+        self._seq, self._greeted = 0, -math.inf
+
+    def receive(self, timeout: float) -> list[Message]:
+        """The messages that have arrived. Lines that are no messages are counted."""
+        messages = []
+        for line in self.transport.receive(timeout):
+            try:
+                messages.append(decode(line))
+            except BadLineError:
+                self.bad_lines += 1
+        return messages
+
+    def next_seq(self) -> int:
+        """A sequence number for the next command."""
+        self._seq = (self._seq + 1) % (1 << 32)
+        return self._seq
+
+    def send(self, command: Command) -> None:
+        """Send a command."""
+        self.transport.send(encode(command))
+
+    def greet(self) -> None:
+        """Ask the robot to say hello and to send telemetry, at most twice a second."""
+        if self.clock() - self._greeted >= ASK_AGAIN:
+            self._greeted = self.clock()
+            self.send(Greeting(VERSION, self._seq))
+
+    def first_hello(self, patience: float) -> Hello:
+        """Wait for the robot.
+
+        Raises
+        ------
+        NoRobotError
+            If none has said hello after ``patience`` s, or if it speaks another version of the protocol.
+        """
+        begin = self.clock()
+        while self.clock() - begin <= patience:
+            self.greet()
+            for message in self.receive(_POLL):
+                if isinstance(message, Hello):
+                    return _checked(message)
+        lines = f"; {self.bad_lines} lines were not readable" if self.bad_lines else ""
+        raise NoRobotError(f"no robot has answered within {patience:g} s{lines}")
+
+
+def _checked(hello: Hello) -> Hello:
+    if hello.version != VERSION:
+        raise NoRobotError(
+            f"the robot {hello.name} speaks version {hello.version} of the protocol, and this program version {VERSION}"
+        )
+    return hello
+
+
+@dataclass
+class LinkCounts:
+    """How often the connection has failed.
+
+    Attributes
+    ----------
+    reconnections
+        Number of times that the robot was heard again after it had been silent for a second, or was restarted.
+    watchdog_stops
+        Number of times that the robot's watchdog has stopped the wheels.
+    """
+
+    reconnections: int = 0
+    watchdog_stops: int = 0
+
+
+class Session:
+    """Drives a robot, and records what it sends.
+
+    Parameters
+    ----------
+    link
+        Connection to the robot.
+    hello
+        What the robot has said about itself.
+    agent
+        Maps and decides. It is made for ``recording.robot``.
+    recording
+        Takes everything that the robot has measured.
+    watch
+        Called after each decision.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        hello: Hello,
+        agent: LimSlamAgent,
+        recording: Recording,
+        watch: Callable[["Session"], None] = lambda _: None,
+    ) -> None:
+        self.link, self.agent, self.recording, self.counts = link, agent, recording, LinkCounts()
+        self._hello, self._watch = hello, watch
+        self._observed: Row | None = None
+        self._last_new = self._last_command = link.clock()
+        self._was_stopped = self._is_connected = False
+        self._sent: deque[tuple[int, float]] = deque(maxlen=200)
+        self._delays: deque[float] = deque(maxlen=_DELAYS)
+
+    def drive(self, max_time: float, patience: float) -> str:
+        """Drive until the agent is done, ``max_time`` (s, by the robot's clock) is over, the robot has sent no new
+        telemetry for ``patience`` s, or Ctrl-C is pressed. The wheels are stopped in any case, before anything else.
+
+        Returns
+        -------
+        str
+            Why the session has ended.
+        """
+        self._last_new = self.link.clock()
+        reason: str | None = None
+        try:
+            while reason is None:
+                reason = self._turn(max_time, patience)
+        except KeyboardInterrupt:
+            reason = BY_HAND
+        finally:
+            self._stop_wheels()
+        return reason
+
+    @property
+    def delay(self) -> float:
+        """Median time from a measurement to the measurement that shows its answer, s, by the robot's clock.
+
+        NaN as long as it is unknown.
+        """
+        return float(np.median(self._delays)) if self._delays else math.nan
+
+    @property
+    def speed_share(self) -> float:
+        """Share of the wanted speeds at which the robot drives, 0 to 1: the later it obeys, the slower it drives."""
+        periods = self.delay / self.recording.robot.control_period
+        return min(1.0, LINK_DELAY / periods) if periods > 0.0 else 1.0
+
+    @property
+    def figures(self) -> dict[str, float | int | None]:
+        """Figures of the connection, for ``result.json``."""
+        period, delay = self.recording.period, self.delay
+        return {
+            "packets": len(self.recording),
+            "packets_lost": self.recording.lost,
+            "packets_late": self.recording.late,
+            "packets_doubled": self.recording.doubled,
+            "packets_implausible": self.recording.implausible,
+            "lines_bad": self.link.bad_lines,
+            "reconnections": self.counts.reconnections,
+            "watchdog_stops": self.counts.watchdog_stops,
+            "period_s": period if math.isfinite(period) else None,
+            "loop_delay_s": delay if math.isfinite(delay) else None,
+        }
+
+    def _turn(self, max_time: float, patience: float) -> str | None:
+        """Take what has arrived, and answer. The reason to end the session, if there is one."""
+        fresh = self._take(self.link.receive(_POLL))
+        if not fresh:
+            self._keep_alive()
+            silence = self.link.clock() - self._last_new
+            return f"the robot has sent nothing new for {patience:g} s" if silence > patience else None
+        for row in fresh:
+            self.agent.observe(self.recording.observation(row, self._observed))
+            self._observed = row
+        self._answer(fresh[-1])
+        if self.agent.done:
+            return self.agent.stop_reason
+        return OUT_OF_TIME if fresh[-1].time >= max_time else None
+
+    def _take(self, messages: list[Message]) -> list[Row]:
+        """Record telemetry. The rows that are later than all before them, in order."""
+        for message in messages:
+            if isinstance(message, Hello):
+                self._greeted_by(message)
+        packets = [message for message in messages if isinstance(message, Telemetry)]
+        # Lines that have overtaken each other on their way are put in order, if they are here together.
+        first = packets[0].seq if packets else 0
+        packets.sort(key=lambda packet: difference(packet.seq, first))
+        rows = [(packet, self.recording.add(packet, self.link.clock() - self._last_new)) for packet in packets]
+        fresh = [(packet, row) for packet, row in rows if row is not None and not row.is_late]
+        for packet, row in fresh:
+            self._note(packet, row)
+        return [row for _, row in fresh]
+
+    def _greeted_by(self, hello: Hello) -> None:
+        """A robot that was switched on again begins to count from zero."""
+        if hello.boot == self._hello.boot or hello.version != VERSION or hello.beams != self._hello.beams:
+            return
+        self._hello = hello
+        self.recording.restart()
+        self._sent.clear()
+        self._is_connected = False
+        self.link.greet()
+
+    def _note(self, packet: Telemetry, row: Row) -> None:
+        """Note what new telemetry says about the connection."""
+        if not self._is_connected and self._observed is not None:
+            self.counts.reconnections += 1
+        self._is_connected, self._last_new = True, self.link.clock()
+        if packet.stopped and not self._was_stopped and self._observed is not None:
+            self.counts.watchdog_stops += 1
+        self._was_stopped = bool(packet.stopped)
+        while self._sent and difference(packet.ack, self._sent[0][0]) >= 0:
+            _, asked = self._sent.popleft()
+            self._delays.append(row.time - asked)
+
+    def _answer(self, row: Row) -> None:
+        """Decide, and send the wheel speeds."""
+        action = np.clip(self.agent.decide(), -1.0, 1.0) * self.speed_share
+        self.recording.note_action(row, action)
+        seq = self.link.next_seq()
+        left, right = (round(self.recording.robot.max_wheel_speed * share / MM) for share in action.tolist())
+        self._sent.append((seq, row.time))
+        self._command(Speeds(seq, self.recording.newest_seq, left, right))
+        self._watch(self)
+
+    def _command(self, command: Command) -> None:
+        self._last_command = self.link.clock()
+        self.link.send(command)
+
+    def _keep_alive(self) -> None:
+        """Without telemetry, hold the speeds for a short time, then stop; and look for the robot."""
+        now, period = self.link.clock(), self.recording.robot.control_period
+        silence = now - self._last_new
+        if silence > SILENT_AFTER or self._observed is None:
+            self._is_connected = False
+            self.link.greet()
+        if self._observed is None or silence < HEARTBEAT_AFTER * period or now - self._last_command < period:
+            return
+        seq = self.link.next_seq()
+        self._command(Heartbeat(seq) if silence < HOLD * period else Stop(seq))
+
+    def _stop_wheels(self) -> None:
+        """Send stops until the robot says that it has obeyed one, for a second at most."""
+        for _ in range(_STOP_ATTEMPTS):
+            seq = self.link.next_seq()
+            self.link.send(Stop(seq))
+            messages = self.link.receive(_STOP_WAIT)
+            self._take(messages)
+            if any(isinstance(each, Telemetry) and difference(each.ack, seq) >= 0 for each in messages):
+                return

@@ -1,0 +1,246 @@
+"""Sessions with an emulated robot in this process: lost, late, doubled and damaged lines, and robots that vanish."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.live import Faults, Wire, emulated, session_with
+
+from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, decode
+from limslam_agent.live.recording import kept
+from limslam_agent.live.session import BY_HAND, OUT_OF_TIME, NoRobotError
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.replay.replay import replay_log
+from limslam_env.geometry.se2 import between
+
+FIGURES = ("packets_lost", "packets_late", "packets_doubled", "packets_implausible", "lines_bad", "watchdog_stops")
+
+
+class Drive:
+    """A policy that always drives at the same wheel speeds."""
+
+    stop_reason, plan = None, np.zeros((0, 2))
+
+    def __init__(self, left, right):
+        self._wheels = np.array([left, right])
+
+    def act(self, belief):
+        del belief
+        return self._wheels
+
+
+def driven(wire, seconds, **options):
+    session = session_with(wire, **options)
+    reason = session.drive(seconds, 5.0)
+    return session, reason
+
+
+def errors_of(session, wire):
+    """Distances (n,), m, between the poses that are estimated from the log of a session and the true poses."""
+    replay = replay_log(session.recording.log(), session.agent.config)
+    true = np.array(wire.true)
+    times = replay.log.time - replay.log.time[-1] + 1e-3 * session.recording._origin[0].time_ms  # of the robot's clock
+    rows = np.searchsorted(true[:, 0], times - 1e-6)
+    start = np.broadcast_to(true[rows[0], 1:], (len(rows), 3))
+    return np.hypot(*(replay.estimated - between(start, true[rows, 1:]))[:, :2].T)
+
+
+def test_a_perfect_connection_loses_nothing_and_gives_the_estimate_of_a_run():
+    wire = Wire(emulated())
+    session, reason = driven(wire, 12.0)
+    assert reason == OUT_OF_TIME
+    figures = session.figures
+    assert [figures[name] for name in FIGURES] == [0] * len(FIGURES)
+    assert figures["period_s"] == pytest.approx(0.1)
+    assert figures["loop_delay_s"] == pytest.approx(0.1)
+    log = session.recording.log()
+    np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert log.wheels[0].tolist() == [0.0, 0.0]
+    assert np.abs(log.wheels).sum() > 0.5
+    assert errors_of(session, wire).max() < 0.1
+
+
+def test_a_lost_line_loses_no_travel_and_the_map_is_whole():
+    wire = Wire(emulated(Faults(loss=0.1, delay=0.0, late=0.1, double=0.1, damage=0.05), seed=3))
+    session, reason = driven(wire, 30.0)
+    assert reason == OUT_OF_TIME
+    figures = session.figures
+    assert all(figures[name] > 3 for name in ("packets_lost", "packets_late", "packets_doubled", "lines_bad"))
+    assert figures["packets_implausible"] == 0
+    log = session.recording.log()
+    assert (np.diff(log.time) > 0.05).all()
+    # The emulated encoders have counted as much as the log holds.
+    np.testing.assert_allclose(log.wheels.sum(axis=0), wire.emulator._travel, atol=0.03)
+    assert errors_of(session, wire).max() < 0.15
+    assert len(session.agent.slam.segments) >= 4
+
+
+def test_the_ranges_of_a_late_line_belong_to_its_own_time():
+    wire = Wire(emulated(Faults(late=0.2, late_by=0.35), seed=5))
+    session, _ = driven(wire, 8.0, policy=Drive(0.5, 0.45))
+    perfect = Wire(emulated(seed=5))
+    other, _ = driven(perfect, 8.0, policy=Drive(0.5, 0.45))
+    assert session.recording.late > 5
+    late, whole = session.recording.log(), other.recording.log()
+    count = min(len(late), len(whole)) - 6
+    assert session.recording.lost <= 3  # those that are still on their way
+    # Both robots have measured the same, as far as they have driven the same: at the start they stand.
+    np.testing.assert_allclose(late.time[:count], whole.time[:count], atol=1e-9)
+    assert (np.abs(np.diff(late.wheels, axis=0)) < 0.02).all()
+
+
+def test_a_slow_connection_makes_the_robot_drive_slowly():
+    wire = Wire(emulated(Faults(delay=0.2)))
+    session, _ = driven(wire, 20.0)
+    assert session.delay == pytest.approx(0.5)
+    assert session.speed_share == pytest.approx(0.4)
+    assert session.figures["watchdog_stops"] == 0
+    assert errors_of(session, wire).max() < 0.15
+
+
+def test_speeds_reach_the_robot_in_its_own_units():
+    wire = Wire(emulated())
+    driven(wire, 2.0, policy=Drive(0.5, -3.0))
+    speeds = [message for message in map(decode, wire.sent) if isinstance(message, Speeds)]
+    assert {(each.left, each.right) for each in speeds} == {(150, -300)}
+    assert [each.answers for each in speeds] == list(range(speeds[0].answers, speeds[-1].answers + 1))
+
+
+def test_at_its_end_a_session_stops_the_wheels_whatever_the_reason():
+    class Breaks(Drive):
+        def act(self, belief):
+            if wire.emulator.time > 2.0:
+                raise self.error
+            return super().act(belief)
+
+    for error in (KeyboardInterrupt(), ValueError("broken"), SystemExit(143)):
+        wire = Wire(emulated(Faults(loss=0.3), seed=8))
+        policy = Breaks(0.5, 0.5)
+        policy.error = error
+        session = session_with(wire, policy=policy)
+        if isinstance(error, KeyboardInterrupt):
+            assert session.drive(60.0, 5.0) == BY_HAND
+        else:
+            with pytest.raises(type(error)):
+                session.drive(60.0, 5.0)
+        assert isinstance(decode(wire.sent[-1]), Stop)
+        assert wire.emulator._firmware.speeds(0) == (0, 0)
+        before = wire.emulator.pose.copy()
+        wire.emulator.step()
+        np.testing.assert_array_equal(wire.emulator.pose, before)
+
+
+def test_a_cable_that_is_pulled_stops_the_wheels_and_ends_the_session():
+    wire = Wire(emulated())
+
+    def watch(session):
+        wire.is_cut = session.recording.newest.time > 3.0
+
+    session = session_with(wire, policy=Drive(0.3, 0.3), watch=watch)
+    reason = session.drive(60.0, 2.0)
+    assert "nothing new for 2 s" in reason
+    poses = np.array(wire.true)
+    is_moving = np.hypot(*np.diff(poses[:, 1:3], axis=0).T) > 1e-6
+    # The watchdog of 0.5 s has stopped the wheels.
+    assert poses[1:, 0][is_moving].max() < 4.0
+    after = wire.sent[-60:]
+    kinds = [type(decode(line)) for line in after]
+    assert Heartbeat in kinds
+    assert Greeting in kinds
+    assert len(session.recording) >= 30
+
+
+def test_a_robot_that_is_heard_again_goes_on_and_has_lost_no_travel():
+    wire = Wire(emulated())
+
+    def watch(_):
+        if wire.emulator.time > 3.0 and not cuts:
+            wire.is_cut = True
+            cuts.append(wire.emulator.time)
+
+    cuts = []
+    plain = wire.receive
+
+    def receive(timeout):
+        lines = plain(timeout)
+        if cuts and wire.emulator.time > cuts[0] + 1.5:
+            wire.is_cut = False
+        return lines
+
+    wire.receive = receive
+    session = session_with(wire, policy=Drive(0.3, 0.3), watch=watch)
+    assert session.drive(8.0, 5.0) == OUT_OF_TIME
+    assert session.counts.reconnections == 1
+    assert session.counts.watchdog_stops == 1
+    assert session.recording.lost > 5
+    np.testing.assert_allclose(session.recording.log().wheels.sum(axis=0), wire.emulator._travel, atol=0.03)
+
+
+def test_a_robot_that_is_switched_on_again_continues_the_map():
+    wire = Wire(emulated(seed=1))
+
+    def watch(session):
+        if session.recording.newest.time > 3.0 and not restarted:
+            restarted.append(session.recording.newest)
+            wire.replace(emulated(seed=2))
+
+    restarted = []
+    session = session_with(wire, policy=Drive(0.2, 0.2), watch=watch)
+    assert session.drive(6.0, 5.0) == OUT_OF_TIME
+    assert session.counts.reconnections == 1
+    log = session.recording.log()
+    assert (np.diff(log.time) > 0.0).all()
+    # Its counters began at zero, which is no travel.
+    assert np.abs(log.wheels).max() < 0.03
+
+
+def test_a_robot_that_never_answers_is_refused():
+    wire = Wire(emulated())
+    wire.is_cut = True
+    with pytest.raises(NoRobotError, match=r"no robot has answered within 30 s"):
+        session_with(wire)
+
+
+def test_telemetry_that_no_robot_can_have_sent_is_counted_and_not_believed():
+    wire = Wire(emulated())
+    session, _ = driven(wire, 2.0, policy=Drive(0.2, 0.2))
+    recording = session.recording
+    packet, row = recording._origin
+    count, after = len(recording), replace(packet, seq=packet.seq + 1, time_ms=packet.time_ms + 100)
+    for impossible in ({"left": packet.left + 10**6}, {"time_ms": packet.time_ms}, {"ranges": (1,)}):
+        assert recording.add(replace(after, **impossible)) is None
+    assert (recording.implausible, len(recording)) == (3, count)
+    assert recording.newest is row
+
+
+def test_counters_may_overflow():
+    wire = Wire(emulated())
+    firmware = wire.emulator._firmware
+    firmware._seq = 2**32 - 10
+    wire.emulator._travel[:] = (2**31 - 50) * 1e-4
+    session, _ = driven(wire, 4.0, policy=Drive(0.3, 0.3))
+    log = session.recording.log()
+    assert len(log) > 35
+    np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert 0.2 < log.wheels.sum() / 2 < 0.5
+
+
+def test_the_log_is_read_again_without_any_truth(tmp_path):
+    session, _ = driven(Wire(emulated()), 2.0)
+    session.recording.save(tmp_path / "log.npz")
+    log, again = session.recording.log(), read_log(tmp_path / "log.npz")
+    assert again.true_pose is None
+    assert again.robot == log.robot
+    for name in ("time", "ranges", "wheels", "start_pose"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(log, name))
+
+
+def test_a_copy_of_the_log_stays_after_an_error_only(tmp_path):
+    session, _ = driven(Wire(emulated()), 1.0)
+    path = tmp_path / "copy.npz"
+    with pytest.raises(KeyboardInterrupt), kept(session.recording, path):
+        raise KeyboardInterrupt
+    assert len(read_log(path)) == len(session.recording)
+    with kept(session.recording, path):
+        pass
+    assert list(tmp_path.iterdir()) == []
