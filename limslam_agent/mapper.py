@@ -242,9 +242,7 @@ class Mapper:
         if not self._renewal.is_possible or "wheels" not in observation:
             return
         self._renewal.note(observation)
-        level = self._monitors[0].status.level
-        if self._renewal.renew_if_due(level) and level != "ok":
-            self._watch_anew()
+        self._renewal.renew_if_due(self._monitors[0].status.level)
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that has estimated the odometry's calibration from the start.

@@ -1,5 +1,7 @@
 """Renewal of the online estimate in long drives: the last minutes are smoothed while the robot drives on."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
@@ -34,7 +36,8 @@ class Renewal:
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
-        self._tried = 0
+        self._closures = self._first_step = self._tried = 0
+        self._is_lost = self._began_lost = False
 
     @property
     def is_possible(self) -> bool:
@@ -51,31 +54,35 @@ class Renewal:
         self._rows.append((travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance))
 
     def renew_if_due(self, level: Level) -> bool:
-        """Renew the estimate if that is due, by the level of its status; whether it was renewed."""
+        """Renew the estimate if that is due, by the level of its status; whether it was renewed.
+
+        The pose of a robot that was lost at the beginning of a stretch is no place to smooth from. A robot that is no
+        longer lost may have been placed anew, and a new stretch begins.
+        """
         settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
         if settings is None or not self._rows:
             return False
+        is_found, self._is_lost = self._is_lost and level != "lost", level == "lost"
         is_over = waited >= settings.period
         # A stretch that could not be smoothed is tried again when it is twice as long.
         is_early = level != "ok" and waited >= settings.least and len(self._rows) >= 2 * self._tried
-        if not (is_over or is_early):
-            return False
-        state = self._smoothed()
-        if state is not None:
-            self._slam.renew(state)
-        if state is not None or is_over:
+        is_renewed = False
+        if (is_over or is_early) and not (is_found or self._began_lost):
+            state, self._tried = self._smoothed(), len(self._rows)
+            is_renewed = state is not None
+            if state is not None:
+                self._slam.renew(state)
+        if is_over or is_renewed or is_found:
             self._begin()
             self._rows = [self._rows[-1]]
-        else:
-            self._tried = len(self._rows)
-        return state is not None
+        return is_renewed
 
     def _begin(self) -> None:
         """Begin a new stretch at the present estimate."""
-        self._start, self._associations, self._tried = self._slam.map_state, [], 0
+        self._start, self._associations = self._slam.map_state, list[AssociationRecord]()
         self._slam.recent_associations = self._associations
-        self._closures = len(self._slam.closures)
-        self._first_step = self._slam.robots[0].step
+        self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
+        self._tried, self._began_lost = 0, self._is_lost
 
     def _smoothed(self) -> MapState | None:
         """The state by all readings of the stretch; None if the stretch cannot be smoothed."""
@@ -85,6 +92,8 @@ class Renewal:
 
         wheels, ranges, usable, poses, covariances = (np.array(each) for each in zip(*self._rows, strict=True))
         settings, renewal = self._config.run_smoothing, self._config.renewal
+        if settings is not None and self._slam.odometry_calibration is not None:
+            settings = replace(settings, calibrate="always")
         if self._start is None or settings is None or renewal is None or np.abs(wheels[1:]).sum() < 2.0 * LEAST_DRIVEN:
             return None
         # The estimate at the beginning knows the readings of the first row.

@@ -119,6 +119,20 @@ def test_a_bad_status_renews_at_once_but_not_too_often():
     assert not steps[1:] or min(np.diff(steps)) >= least - 1
 
 
+def test_a_robot_that_is_lost_is_renewed_only_from_a_pose_that_was_known():
+    told, _ = rounds(2)
+    settings = config(10.0)
+    slam = LineSlam(ROBOT, settings, START)
+    renewal, steps = Renewal(slam, settings), []
+    for step, observation in enumerate(told):
+        slam.step(observation)
+        renewal.note(observation)
+        if renewal.renew_if_due("lost" if 150 <= step < 450 else "ok"):
+            steps.append(step)
+    # The stretch from 99 to 198 began before the robot was lost. A new stretch begins when it is found, at 450.
+    assert steps == [99, 198, 549]
+
+
 def test_a_robot_that_stands_still_is_not_renewed():
     told, _ = drive(WALLS, START, [(0.0, 0.0)] * 300)
     _, _, _, renewed = driven(config(10.0), told)
