@@ -12,6 +12,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import Extraction, LineSlam
 from limslam_agent.status.contradictions import KnownMap
@@ -132,6 +133,7 @@ class Mapper:
         self._starts, self._early = starts, list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
         self._watch_anew()
+        self._renewal = Renewal(self.slam, self.config)
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -231,7 +233,15 @@ class Mapper:
             self._watch(number, poses[number], motion, is_busy=extraction is not self._extraction)
         for pose, front in zip(poses, self.slam.robots, strict=True):
             self._grid.update(pose, self.robot, front.ranges, front.measured)
+        self._renew(observations[0])
         return motions
+
+    def _renew(self, observation: Observation) -> None:
+        """Smooth the last minutes and renew the estimate, if that is due and possible."""
+        if not self._renewal.is_possible or "wheels" not in observation:
+            return
+        self._renewal.note(observation)
+        self._renewal.renew_if_due(self._monitors[0].status.level)
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that has estimated the odometry's calibration from the start.
@@ -245,6 +255,7 @@ class Mapper:
         self.slam = LineSlam(self.robot, self_calibrating(self.config), self._starts)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
         self._watch_anew()
+        self._renewal = Renewal(self.slam, self.config)
         for observations in early:
             self._process(observations)
 

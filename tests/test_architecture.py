@@ -69,8 +69,12 @@ AGENT = {
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
+    "limslam_agent.renewal": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
+    },
     "limslam_agent.mapper": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "status"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "renewal", "status"),
     },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
     "limslam_agent.policies.learned": {

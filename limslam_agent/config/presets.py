@@ -9,7 +9,7 @@ from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfi
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
-from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
 from limslam_agent.config.status import StatusConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
@@ -78,6 +78,8 @@ class AgentConfig(Bounded):
     line_smoothing
         The line smoother that smooths a run, or a recorded log of wheel travel, after its end. None leaves it as the
         filter saw it. Only the associations of the consistent estimator can be smoothed.
+    renewal
+        When the line smoother also renews the online estimate of a single robot with wheel encoders. None for never.
     """
 
     preset: str = DEFAULT_PRESET
@@ -91,6 +93,7 @@ class AgentConfig(Bounded):
     status: StatusConfig = field(default_factory=StatusConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
     line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
+    renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
 
     @property
     def run_smoothing(self) -> SmootherConfig | None:
@@ -133,6 +136,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
         noise=noise or NominalNoise(),
         smoothing=GraphConfig() if smooths else None,
         line_smoothing=SmootherConfig() if smooths else None,
+        renewal=RenewalConfig() if smooths else None,
     )
 
 

@@ -190,3 +190,23 @@ class SmootherConfig(Bounded):
     shown_readings: Count = 10
     shown_length: NonNegative = 0.20
     shown_sigmas: NonNegative = 7.5
+
+
+@dataclass(frozen=True)
+class RenewalConfig(Bounded):
+    """When the last minutes of a drive are smoothed while the robot drives on, and the online estimate is renewed.
+
+    Attributes
+    ----------
+    period
+        Longest time between two renewals, s.
+    least
+        Least time between two renewals, s, also if the status of the estimate is not ``ok``.
+    end_noise
+        By how much the position of each end of a known wall becomes less certain at each renewal, in standard
+        deviations of a range. It stands for errors that a wall has in each stretch again.
+    """
+
+    period: NonNegative = 300.0
+    least: NonNegative = 30.0
+    end_noise: NonNegative = 1.0

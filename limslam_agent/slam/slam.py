@@ -7,6 +7,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
+from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
@@ -129,6 +130,35 @@ class LineSlam:
     @on_association.setter
     def on_association(self, listener: Callable[[AssociationRecord], None] | None) -> None:
         self._estimator.on_association = listener
+
+    @property
+    def recent_associations(self) -> list[AssociationRecord] | None:
+        """The associations so far are appended to this list, if it is set. Whoever sets it also empties it."""
+        return self._estimator.recent_associations
+
+    @recent_associations.setter
+    def recent_associations(self, records: list[AssociationRecord]) -> None:
+        self._estimator.recent_associations = records
+
+    @property
+    def is_renewable(self) -> bool:
+        """Whether pose and map can be replaced: those of a single robot, by the consistent estimator."""
+        return isinstance(self._estimator, ConsistentEstimator) and len(self.robots) == 1
+
+    @property
+    def map_state(self) -> MapState:
+        """The pose and the map of a renewable estimate, without the pending readings. Later steps do not change it."""
+        return self._renewable.map_state
+
+    def renew(self, state: MapState) -> None:
+        """Replace pose and map by a better estimate of both, which knows all readings so far."""
+        self._renewable.renew(state, self.robots[0].step)
+
+    @property
+    def _renewable(self) -> ConsistentEstimator:
+        if not (self.is_renewable and isinstance(self._estimator, ConsistentEstimator)):
+            raise TypeError("only the estimate of a single robot by the consistent estimator can be renewed")
+        return self._estimator
 
     @property
     def pending_points(self) -> list[PendingPoints]:

@@ -75,6 +75,8 @@ def process(
     number = extract_lines(points, max_gap, settings, owner, lines, ends)
     for index in range(number):
         members = uncontested(points, owner, lines, ends, number, index, settings.near_corner)
+        if settings.std >= settings.corner_std:
+            members = off_crossing_walls(ekf, walls, points, members, lines[index, 1], settings)
         if not len(members):
             continue
         # The lines before this one have updated the filter, so the end points are computed anew.
@@ -141,6 +143,35 @@ def uncontested(
             chosen[count] = i
             count += 1
     return chosen[:count] if count >= FEWEST else chosen[:0]
+
+
+@algebra
+def off_crossing_walls(
+    ekf: Filter, walls: Walls, points: FloatArray, members: IntArray, theta: float, settings: Settings
+) -> IntArray:
+    """Indices (n,) of a line's points that cannot lie on a known wall that crosses the line; its normal is theta."""
+    chosen, count = np.empty(len(members), dtype=np.int64), 0
+    for i in members:
+        is_own = True
+        for index in range(ekf.counts[LINES]):
+            if is_own and turn_between(ekf.x, index, theta) > settings.min_kink:
+                own, (low, high) = ekf.x[POSE + 2 * index + 1], ends_of(walls, index)
+                x, y = points[i, 0] - ekf.anchors[index, 0], points[i, 1] - ekf.anchors[index, 1]
+                along = -math.sin(own) * x + math.cos(own) * y
+                off = math.cos(own) * x + math.sin(own) * y - ekf.x[POSE + 2 * index]
+                is_beside = low - BESIDE_CORNER < along < high + BESIDE_CORNER
+                is_own = not (is_beside and abs(off) < settings.near_corner)
+        if is_own:
+            chosen[count] = i
+            count += 1
+    return chosen[:count] if count >= FEWEST else chosen[:0]
+
+
+@algebra
+def turn_between(state: FloatArray, index: int, theta: float) -> float:
+    """Angle between a landmark and a line with its normal at theta, rad."""
+    turn: float = abs((state[POSE + 2 * index + 1] - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+    return turn
 
 
 @algebra
@@ -212,7 +243,7 @@ def is_near(
 ) -> bool:
     """Whether a landmark's direction differs by less than ``angle``, rad, and it passes a point within an offset, m."""
     d, own = state[POSE + 2 * index], state[POSE + 2 * index + 1]
-    turn = abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+    turn = turn_between(state, index, theta)
     off = (x - anchors[index, 0]) * math.cos(own) + (y - anchors[index, 1]) * math.sin(own) - d
     return turn < angle and abs(off) < offset
 

@@ -176,6 +176,7 @@ class Settings(NamedTuple):
     segment_gap: float
     gap_ahead: float
     max_hole: float
+    corner_std: float
     segment_length: float
     only_best: bool
     kink_gate: float

@@ -33,6 +33,23 @@ LEAST_RESIDUAL = 1e-9
 """Least residual that the Huber weight divides by, m."""
 
 
+def poses_moved_with(place: tuple[float, float], poses: FloatArray) -> FloatArray:
+    """Derivative (3 n, 3) of poses (n, 3) by a rigid motion of the world that moves a pose at a place, m."""
+    by_pose = np.zeros((len(poses), POSE, POSE))
+    by_pose[:] = np.eye(POSE)
+    by_pose[:, 0, 2], by_pose[:, 1, 2] = place[1] - poses[:, 1], poses[:, 0] - place[0]
+    return by_pose.reshape(-1, POSE)
+
+
+def lines_moved_with(place: tuple[float, float], lines: FloatArray, anchors: FloatArray) -> FloatArray:
+    """Derivative (2 n, 3) of lines (n, 2) about anchors (n, 2), as of the poses in :func:`poses_moved_with`."""
+    by_line, (x, y) = np.zeros((len(lines), 2, POSE)), place
+    cos, sin, (anchor_x, anchor_y) = np.cos(lines[:, 1]), np.sin(lines[:, 1]), anchors.T
+    by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)
+    by_line[:, 1, 2] = 1.0
+    return by_line.reshape(-1, POSE)
+
+
 class Disagreement(NamedTuple):
     """How badly readings fit a line, as chi-squares.
 
@@ -274,17 +291,48 @@ class CloneEKF(LineEKF):
         off, H, columns = self._equality(older, younger)
         return off, H @ self.P[np.ix_(columns, columns)] @ H.T
 
-    def merge(self, older: int, younger: int) -> None:
-        """Merge two lines: update by the constraint that they are equal, and marginalise the younger one."""
-        off, H, columns = self._equality(older, younger)
-        HP = H @ self.P[columns]
-        S = HP[:, columns] @ H.T + np.diag(EQUALITY_NOISE)
-        gain = np.linalg.solve(S, HP)
+    def marginal(self) -> FloatArray:
+        """Joint covariance of the poses and all lines, without the calibration of the odometry and without clones."""
+        kept = np.r_[: self._poses_end, self._first : self._clones_from]
+        return np.array(self.P[np.ix_(kept, kept)])
+
+    def restart(self, poses: FloatArray, lines: FloatArray, anchors: FloatArray, covariance: FloatArray) -> None:
+        """Replace poses (n, 3) and lines (m, 2) with anchors (m, 2), which have a joint covariance; no clones are left.
+
+        The calibration of the odometry is kept. From now on it is independent of the rest.
+        """
+        part = slice(self._poses_end, self._first)
+        kept, size = np.r_[: self._poses_end, self._first : self._first + lines.size], self._first + lines.size
+        P = np.zeros((size, size))
+        P[part, part] = self.P[part, part]
+        P[np.ix_(kept, kept)] = covariance
+        self.x = np.concatenate((poses.ravel(), self.x[part], lines.ravel()))
+        self.P, self.dim_x, self._anchors, self._clones = P, size, np.array(anchors), []
+        if self._bias is not None:
+            self._bias.restart(size)
+        self._restore_angles()
+
+    def merge(self, older: int, younger: int, iterations: int = 1) -> None:
+        """Merge two lines: update by the constraint that they are equal, and marginalise the younger one.
+
+        With more than one iteration, the constraint is linearised where the lines are equal. A common rotation of all
+        lines and poses then changes nothing in it, so that many merges say nothing about the global heading.
+        """
+        start, transport = self.x.copy(), self._error_transport()
+        change, moved = np.zeros_like(start), np.zeros((len(start), POSE))
+        for _ in range(iterations):
+            self.x += change
+            moved = self._error_transport() - transport
+            off, H, columns = self._equality(older, younger)
+            HP, so_far = H @ self._transported_rows(columns, moved), self.x - start
+            S = HP[:, columns] @ H.T + np.diag(EQUALITY_NOISE)
+            change = (H @ so_far[columns] - off) @ np.linalg.solve(S, HP) - so_far
         factor = np.linalg.cholesky(S)
+        self._transport(moved)
         self._subtract_square(solve_lower(factor, HP))
         if self._bias is not None:
-            self._bias.update(H, columns, -off, S, HP)
-        self._correct(-off @ gain)
+            self._bias.update(H, columns, H @ so_far[columns] - off, S, HP)
+        self._correct(change)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
         self._anchors = np.delete(self._anchors, younger, axis=0)
@@ -312,13 +360,8 @@ class CloneEKF(LineEKF):
         moved = np.zeros((len(self.x), POSE))
         x, y, _ = self.x[:POSE]
         for part in (slice(0, self._poses_end), slice(self._clones_from, None)):
-            poses, by_pose = self.x[part].reshape(-1, POSE), moved[part].reshape(-1, POSE, POSE)
-            by_pose[:] = np.eye(POSE)
-            by_pose[:, 0, 2], by_pose[:, 1, 2] = y - poses[:, 1], poses[:, 0] - x
-        theta, by_line = self.anchored[:, 1], moved[self._first : self._clones_from].reshape(-1, 2, POSE)
-        cos, sin, (anchor_x, anchor_y) = np.cos(theta), np.sin(theta), self._anchors.T
-        by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)
-        by_line[:, 1, 2] = 1.0
+            moved[part] = poses_moved_with((x, y), self.x[part].reshape(-1, POSE))
+        moved[self._first : self._clones_from] = lines_moved_with((x, y), self.anchored, self._anchors)
         return moved
 
     def _transport(self, moved: FloatArray) -> None:

@@ -4,8 +4,9 @@ Readings are pending, beside clones of the poses that they were taken from, unti
 them and it is clear which wall the line is. Then each reading updates the filter as one range from one pose.
 """
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap
@@ -23,7 +25,7 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
@@ -37,6 +39,9 @@ STRAIGHTNESS = (1e-3**2, 1e-4**2)
 They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
 difference that is known more exactly than any wall is straight.
 """
+
+RENEWAL_ITERATIONS = 3
+"""Iterations of each merge when a map is renewed, since that merges all walls of the map at once."""
 
 SHORTEST = 0.1
 """Least length of a wall segment, m, that the error of its direction is based on."""
@@ -85,6 +90,25 @@ class ConsistentEstimator(Estimator):
             return AS_SPECIFIED
         found = self.odometry_calibration(robot)
         return found and found[0]
+
+    @property
+    def map_state(self) -> MapState:
+        """The pose of the robot and the map, without the pending readings. Later steps do not change it."""
+        ekf = self._filter
+        return MapState(ekf.pose, ekf.anchored, ekf.anchors.copy(), ekf.marginal(), copy.deepcopy(self._map.walls))
+
+    def renew(self, state: MapState, step: int) -> None:
+        """Replace the pose of the only robot and the map, and forget the pending readings, which the new map knows.
+
+        Landmarks with the number ``NEW`` get new numbers, and those that are a known wall are merged with it. Landmarks
+        through which most beams have passed by now are left out.
+        """
+        self._map.count_in(state.walls)
+        state = state.select([index for index, wall in enumerate(state.walls) if self._map.is_wall(wall)])
+        self._filter.restart(state.pose, state.lines, state.anchors, state.covariance)
+        for wall in self._map.replace(state.walls):
+            self._close_loops_of(wall, step, RENEWAL_ITERATIONS)
+        self._pending[0].forget()
 
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""
@@ -197,9 +221,9 @@ class ConsistentEstimator(Estimator):
             wanted = [clone for clone in wanted if clone >= oldest]
         self._filter.keep_clones(set(wanted))
 
-    def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> list[tuple[FloatArray, IntArray]]:
-        """Each line, and its readings without those near a corner that could also belong to another line."""
-        near, result = max_distance(self._settings.hough, self._std), []
+    def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> Iterator[tuple[FloatArray, IntArray]]:
+        """Each line, and its readings without those near a corner that could also belong to another wall."""
+        near = max_distance(self._settings.hough, self._std)
         for line in lines:
             members = np.sort(line.members)
             for other in lines:
@@ -209,9 +233,27 @@ class ConsistentEstimator(Estimator):
                 along = points[members] @ direction(other.fit.line)
                 beside = (along > places[0] - BESIDE_CORNER) & (along < places[1] + BESIDE_CORNER)
                 members = members[~(beside & (np.abs(distance(other.fit.line, points[members])) < near))]
+            if self._std >= self._settings.segmentation.corner_std:
+                members = members[~self._on_crossing_wall(points[members], float(line.fit.line[1]), near)]
             if len(members) >= FEWEST:
-                result.append((line.fit.line, members))
-        return result
+                yield line.fit.line, members
+
+    def _on_crossing_wall(self, points: FloatArray, theta: float, near: float) -> BoolArray:
+        """Which points (n,) of a line with its normal at ``theta``, rad, may lie on a known wall that crosses the line.
+
+        At a corner, readings of the next wall look like a turn of the first one, and they would turn the robot.
+        """
+        lines, anchors = self._filter.anchored, self._filter.anchors
+        crosses = (
+            np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi) > self._settings.segmentation.min_kink
+        )
+        ends = np.array([wall.extent.ends for wall in self._map.walls]).reshape(-1, 2)[crosses]
+        lines, offsets = lines[crosses], points[:, None] - anchors[crosses]
+        along = np.sum(offsets * direction(lines), axis=2)
+        is_beside = (along > ends[:, 0] - BESIDE_CORNER) & (along < ends[:, 1] + BESIDE_CORNER)
+        return np.asarray(
+            (is_beside & (np.abs(np.sum(offsets * normal(lines), axis=2) - lines[:, 0]) < near)).any(axis=1)
+        )
 
     def _incorporate(
         self, robot: int, step: int, readings: Readings, segment: WallSegment, *, is_complete: bool
@@ -294,20 +336,19 @@ class ConsistentEstimator(Estimator):
         index, is_new = self._map.walls.index(wall), not wall.groups
         self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
         self._map.grow(index, self._points(readings))
-        if self.on_association is not None:
-            self.on_association(AssociationRecord(wall.number, is_new, readings.sources, robot))
+        self.report(AssociationRecord(wall.number, is_new, readings.sources, robot))
         self._close_loops_of(wall, step)
 
-    def _close_loops_of(self, wall: Wall, step: int) -> None:
+    def _close_loops_of(self, wall: Wall, step: int, iterations: int = 1) -> None:
         """Merge a landmark that has just changed with all landmarks that are the same wall."""
         found, limits = True, self._settings.association
         while found and wall in self._map.walls:
             index = self._map.walls.index(wall)
             theta, anchor = float(self._filter.anchored[index, 1]), self._filter.anchors[index]
             near = self._near(theta, anchor, limits.max_angle, 2.0 * limits.max_offset)
-            found = any(self._closes_loop(other, index, step) for other in near if other != index)
+            found = any(self._closes_loop(other, index, step, iterations) for other in near if other != index)
 
-    def _closes_loop(self, first: int, second: int, step: int) -> bool:
+    def _closes_loop(self, first: int, second: int, step: int, iterations: int = 1) -> bool:
         """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
         settings, (older, younger) = self._settings.merging, sorted((first, second))
         ends = self._map.ends(younger)
@@ -323,7 +364,7 @@ class ConsistentEstimator(Estimator):
             return False
         numbers = self._map[older].number, self._map[younger].number
         origin, tangent = self._filter.anchors[younger].copy(), direction(self._filter.anchored[younger])
-        self._filter.merge(older, younger)
+        self._filter.merge(older, younger, iterations)
         self._map.merge(older, younger, origin, tangent)
         self.closures.append(Closure(*numbers, step, squared, 0.0, offset, 0.0))
         return True

@@ -87,6 +87,11 @@ class PendingReadings:
                 )  # fmt: skip
                 self.fresh[side] += 1
 
+    def forget(self) -> None:
+        """Discard all pending readings."""
+        for side in SIDES:
+            self.by_side[side], self.fresh[side] = [], 0
+
     def has_ended(self, side: Side, gap: float) -> bool:
         """Whether a side has pending readings but no hit within the last ``gap`` (m): the wall there has ended."""
         return bool(self.by_side[side]) and self.driven - self._last_hit[side] > gap

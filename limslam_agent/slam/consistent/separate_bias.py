@@ -64,6 +64,10 @@ class SeparateBias:
         """All states but these were removed."""
         self._by_errors = self._by_errors[places]
 
+    def restart(self, size: int) -> None:
+        """The filter has got a new state of this length. Its derivative by the errors is zero from now on."""
+        self._by_errors = np.zeros((size, len(self._score)))
+
     def transport(self, moved: FloatArray) -> None:
         """The error of the first robot's pose was added to the state's error with the factors ``moved`` (size, 3)."""
         self._by_errors += moved @ self._by_errors[:POSE]

@@ -13,6 +13,9 @@ from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction, normal
 from limslam_env.geometry.segment import lengths
 
+NEW = -1
+"""Number of a landmark that has not got its number yet."""
+
 
 @dataclass(eq=False)
 class Wall:
@@ -62,6 +65,24 @@ class WallMap:
         self.walls.append(Wall(self._numbers))
         self._numbers += 1
         return self.walls[-1]
+
+    def count_in(self, walls: list[Wall]) -> None:
+        """Give landmarks of an earlier moment the extents by all beams until now, if they still exist."""
+        present = {wall.number: wall.extent for wall in self.walls}
+        for wall in walls:
+            wall.extent = present.get(wall.number, wall.extent)
+
+    def is_wall(self, wall: Wall) -> bool:
+        """Whether there is a place along a landmark where beams have ended and at most as many have passed."""
+        return bool(len(wall.extent.intervals(self._config.max_gap, self._config.through_tolerance)))
+
+    def replace(self, walls: list[Wall]) -> list[Wall]:
+        """Replace all landmarks, after the filter has replaced their lines; the new ones, which get their numbers."""
+        self.walls, self._drawn = list(walls), None
+        new = [wall for wall in walls if wall.number == NEW]
+        for wall in new:
+            wall.number, self._numbers = self._numbers, self._numbers + 1
+        return new
 
     def grow(self, index: int, points: FloatArray) -> None:
         """Count beams that ended on a landmark at points (n, 2), m, and that have corrected the filter."""

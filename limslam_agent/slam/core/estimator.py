@@ -33,6 +33,8 @@ class Estimator:
         The lines of the latest scan; None before the first.
     on_association
         Called with the association of each observed line.
+    recent_associations
+        If set, the associations are appended to this list. Whoever sets it also empties it.
     """
 
     def __init__(self, robot: RobotSpec, belief: LineEKF) -> None:
@@ -40,6 +42,7 @@ class Estimator:
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
         self.on_association: Callable[[AssociationRecord], None] | None = None
+        self.recent_associations: list[AssociationRecord] | None = None
 
     @property
     def poses(self) -> FloatArray:
@@ -81,6 +84,13 @@ class Estimator:
         """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
         del robot
         return None
+
+    def report(self, record: AssociationRecord) -> None:
+        """Tell the listener of an association, and store it if that is wanted."""
+        if self.on_association is not None:
+            self.on_association(record)
+        if self.recent_associations is not None:
+            self.recent_associations.append(record)
 
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""

@@ -165,6 +165,7 @@ def make_problem(
     ranges: FloatArray,
     usable: BoolArray | None = None,
     prior: CalibrationPrior | None = None,
+    first_step: int = 0,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -182,13 +183,15 @@ def make_problem(
         out. So are old readings that a slow sensor repeats.
     prior
         Given if wheels, axle and bias are to be estimated.
+    first_step
+        Step of the drive that row 0 belongs to. It decides which readings a slow sensor repeats.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
     stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
     stds[..., :2] = np.sqrt(noise.wheel_variance * np.abs(reported) + _LEAST_VARIANCE)
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
     ranges = np.asarray(ranges, dtype=float)
-    fresh = np.array([robot.measures(step) for step in range(len(ranges))])[:, None]
+    fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
     looked = fresh & np.isfinite(ranges) & (ranges > robot.too_near) & (True if usable is None else usable)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))

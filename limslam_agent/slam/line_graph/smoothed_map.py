@@ -46,20 +46,27 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
-def _drawn(problem: Problem, found: Association, config: SmootherConfig) -> tuple[FloatArray, IntArray]:
-    """The wall segments (k, 4), m, and the line (k,) of each."""
+def wall_extents(problem: Problem, found: Association, config: SmootherConfig) -> dict[int, WallExtent]:
+    """Where along each line beams ended and passed, by the line's index, for lines with enough readings."""
     counted, state = tally(problem, found), found.state
     along, used = places_along(problem, state, found.labels), found.labels >= 0
     bins = np.floor(along[used] / BIN).astype(np.int64) - counted.low[found.labels[used]]
     least, most = np.full(counted.hits.shape, np.inf), np.full(counted.hits.shape, -np.inf)
     np.minimum.at(least, (found.labels[used], bins), along[used])
     np.maximum.at(most, (found.labels[used], bins), along[used])
-    drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
+    extents = {}
     for index in np.flatnonzero(counted.hits.sum(axis=1) >= config.shown_readings).tolist():
         counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
-        extent = WallExtent.counted(int(counted.low[index]), counts, reached)
+        extents[index] = WallExtent.counted(int(counted.low[index]), counts, reached)
+    return extents
+
+
+def _drawn(problem: Problem, found: Association, config: SmootherConfig) -> tuple[FloatArray, IntArray]:
+    """The wall segments (k, 4), m, and the line (k,) of each."""
+    drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
+    for index, extent in wall_extents(problem, found, config).items():
         pieces = extent.intervals(config.max_gap, config.through_tolerance)
-        drawn.append(_points(state, index, pieces).reshape(-1, 4))
+        drawn.append(_points(found.state, index, pieces).reshape(-1, 4))
         owners.append(np.full(len(drawn[-1]), index))
     every, owner = np.concatenate(drawn), np.concatenate(owners)
     is_long = lengths(every) >= max(config.shown_length, config.shown_sigmas * problem.range_std)

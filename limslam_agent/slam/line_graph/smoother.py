@@ -42,6 +42,8 @@ class FilteredRun:
         The filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first poses are the known starts.
     associations, closures
         The associations of the observed lines, and the merged landmarks, in order.
+    first_step
+        Step of the drive that row 0 belongs to, if the run is a part of a drive.
     """
 
     robot: RobotSpec
@@ -53,6 +55,7 @@ class FilteredRun:
     covariances: FloatArray
     associations: list[AssociationRecord]
     closures: list[Closure]
+    first_step: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,31 +86,8 @@ class SmoothedRun:
     contradictions: float
 
 
-def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
-    """Estimate all poses and lines of a run from all its measurements.
-
-    The filter's associations are the initial associations, and every association can change. Wrong associations are
-    searched for where beams contradict the result, or where the filter's heading was uncertain. The result is None if
-    the robots did not move or no wall was seen often enough: there is nothing to smooth then.
-    """
-    config = config or SmootherConfig()
-    prior = config.calibration if config.calibrate == "always" else None
-    problem = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior)
-    labels = filter_labels(problem, run.associations, run.closures)
-    if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
-        return None
-    try:
-        best = _settled(problem, run, labels, config)
-        if config.calibrate == "if_needed" and _may_need_calibration(best, config):
-            sized = replace(problem, prior=config.calibration.information)
-            best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
-    except DegenerateError:
-        return None
-    return _smoothed(best, config)
-
-
 @dataclass(frozen=True, eq=False)
-class _Settled:
+class Settled:
     """A solution, its problem, and the moves that corrected its associations."""
 
     problem: Problem
@@ -120,18 +100,49 @@ class _Settled:
         return score(self.problem, self.association, config.score).total - price
 
 
-def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> _Settled:
+def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
+    """Estimate all poses and lines of a run from all its measurements.
+
+    The filter's associations are the initial associations, and every association can change. Wrong associations are
+    searched for where beams contradict the result, or where the filter's heading was uncertain. The result is None if
+    the robots did not move or no wall was seen often enough: there is nothing to smooth then.
+    """
+    config = config or SmootherConfig()
+    best = settle(run, config)
+    return None if best is None else _smoothed(best, config)
+
+
+def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
+    """The solution of a run; None if there is nothing to smooth."""
+    prior = config.calibration if config.calibrate == "always" else None
+    problem = make_problem(
+        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step
+    )
+    labels = filter_labels(problem, run.associations, run.closures, run.first_step)
+    if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
+        return None
+    try:
+        best = _settled(problem, run, labels, config)
+        if config.calibrate == "if_needed" and _may_need_calibration(best, config):
+            sized = replace(problem, prior=config.calibration.information)
+            best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
+    except DegenerateError:
+        return None
+    return best
+
+
+def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Settled:
     """The solution of a problem, with corrected associations where a correction is needed."""
     found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
     if not needs_mending(problem, found, run.covariances, config):
-        return _Settled(problem, found, ())
+        return Settled(problem, found, ())
     kept = mend(problem, found, config)
     if not is_repaired(problem, found, kept[-1].association, config):
-        return _Settled(problem, found, ())
-    return _Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
+        return Settled(problem, found, ())
+    return Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
 
 
-def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
+def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     """Whether beams contradict a solution, or another calibration fits the wheels and ranges much better.
 
     The second criterion is Wald's test of the calibration that is estimated with the same associations.
@@ -145,8 +156,10 @@ def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
 
 
-def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure]) -> IntArray:
-    """For each reading (k,), the landmark of the filter's final association, or -1."""
+def filter_labels(
+    problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure], first_step: int = 0
+) -> IntArray:
+    """For each reading (k,), the landmark of the filter's final association, or -1. Row 0 is a step of the drive."""
     count, steps = len(problem.starts), problem.steps
     table = np.full((count * steps, len(problem.robot.beams)), -1)
     united = {closure.younger: closure.older for closure in closures}
@@ -154,7 +167,8 @@ def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], c
         number = record.landmark
         while number in united:
             number = united[number]
-        table[record.robot * steps + record.readings[:, 0], record.readings[:, 1]] = number
+        rows, beams = record.readings[:, 0] - first_step, record.readings[:, 1]
+        table[record.robot * steps + rows[rows >= 0], beams[rows >= 0]] = number
     return np.asarray(table[problem.readings.places, problem.readings.beams])
 
 
@@ -164,7 +178,7 @@ def needs_mending(problem: Problem, found: Association, covariances: FloatArray,
     return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
 
 
-def _smoothed(best: _Settled, config: SmootherConfig) -> SmoothedRun:
+def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
     problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])

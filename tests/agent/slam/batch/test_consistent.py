@@ -22,6 +22,7 @@ from limslam_env.geometry import FloatArray
 uncontested, candidates, fits = (
     cached(consistent.uncontested), cached(consistent.candidates), cached(consistent.fits),
 )  # fmt: skip
+off_crossing_walls = cached(consistent.off_crossing_walls)
 closes_loop, prune, readings_in = cached(consistent.closes_loop), cached(consistent.prune), cached(readings_of)
 
 
@@ -133,7 +134,7 @@ def test_pruned_clones(recorded: ConsistentEstimator, state: States, most: int) 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_points_near_corners(recorded: ConsistentEstimator, seed: int) -> None:
+def test_points_near_corners(recorded: ConsistentEstimator, state: States, seed: int) -> None:
     generator = np.random.default_rng(seed)
     along = np.sort(generator.uniform(0.0, 0.8, (2, 12)), axis=1)
     # One reading of each wall lies near the corner at least.
@@ -148,5 +149,26 @@ def test_points_near_corners(recorded: ConsistentEstimator, seed: int) -> None:
     rows, ends = np.array([fit.line for fit in fitted]), np.array([fit.ends for fit in fitted])
     for number, fit in enumerate(fitted):
         members = uncontested(points, owner, rows, ends, 2, number, near)
+        members = off_crossing_walls(state.filter, state.walls, points, members, rows[number, 1], spec().settings[0])
         np.testing.assert_array_equal(members, expected.get(float(fit.line[1]), []))
         assert len(members) < 12
+
+
+@pytest.mark.parametrize("degrees", [5.0, 30.0, 90.0, 150.0])
+def test_points_on_a_known_wall_that_crosses_their_line(
+    recorded: ConsistentEstimator, state: States, degrees: float
+) -> None:
+    # Points along a line that crosses a landmark in the middle of its wall.
+    lost = []
+    for index, wall in enumerate(recorded._map.walls):
+        theta = recorded._filter.anchored[index, 1] + np.radians(degrees)
+        middle = recorded._map.ends(index).mean(axis=0)
+        points = middle + np.linspace(-0.4, 0.4, 20)[:, None] * np.array([-np.sin(theta), np.cos(theta)])
+        near = float(spec().settings[0]["near_corner"])
+        kept = np.flatnonzero(~recorded._on_crossing_wall(points, float(theta), near))
+        members = np.arange(len(points))
+        found = off_crossing_walls(state.filter, state.walls, points, members, float(theta), spec().settings[0])
+        np.testing.assert_array_equal(found, kept if len(kept) >= 6 else [])
+        lost.append(len(points) - len(kept))
+        assert wall.extent.ends[0] < wall.extent.ends[1]
+    assert min(lost) > 0 if degrees > 8.0 else min(lost) == 0

@@ -631,6 +631,18 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     assert np.trace(shrunk) > 1e-6
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_turned(turned: bool) -> None:
+    gained = []
+    for iterations in (1, 3):
+        ekf = seen_twice(0.3, turned, 2)
+        known = known_of_the_world(ekf)
+        ekf.merge(0, 2, iterations)
+        gained.append(np.abs(known_of_the_world(ekf) - known).max() / np.abs(known).max())
+    assert gained[1] < 1e-4
+    assert gained[1] < 0.1 * gained[0]
+
+
 def test_lines_that_are_made_one_meet_in_proportion_to_how_sure_they_are() -> None:
     # No correlations, no turn: the textbook's weighted mean.
     ekf = CloneEKF(np.zeros(3))
@@ -670,6 +682,28 @@ def test_two_landmarks_made_one_are_what_a_single_one_would_have_become() -> Non
 
 
 # Several robots.
+
+
+def test_a_restarted_filter_holds_what_it_was_given_and_the_calibration() -> None:
+    ekf = CloneEKF(np.zeros(3), calibration=np.diag([1e-4, 1e-4, 1e-3]))
+    ekf.calibrate()
+    ekf.clone()
+    pose, lines, anchors = (
+        np.array([0.1, 0.2, 0.3]),
+        np.array([[0.1, 1.0], [0.2, 2.0]]),
+        np.array([[1.0, 0.0], [0.0, 1.0]]),
+    )
+    covariance = spread(7, 3)
+    ekf.restart(pose, lines, anchors, covariance)
+    np.testing.assert_array_equal(ekf.pose, pose)
+    np.testing.assert_array_equal(ekf.anchored, lines)
+    np.testing.assert_array_equal(ekf.marginal(), covariance)
+    known = ekf.calibration()
+    assert known is not None
+    np.testing.assert_array_equal(known[1], np.diag([1e-4, 1e-4, 1e-3]))
+    assert (ekf.num_lines, ekf.num_clones) == (2, 0)
+    ekf.predict(STEP, MOTION)
+    assert ekf.clone() == 1
 
 
 def test_several_robots_have_clones_of_their_own_and_learn_from_each_other_by_a_shared_wall() -> None:

@@ -1,0 +1,114 @@
+"""Renewal of the online estimate in long drives: the last minutes are smoothed while the robot drives on."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import Level
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import Observation
+
+LEAST_DRIVEN = 1.0
+"""A robot that has hardly moved since the last renewal has nothing to smooth, m."""
+
+
+class Renewal:
+    """The observations of a robot since its estimate was last renewed, and the estimate at that time.
+
+    The filter cannot take back a wrong association, and a wrong one is only a matter of time. The smoother can. So the
+    stretch since the last renewal is smoothed each few minutes, and at once when the status is no longer ``ok``. Then
+    only the map remains of the stretch, so that memory and time do not grow with the length of a drive.
+
+    Parameters
+    ----------
+    slam
+        The SLAM, after the first observation.
+    config
+        Its settings, with those of the renewal.
+    """
+
+    def __init__(self, slam: LineSlam, config: AgentConfig) -> None:
+        self._slam, self._config = slam, config
+        self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
+        self._associations: list[AssociationRecord] = []
+        self._start: MapState | None = None
+        self._closures = self._first_step = self._tried = 0
+        self._is_lost = self._began_lost = False
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether estimates of this SLAM can be renewed at all."""
+        wanted = self._config.renewal is not None and self._config.run_smoothing is not None
+        return wanted and self._slam.is_renewable
+
+    def note(self, observation: Observation) -> None:
+        """Store an observation that the SLAM has just processed."""
+        if self._start is None:
+            self._begin()
+        front = self._slam.robots[0]
+        travel = np.asarray(observation["wheels"], dtype=float)
+        self._rows.append((travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance))
+
+    def renew_if_due(self, level: Level) -> bool:
+        """Renew the estimate if that is due, by the level of its status; whether it was renewed.
+
+        The pose of a robot that was lost at the beginning of a stretch is no place to smooth from. A robot that is no
+        longer lost may have been placed anew, and a new stretch begins.
+        """
+        settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
+        if settings is None or not self._rows:
+            return False
+        is_found, self._is_lost = self._is_lost and level != "lost", level == "lost"
+        is_over = waited >= settings.period
+        # A stretch that could not be smoothed is tried again when it is twice as long.
+        is_early = level != "ok" and waited >= settings.least and len(self._rows) >= 2 * self._tried
+        is_renewed = False
+        if (is_over or is_early) and not (is_found or self._began_lost):
+            state, self._tried = self._smoothed(), len(self._rows)
+            is_renewed = state is not None
+            if state is not None:
+                self._slam.renew(state)
+        if is_over or is_renewed or is_found:
+            self._begin()
+            self._rows = [self._rows[-1]]
+        return is_renewed
+
+    def _begin(self) -> None:
+        """Begin a new stretch at the present estimate."""
+        self._start, self._associations = self._slam.map_state, list[AssociationRecord]()
+        self._slam.recent_associations = self._associations
+        self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
+        self._tried, self._began_lost = 0, self._is_lost
+
+    def _smoothed(self) -> MapState | None:
+        """The state by all readings of the stretch; None if the stretch cannot be smoothed."""
+        # The kernels of the smoother load numba, which takes time that short drives do not need.
+        from limslam_agent.slam.line_graph.renewal import renewed
+        from limslam_agent.slam.line_graph.smoother import FilteredRun
+
+        wheels, ranges, usable, poses, covariances = (np.array(each) for each in zip(*self._rows, strict=True))
+        settings, renewal = self._config.run_smoothing, self._config.renewal
+        if settings is not None and self._slam.odometry_calibration is not None:
+            settings = replace(settings, calibrate="always")
+        if self._start is None or settings is None or renewal is None or np.abs(wheels[1:]).sum() < 2.0 * LEAST_DRIVEN:
+            return None
+        # The estimate at the beginning knows the readings of the first row.
+        usable[0] &= self._first_step == 0
+        poses[0] = self._start.pose
+        stretch = FilteredRun(
+            robot=self._slam.robot,
+            noise=self._config.noise,
+            wheels=wheels[:, None],
+            ranges=ranges[:, None],
+            usable=usable[:, None],
+            poses=poses[:, None],
+            covariances=covariances[:, None],
+            associations=self._associations,
+            closures=self._slam.closures[self._closures :],
+            first_step=self._first_step,
+        )
+        return renewed(self._start, stretch, settings, renewal)

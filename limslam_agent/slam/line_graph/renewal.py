@@ -1,0 +1,89 @@
+"""Renewal of an online estimate: the last minutes of a drive are smoothed, and joined with the map from before.
+
+The smoother estimates the lines and the last pose of a stretch of a drive relative to the pose at its beginning, from
+the readings of this stretch alone. So they are independent of the map from before, given that pose, and the two are
+joined like two local maps (J. Tardos, J. Neira, P. Newman and J. Leonard, "Robust mapping and localization in indoor
+environments using sonar data", 2002): moved to the same frame with the joint covariance, after which the lines of the
+same wall are made equal. All readings are used once, and only the map remains of them.
+
+Some errors are the same in each stretch: a few readings at the ends of a wall belong to its neighbours, for example.
+Without the ageing of the map they would count as independent each time, and the map would become surer than it is.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
+from limslam_agent.slam.consistent.clone_ekf import lines_moved_with, poses_moved_with
+from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.consistent.wall_map import NEW, Wall
+from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.line_graph.mending import is_contradicted
+from limslam_agent.slam.line_graph.smoothed_map import wall_extents
+from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, settle
+
+SHORTEST = 0.3
+"""Least length of a wall, m, that the error of its direction is based on."""
+
+
+def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig, renewal: RenewalConfig) -> MapState | None:
+    """The state at the end of a stretch of one robot's drive, by all readings since its beginning.
+
+    Parameters
+    ----------
+    start
+        The state at the beginning of the stretch.
+    stretch
+        The observations since then, and the filter's estimates, which begin at the pose of ``start``.
+    config, renewal
+        Settings of the smoother, and of the ageing of the map from before.
+
+    Returns
+    -------
+    state
+        The map from before with the walls of the stretch, which have the number ``NEW``, and the last pose. None if
+        the stretch cannot be smoothed, or if its beams contradict the result.
+    """
+    found = settle(stretch, config)
+    if found is None or is_contradicted(found.problem, found.association, config):
+        return None
+    return _joined(_aged(start, renewal.end_noise * found.problem.range_std), found, config)
+
+
+def _aged(state: MapState, end_std: float) -> MapState:
+    """The map with the ends of each wall, m, less certain by a standard deviation, m."""
+    variance, lengths = end_std**2, np.array([np.ptp(wall.extent.ends) for wall in state.walls])
+    lengths = np.maximum(lengths, SHORTEST)
+    added = np.column_stack((np.full(len(lengths), 0.5 * variance), 2.0 * variance / lengths**2))
+    return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
+
+
+def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState:
+    """The map from before, and the walls and the last pose of a stretch, with their joint covariance."""
+    state, factored = found.association.state, found.association.solution.factored
+    extents = {
+        index: extent
+        for index, extent in wall_extents(found.problem, found.association, config).items()
+        if len(extent.intervals(config.max_gap, config.through_tolerance))
+    }
+    kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
+    lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
+    rows = np.append(np.arange(POSE), (factored.first_line + 2 * kept[:, None] + np.arange(2)).ravel())
+    x, y, _ = start.pose.tolist()
+    by_start = np.vstack((poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors)))
+    size, old = len(rows) + 2 * len(start.lines), np.arange(POSE, POSE + 2 * len(start.lines))
+    new = np.append(np.arange(POSE), np.arange(old.size + POSE, size))
+    covariance = np.empty((size, size))
+    covariance[np.ix_(old, old)] = start.covariance[POSE:, POSE:]
+    crossed = by_start @ start.covariance[:POSE, POSE:]
+    covariance[np.ix_(new, old)], covariance[np.ix_(old, new)] = crossed, crossed.T
+    moved = by_start @ start.covariance[:POSE, :POSE] @ by_start.T
+    covariance[np.ix_(new, new)] = moved + factored.covariance[np.ix_(rows, rows)]
+    return MapState(
+        pose=last,
+        lines=np.vstack((start.lines, lines)),
+        anchors=np.vstack((start.anchors, anchors)),
+        covariance=covariance,
+        walls=[*start.walls, *(Wall(NEW, extents[index], 1, int(counts[index])) for index in kept.tolist())],
+    )

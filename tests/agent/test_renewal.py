@@ -1,0 +1,160 @@
+"""Renewal of the online estimate: a stretch is smoothed and joined with the map from before."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.drives import along, drive, room
+
+from limslam_agent import LineSlam, Mapper, preset
+from limslam_agent.config.smoother import RenewalConfig
+from limslam_agent.renewal import Renewal
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import NominalNoise, RobotSpec
+
+ROBOT = RobotSpec()
+NOISE = NominalNoise(0.02)
+START = np.array([0.6, 0.6, 0.0])
+CORNERS = [(0.6, 0.6), (2.4, 0.6), (2.4, 1.8), (0.6, 1.8)]
+WALLS = room(0.0, 0.0, 3.0, 2.4)
+ROUND_S = 24.0  # longer than one of the rounds takes
+NEVER = replace(preset("graph", NOISE), renewal=None)
+
+
+def config(period):
+    return replace(NEVER, renewal=RenewalConfig(period=period))
+
+
+def rounds(count, seed=0):
+    """Noisy observations on some rounds through a room, and the true poses (t, 3)."""
+    told, true = drive(WALLS, START, along([*CORNERS * count, CORNERS[0]]), noise=NOISE.range_std, seed=seed)
+    generator = np.random.default_rng(seed)
+    for each in told:
+        travel = each["wheels"]
+        each["wheels"] = travel + np.sqrt(NOISE.wheel_variance * np.abs(travel)) * generator.standard_normal(2)
+    return told, true
+
+
+def driven(settings, told):
+    """The SLAM after a drive, its poses (t, 3) and covariances (t, 3, 3), and the steps after which it was renewed."""
+    slam = LineSlam(ROBOT, settings, START)
+    renewal, poses, covariances, renewed = Renewal(slam, settings), [], [], []
+    for step, observation in enumerate(told):
+        slam.step(observation)
+        if renewal.is_possible:
+            renewal.note(observation)
+            if renewal.renew_if_due("ok"):
+                renewed.append(step)
+        poses.append(slam.pose)
+        covariances.append(slam.covariance)
+    return slam, np.array(poses), np.array(covariances), renewed
+
+
+@pytest.fixture(scope="module")
+def long_drive():
+    told, true = rounds(8)
+    return told, true, driven(config(ROUND_S), told)
+
+
+def test_a_renewed_estimate_stays_accurate_and_honest(long_drive):
+    _, true, (slam, poses, covariances, renewed) = long_drive
+    assert len(renewed) >= 5
+    error = poses - true
+    error[:, 2] = wrap_angle(error[:, 2])
+    last = slice(-200, None)
+    assert np.hypot(*error[last, :2].T).max() < 0.1
+    nees = np.einsum("ni,nij,nj->n", error[last], np.linalg.inv(covariances[last]), error[last]) / 3.0
+    assert nees.mean() < 3.0
+    assert len(slam.all_landmarks) == 4
+
+
+def test_renewals_say_nothing_about_the_global_heading(long_drive):
+    # No reading tells it, however often the same walls are seen.
+    *_, (_, _, covariances, renewed) = long_drive
+    stds = np.sqrt(covariances[renewed, 2, 2])
+    assert stds[-1] > 0.8 * stds[0]
+    assert stds[-1] < math.radians(4.0)
+
+
+def test_the_same_drive_gives_the_same_bits(long_drive):
+    told, _, (_, poses, _, renewed) = long_drive
+    _, again, _, steps = driven(config(ROUND_S), told)
+    assert steps == renewed
+    np.testing.assert_array_equal(again, poses)
+
+
+def test_nothing_changes_before_the_first_renewal(long_drive):
+    told, _, (_, poses, _, renewed) = long_drive
+    _, plain, _, never = driven(NEVER, told[: renewed[0] + 50])
+    assert not never
+    np.testing.assert_array_equal(plain[: renewed[0]], poses[: renewed[0]])
+    assert np.abs(plain[renewed[0]] - poses[renewed[0]]).max() > 0.0
+
+
+def test_a_stretch_that_contradicts_itself_is_not_used():
+    told, _ = rounds(3)
+    # The robot is carried to another place in the middle of the stretch.
+    told = told[: len(told) // 2] + told[len(told) // 2 + 120 :]
+    slam, poses, _, renewed = driven(config(0.1 * len(told)), told)
+    _, plain, _, _ = driven(NEVER, told)
+    assert not renewed
+    np.testing.assert_array_equal(poses, plain)
+    assert len(slam.all_landmarks) > 0
+
+
+def test_a_bad_status_renews_at_once_but_not_too_often():
+    told, _ = rounds(1)
+    settings = config(1000.0)
+    slam = LineSlam(ROBOT, settings, START)
+    renewal, steps = Renewal(slam, settings), []
+    for step, observation in enumerate(told):
+        slam.step(observation)
+        renewal.note(observation)
+        if renewal.renew_if_due("unsure"):
+            steps.append(step)
+    least = round(settings.renewal.least / ROBOT.control_period)
+    assert steps
+    assert steps[0] == least - 1
+    assert not steps[1:] or min(np.diff(steps)) >= least - 1
+
+
+def test_a_robot_that_is_lost_is_renewed_only_from_a_pose_that_was_known():
+    told, _ = rounds(2)
+    settings = config(10.0)
+    slam = LineSlam(ROBOT, settings, START)
+    renewal, steps = Renewal(slam, settings), []
+    for step, observation in enumerate(told):
+        slam.step(observation)
+        renewal.note(observation)
+        if renewal.renew_if_due("lost" if 150 <= step < 450 else "ok"):
+            steps.append(step)
+    # The stretch from 99 to 198 began before the robot was lost. A new stretch begins when it is found, at 450.
+    assert steps == [99, 198, 549]
+
+
+def test_a_robot_that_stands_still_is_not_renewed():
+    told, _ = drive(WALLS, START, [(0.0, 0.0)] * 300)
+    _, _, _, renewed = driven(config(10.0), told)
+    assert not renewed
+
+
+@pytest.mark.parametrize("name", ["consistent", "paper"])
+def test_presets_without_a_smoother_are_never_renewed(name):
+    settings = preset(name, NOISE)
+    assert not Renewal(LineSlam(ROBOT, settings, START), settings).is_possible
+
+
+def test_a_team_is_never_renewed():
+    slam = LineSlam(ROBOT, config(10.0), np.array([START, START + 1.0]))
+    assert not Renewal(slam, slam.config).is_possible
+    with pytest.raises(TypeError, match="single robot"):
+        _ = slam.map_state
+
+
+def test_a_mapper_renews_its_estimate(long_drive):
+    told, _, (_, poses, _, renewed) = long_drive
+    mapper = Mapper(ROBOT, config(ROUND_S), START)
+    for observation in told[: renewed[0] + 100]:
+        mapper.step(observation)
+    np.testing.assert_array_equal(mapper.snapshot().pose, poses[renewed[0] + 99])
