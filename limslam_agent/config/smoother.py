@@ -63,6 +63,16 @@ class ReassociationConfig(Bounded):
         reading is not used.
     fewest
         Least number of readings of a line.
+    bend_gate
+        A line is divided into two where two lines fit its readings better by this much in chi-square.
+    run_gate
+        Successive readings of one beam are not used if the sum of their residuals exceeds this number of standard
+        deviations of such a sum: they lie on one side of their line.
+    end_guard, exact_std
+        Readings close to an end of their line do not count for the final poses, since they may be of the next wall. The
+        guard, m, is ``end_guard`` times the excess of the standard deviation of a range over ``exact_std``, m. Two
+        walls that meet at 25 degrees differ by less than ``gate`` standard deviations over 7.5 standard deviations of
+        their length, and ``beyond`` covers this up to ``exact_std``.
     one_wall_gate
         Two lines may be one wall if their chi-square (two degrees of freedom) is below this gate.
     max_offset, max_angle, min_overlap
@@ -75,6 +85,10 @@ class ReassociationConfig(Bounded):
     beyond: NonNegative = 0.10
     margin: NonNegative = 3.0
     fewest: Count = 6
+    bend_gate: NonNegative = 16.0
+    run_gate: NonNegative = 4.0
+    end_guard: NonNegative = 4.0
+    exact_std: NonNegative = 0.02
     one_wall_gate: NonNegative = 16.0
     max_offset: NonNegative = 0.15
     max_angle: Angle = 0.12

@@ -269,6 +269,45 @@ def merge_lines(
 
 
 @entry
+def one_sided_runs(misfits: FloatArray, firsts: IntArray, gate: float, longest: int, found: BoolArray) -> None:
+    """Find the readings whose residuals have too large a sum for independent errors.
+
+    Parameters
+    ----------
+    misfits, firsts
+        Residuals (k,) in standard deviations, in runs; run i begins at ``firsts[i]``, and the last number is k.
+    gate, longest
+        Parts of a run with 2 to ``longest`` readings are found whose sum, divided by the root of their number, exceeds
+        the gate, the largest first.
+    found
+        Output array (k,), false at first.
+    """
+    for run in range(len(firsts) - 1):
+        begin, end = firsts[run], firsts[run + 1]
+        while True:
+            first, last = _largest_sum(misfits[begin:end], found[begin:end], gate, longest)
+            if last <= first:
+                break
+            found[begin + first : begin + last + 1] = True
+
+
+@compiled
+def _largest_sum(misfits: FloatArray, found: BoolArray, gate: float, longest: int) -> tuple[int, int]:
+    """First and last reading of the part of a run with the largest sum above a gate; (0, 0) if there is none."""
+    best, result = gate, (0, 0)
+    for first in range(len(misfits)):
+        total = 0.0
+        for last in range(first, min(first + longest, len(misfits))):
+            if found[last]:
+                break
+            total += misfits[last]
+            size = abs(total) / math.sqrt(last - first + 1.0)
+            if last > first and size > best:
+                best, result = size, (first, last)
+    return result
+
+
+@entry
 def near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
     """Pairs of lines (k, 2) within limits of offset (m), angle (rad) and overlap (m): ``limits[1:]``."""
     count, pairs = 0, np.empty((len(lines) * (len(lines) - 1) // 2, 2), dtype=np.int64)

@@ -242,7 +242,13 @@ def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
 
 
 def solve(
-    problem: Problem, state: State, labels: IntArray, *, iterations: int = 8, tolerance: float = 1e-4
+    problem: Problem,
+    state: State,
+    labels: IntArray,
+    *,
+    iterations: int = 8,
+    tolerance: float = 1e-4,
+    shares: FloatArray | None = None,
 ) -> Solution:
     """The optimum near a state, for readings with known lines.
 
@@ -250,9 +256,9 @@ def solve(
     ----------
     labels
         Line (k,) of each reading, or -1 for readings that are not used.
-    iterations, tolerance
-        Largest number of Gauss-Newton steps, and the tolerance, m or rad: iteration ends after a step that moves no
-        pose farther.
+    iterations, tolerance, shares
+        Largest number of Gauss-Newton steps, which end with a step that moves no pose farther than ``tolerance``, m or
+        rad; and the weights (k,) of the readings, 0 to 1, or None for 1.
 
     Raises
     ------
@@ -263,7 +269,7 @@ def solve(
     for iteration in range(iterations):
         rows = rows_of(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = _not_grazing(rows, labels)
+            weights = _not_grazing(rows, labels) * (1.0 if shares is None else shares)
         equations = _Equations(problem, state, labels, rows, weights)
         step = equations.step()
         state, change = _descend(problem, state, step, labels, weights, equations.chi_square)
@@ -287,7 +293,7 @@ def chi_square(problem: Problem, state: State, labels: IntArray, weights: FloatA
     """Sum of the squared residuals of wheels, readings and calibration, each divided by its variance."""
     rows = rows_of(problem, state, labels)
     driven = _motion_residuals(problem, state)
-    read = _range_residuals(problem, state, rows)
+    read = range_residuals(problem, state, rows)
     total = float(np.sum(driven**2) + np.sum(weights * read**2) / problem.range_std**2)
     return total + calibration_chi_square(problem, state)
 
@@ -315,7 +321,7 @@ def _motion_residuals(problem: Problem, state: State) -> FloatArray:
     return np.asarray((problem.wheels * sizes - state.motions) / problem.stds)
 
 
-def _range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
+def range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
     """Measured minus expected ranges (k,), m."""
     biases = state.calibration[problem.readings.places // problem.steps, 3]
     return np.asarray(problem.readings.distances - rows[:, RANGE] - biases)
@@ -425,15 +431,14 @@ class _Equations:
         if self._first_line:
             biases = CALIBRATED * (readings.places // problem.steps) + 3
         kernels.add_readings(
-            readings.places, labels, rows, _range_residuals(problem, self._state, rows),
+            readings.places, labels, rows, range_residuals(problem, self._state, rows),
             weights / problem.range_std**2, biases, self._first_line,
             self._diagonal.reshape(-1, 3, 3), self._border.reshape(border),
             self._right.reshape(-1, 3), self._shared, self._shared_right,
         )  # fmt: skip
 
     def _add_priors(self) -> None:
-        lines = np.arange(self._first_line, len(self._shared))
-        self._shared[lines, lines] += np.tile(_LINE_STD**-2.0, len(self._state.lines))
+        np.einsum("ii->i", self._shared)[self._first_line :] += np.tile(_LINE_STD**-2.0, len(self._state.lines))
         if self._problem.prior is None:
             return
         for number, calibration in enumerate(self._state.calibration):

@@ -1,6 +1,7 @@
 """Association of all readings with lines, repeated after each improvement of the poses. No association is final.
 
-Each round merges lines that are one wall, assigns each reading to the line that predicts it best, and solves.
+Each round merges lines that are one wall, assigns each reading to the line that predicts it best, solves, and divides
+the lines that are more than one wall.
 """
 
 from dataclasses import dataclass, replace
@@ -10,10 +11,23 @@ import numpy as np
 
 from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.line_smoother import Problem, Solution, State, solve
+from limslam_agent.slam.line_graph.chain_kernels import COSINE
+from limslam_agent.slam.line_graph.line_smoother import (
+    GRAZING,
+    Problem,
+    Solution,
+    State,
+    range_residuals,
+    rows_of,
+    solve,
+)
+from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import normal
 
 _MOST_MERGES = 30
+_LEAST_SPREAD = 100.0  # 1/rad^2: keeps the direction of a line whose readings are all in one place
+_FITS = 2
 _MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
 _LOOSE, _EXACT = 1e-3, 1e-4  # m or rad: convergence tolerances between moves and at the end
 
@@ -59,16 +73,63 @@ def reassociate(problem: Problem, state: State, labels: IntArray, config: Reasso
 
 
 def reassociate_from(problem: Problem, found: Association, config: ReassociationConfig, rounds: int) -> Association:
-    """Merge lines, re-associate readings and solve, for at most ``rounds`` rounds from a solution."""
+    """Merge lines, re-associate readings, solve and divide bent lines, for at most ``rounds`` rounds."""
     limits = OneWall(config.one_wall_gate, config.max_offset, config.max_angle, config.min_overlap)
     for _ in range(rounds):
         before = found.state.poses
         merged, has_merged = merge(problem, found, limits, config.fewest)
         labels = assigned(problem, merged.state, ends_of(problem, merged.state, merged.labels), config)
         found = solve_again(problem, merged.state, labels, config.fewest)
+        found = straightened(problem, found, config)
         if np.abs(found.state.poses - before)[..., :2].max() < config.settled and not has_merged:
             break
-    return found
+    return without_ends(problem, found, config)
+
+
+def without_ends(problem: Problem, found: Association, config: ReassociationConfig) -> Association:
+    """The solution without the readings beside the ends of lines, which may be of the next wall.
+
+    The readings keep their lines, which are fitted to all of them at the end. Lines with too few other readings are
+    removed.
+    """
+    guard, count = config.end_guard * (problem.range_std - config.exact_std), len(found.state.lines)
+    if guard <= 0.0:
+        return found
+    along, ends = places_along(problem, found.state, found.labels), ends_of(problem, found.state, found.labels)
+    low, high = ends[found.labels].T + np.array([[guard], [-guard]])
+    is_inner = (found.labels >= 0) & (along >= low) & (along <= high)
+    is_short = np.bincount(found.labels[is_inner], minlength=count) < config.fewest
+    labels = np.where((found.labels >= 0) & is_short[found.labels], -1, found.labels)
+    found = solve_again(problem, found.state, labels, config.fewest, shares=is_inner.astype(float))
+    return replace(found, solution=replace(found.solution, state=with_all_readings(problem, found)))
+
+
+def with_all_readings(problem: Problem, found: Association) -> State:
+    """The state with every line fitted to all of its readings, at the same poses.
+
+    The poses are estimated without the readings beside the ends of lines, and these readings say most about the
+    directions of short lines.
+    """
+    state, (lines, anchors) = found.state, fitted_lines(problem, found.state, found.labels)
+    lines[:, 0] += np.sum(normal(lines) * (anchors - state.anchors), axis=1)
+    state = replace(state, lines=lines)
+    for _ in range(_FITS):
+        state = _fitted_again(problem, state, found.labels)
+    return state
+
+
+def _fitted_again(problem: Problem, state: State, labels: IntArray) -> State:
+    """The state with every line moved to the weighted least-squares line through its readings, linearised."""
+    rows, own, count = rows_of(problem, state, labels), labels >= 0, len(state.lines)
+    cosines, along = rows[own, COSINE], places_along(problem, state, labels)[own]
+    off = range_residuals(problem, state, rows)[own] * cosines
+    weights = (problem.range_std * np.maximum(np.abs(cosines), GRAZING)) ** -2.0
+    total = [np.bincount(labels[own], each, count) for each in (weights, weights * along, weights * off)]
+    middle, mean = total[1] / total[0], total[2] / total[0]
+    lever = along - middle[labels[own]]
+    spread = np.bincount(labels[own], weights * lever**2, count) + _LEAST_SPREAD
+    turn = -np.bincount(labels[own], weights * lever * off, count) / spread
+    return replace(state, lines=state.lines + np.column_stack((mean + turn * middle, turn)))
 
 
 def solve_labels(problem: Problem, state: State, labels: IntArray, fewest: int, iterations: int = 8) -> Association:
@@ -83,12 +144,19 @@ def solve_labels(problem: Problem, state: State, labels: IntArray, fewest: int, 
 
 
 def solve_again(
-    problem: Problem, state: State, labels: IntArray, fewest: int, *, iterations: int = 5, tolerance: float = _EXACT
+    problem: Problem,
+    state: State,
+    labels: IntArray,
+    fewest: int,
+    *,
+    iterations: int = 5,
+    tolerance: float = _EXACT,
+    shares: FloatArray | None = None,
 ) -> Association:
     """The optimum for associations with the lines of a state; lines with too few readings are removed."""
     labels, kept = renumbered(labels, fewest)
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
-    return Association(solve(problem, state, labels, iterations=iterations, tolerance=tolerance), labels)
+    return Association(solve(problem, state, labels, iterations=iterations, tolerance=tolerance, shares=shares), labels)
 
 
 def renumbered(labels: IntArray, fewest: int) -> tuple[IntArray, IntArray]:
@@ -163,6 +231,13 @@ def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) 
         ends, beyond, best, misfits,
     )  # fmt: skip
     return best, misfits / problem.range_std
+
+
+def straightened(problem: Problem, found: Association, config: ReassociationConfig) -> Association:
+    """The solution with bent lines divided, and without runs of readings that lie on one side of their line."""
+    along = places_along(problem, found.state, found.labels)
+    labels = straight_labels(problem, found.solution, found.labels, along, config)
+    return found if np.array_equal(labels, found.labels) else solve_labels(problem, found.state, labels, config.fewest)
 
 
 def merge(
