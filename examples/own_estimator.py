@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from limslam_agent import read_log
-from limslam_agent.output.export import write_tum
+from limslam_agent.output.tum import write_tum
 from limslam_env import Observation, RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc

@@ -85,6 +85,7 @@ AGENT = {
     "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "mapper", "slam.batch")},
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
+    "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "status"),

@@ -1,4 +1,4 @@
-"""The command line: ``limslam run``, ``replay``, ``show``, ``play``, ``warmup`` and ``worlds``.
+"""The command line: ``limslam run``, ``replay``, ``show`` and the other commands.
 
 Modules that take long to import are imported inside the commands, so that help appears at once.
 """
@@ -10,8 +10,11 @@ from typing import Annotated
 
 import typer
 
+from limslam_agent.cli.compare import compare
+from limslam_agent.cli.export import export
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
+from limslam_agent.cli.score import score
 from limslam_agent.cli.show import show
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
@@ -25,6 +28,9 @@ app = typer.Typer(
 app.command()(run)
 app.command()(replay)
 app.command()(show)
+app.command()(compare)
+app.command()(score)
+app.command()(export)
 app.command()(warmup)
 app.add_typer(worlds)
 

@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import TypeAlias
+
+    from matplotlib.figure import Figure
+
     from limslam_agent.output.finished_run import FinishedRun
     from limslam_env.geometry import FloatArray
+
+    Draw: TypeAlias = Callable[[Figure], None]
 
 SUFFIXES = (".png", ".pdf", ".svg")
 
@@ -23,11 +30,12 @@ def show(
 ) -> None:
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.finished_run import PICTURE, read_run
+    from limslam_agent.output.run_picture import SIZE, draw_run
     from limslam_agent.output.summary import record_summary, replay_summary, run_summary
     from limslam_env.messages import printable
 
     if out is not None:
-        _check_target(out, force=force)
+        check_target(out, force=force)
     run = read_run(folder)
     metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
     lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
@@ -35,9 +43,9 @@ def show(
         typer.echo(printable(line))
     edges = true_edges(run)
     if out is not None:
-        write_picture(out, run, lines, edges)
+        write_picture(out, SIZE, lambda figure: draw_run(figure, run, lines, edges))
         typer.echo(printable(f"picture     {out}"))
-    elif not open_window(run, lines, edges):
+    elif not open_window(f"LimSLAM: {run.folder.name}", SIZE, lambda figure: draw_run(figure, run, lines, edges)):
         if (folder / PICTURE).is_file():
             typer.echo(printable(f"picture     {folder / PICTURE}"))
         typer.echo("            there is no display: --out FILE.png draws the map and the errors over time")
@@ -64,38 +72,35 @@ def true_edges(run: "FinishedRun") -> "FloatArray | None":
     return world.edges if world.digest == run.config.get("world_digest") else None
 
 
-def write_picture(path: Path, run: "FinishedRun", lines: list[str], edges: "FloatArray | None") -> None:
-    """Draw a run into a file, which appears only when it is complete."""
+def write_picture(path: Path, size: tuple[float, float], draw: "Draw") -> None:
+    """Draw a figure of a size in inches into a file, which appears only when it is complete."""
     from matplotlib.figure import Figure
 
     from limslam_agent.output.atomic_write import atomic_write
-    from limslam_agent.output.run_picture import SIZE, draw_run
 
-    figure = Figure(figsize=SIZE, layout="constrained")
-    draw_run(figure, run, lines, edges)
+    figure = Figure(figsize=size, layout="constrained")
+    draw(figure)
     with atomic_write(path) as beside:
         figure.savefig(beside, dpi=150, facecolor="white")
 
 
-def open_window(run: "FinishedRun", lines: list[str], edges: "FloatArray | None") -> bool:
-    """Show a run in a window until it is closed; False, and nothing is shown, where no window can be opened."""
+def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
+    """Show a figure in a window until it is closed; False, and nothing is shown, where no window can be opened."""
     from limslam_env.rendering.window import has_display
 
     if not has_display():
         return False
     import matplotlib.pyplot as plt
 
-    from limslam_agent.output.run_picture import SIZE, draw_run
-
     try:
-        figure = plt.figure(f"LimSLAM: {run.folder.name}", figsize=SIZE, layout="constrained")
+        figure = plt.figure(title, figsize=size, layout="constrained")
     except ImportError:  # the toolkit that Matplotlib is told to use cannot be had
         return False
     try:
         # Without a toolkit for windows, Matplotlib falls back to one that only writes files.
         if type(figure.canvas).required_interactive_framework is None:
             return False
-        draw_run(figure, run, lines, edges)
+        draw(figure)
         plt.show()
     finally:
         plt.close(figure)
@@ -111,7 +116,14 @@ def _numbers(run: "FinishedRun", part: str) -> dict[str, object]:
     return content
 
 
-def _check_target(path: Path, *, force: bool) -> None:
+def check_target(path: Path, *, force: bool) -> None:
+    """Refuse a file that is no picture, or that would be replaced by accident.
+
+    Raises
+    ------
+    ValueError
+        If the picture cannot be written there.
+    """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{path}: a picture ends in {', '.join(SUFFIXES)}")
     if path.is_dir():

@@ -31,7 +31,7 @@ def list_worlds(
 
     places = {name: load_world(name) for name in shipped_worlds()}
     ids = _gym_ids()
-    typer.echo(_table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())]))
+    typer.echo(table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())]))
     if thumbnails is not None:
         for name, place in places.items():
             _write_thumbnail(thumbnails / f"{name}.png", place)
@@ -107,7 +107,7 @@ def _row(name: str, world: "World", gym_id: str) -> tuple[str, ...]:
     return (name, f"{world.size[0]:g} x {world.size[1]:g}", *counts, loop, gym_id)
 
 
-def _table(rows: list[tuple[str, ...]]) -> str:
+def table(rows: list[tuple[str, ...]]) -> str:
     """Rows as aligned columns; plain, so that other programs can read it too."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)

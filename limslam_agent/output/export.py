@@ -1,6 +1,7 @@
-"""Writes trajectories and maps."""
+"""Writes maps, and the covariances of trajectories."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -9,14 +10,6 @@ import numpy as np
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray
-
-
-def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
-    """Write a trajectory (n, 3) as TUM lines ``t x y z qx qy qz qw``, s and m."""
-    half = 0.5 * poses[:, 2]
-    zero = np.zeros(len(poses))
-    table = np.column_stack((time, poses[:, 0], poses[:, 1], zero, zero, zero, np.sin(half), np.cos(half)))
-    np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
 
 
 def write_covariances(path: Path, estimated: FloatArray, smoothed: FloatArray | None) -> None:
@@ -33,6 +26,11 @@ def write_covariances(path: Path, estimated: FloatArray, smoothed: FloatArray | 
 def write_json(path: Path, content: Any) -> None:
     """Write readable JSON. NaN and infinity are errors. Values that do not apply are ``null``."""
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
+    """The scores with None for numbers that are not finite, because JSON cannot hold them."""
+    return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
 
 
 class WallsAndGrid(Protocol):

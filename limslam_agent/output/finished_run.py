@@ -1,7 +1,6 @@
 """Reads the folder of a finished run or replay."""
 
 import json
-import math
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.claims import OutputError, hidden, repair
+from limslam_agent.output.tum import TrajectoryError, read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
@@ -116,7 +116,7 @@ def read_run(folder: Path) -> FinishedRun:
         picture = f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
         raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}{picture}")
     result = _read_json(folder / RESULT)
-    segments = _segments(folder / MAP)
+    segments = read_walls(folder / MAP)
     estimated = _trajectories(folder, "est")
     if not estimated:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
@@ -173,7 +173,14 @@ def _part(content: dict[str, Any], name: str) -> dict[str, Any]:
     return part if isinstance(part, dict) else {}
 
 
-def _segments(path: Path) -> FloatArray:
+def read_walls(path: Path) -> FloatArray:
+    """The walls (k, 4), m, of a ``map.json``.
+
+    Raises
+    ------
+    FolderError
+        If the file cannot be read or has no walls in that form.
+    """
     listed = _read_json(path).get("segments")
     try:
         segments = np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
@@ -188,35 +195,20 @@ def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
     """Tables (n, 4) of time and pose for each robot. Empty if there is no file."""
     single = folder / f"trajectory_{kind}.tum"
     if single.is_file():
-        return [_read_tum(single)]
+        return [_read_table(single)]
     tables: list[FloatArray] = []
     while (path := folder / f"trajectory_{kind}_{len(tables)}.tum").is_file():
-        tables.append(_read_tum(path))
+        tables.append(_read_table(path))
     return tables
 
 
-def _read_tum(path: Path) -> FloatArray:
-    """Lines ``t x y z qx qy qz qw`` as a table (n, 4) of time, x, y and heading."""
-    rows: list[list[float]] = []
+def _read_table(path: Path) -> FloatArray:
+    """A trajectory as a table (n, 4) of time, x, y and heading."""
     try:
-        lines = read_limited(path).decode("utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise FolderError(f"{path}: cannot be read: {error}") from error
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.startswith("#"):
-            continue
-        try:
-            row = [float(word) for word in line.split()]
-        except ValueError:
-            row = []
-        if len(row) != 8 or not all(map(math.isfinite, row)):
-            raise FolderError(f"{path}: line {number} is not t x y z qx qy qz qw")
-        rows.append(row)
-    if not rows:
-        raise FolderError(f"{path}: is empty")
-    table = np.array(rows)
-    heading = wrap_angle(2.0 * np.arctan2(table[:, 6], table[:, 7]))
-    return np.column_stack((table[:, :3], heading))
+        time, poses = read_tum(path)
+    except TrajectoryError as error:
+        raise FolderError(str(error)) from error
+    return np.column_stack((time, poses))
 
 
 def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray], list[FloatArray]]:

@@ -15,9 +15,10 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import write_covariances, write_json, write_map, write_tum
+from limslam_agent.output.export import write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES
 from limslam_agent.output.summary import record_of
+from limslam_agent.output.tum import write_tum
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration

@@ -3,7 +3,6 @@
 The estimate is compared with the truth only here, after the run is over.
 """
 
-import math
 import sys
 from dataclasses import asdict
 from importlib.metadata import version
@@ -13,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import WallsAndGrid, map_content, write_covariances, write_json, write_map, write_tum
+from limslam_agent.output.export import WallsAndGrid, finite, map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, WORLD, policy_words
 from limslam_agent.output.summary import calibration_record, record_of
+from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
 from limslam_agent.runs.oracle import explores
@@ -277,11 +277,6 @@ def versions() -> dict[str, str]:
     """Versions of everything that a result depends on."""
     packages = ("limslam", "gymnasium", "pymunk", "numpy", "scipy", "numba", "filterpy", "opencv-python-headless")
     return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
-
-
-def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
-    """The scores with None for numbers that are not finite, because JSON cannot hold them."""
-    return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
 
 
 def _events(episode: Episode) -> list[AssociationEvent]:

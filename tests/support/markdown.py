@@ -45,8 +45,11 @@ def blocks(page: Path) -> list[Block]:
 
 
 def all_blocks(*languages: str) -> list[Block]:
-    """The blocks of all pages in one of the languages; in any if none is named."""
-    found = [block for page in pages() for block in blocks(page)]
+    """The blocks of all pages in one of the languages; in any if none is named.
+
+    Directives of Sphinx are no blocks: building the site checks them.
+    """
+    found = [block for page in pages() for block in blocks(page) if not block.language.startswith("{")]
     return [block for block in found if not languages or block.language in languages]
 
 

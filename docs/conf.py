@@ -1,0 +1,117 @@
+"""Settings of the documentation site: ``sphinx-build -W docs docs/_build``."""
+
+import os
+import re
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+
+project = "LimSLAM"
+author = "The LimSLAM authors"
+project_copyright = "The LimSLAM authors"
+release = version = version_of("limslam")
+
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+exclude_patterns = ["_build", "images/*.py"]
+html_theme = "furo"
+html_title = "LimSLAM"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#1f5f99", "color-brand-content": "#1f5f99"},
+    "dark_css_variables": {"color-brand-primary": "#7fb6e6", "color-brand-content": "#7fb6e6"},
+}
+
+# The pages are written for GitHub's Markdown as well, where a formula is a block of code named math.
+myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
+myst_fence_as_directive = ["math"]
+myst_heading_anchors = 4
+
+nb_execution_mode = "cache"
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_merge_streams = True
+
+autosummary_generate = True
+autodoc_typehints = "none"
+autodoc_default_options = {"members": True, "show-inheritance": False}
+# Members are listed by autodoc; numpydoc would list them a second time.
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+# Pages of the repository that lie outside of this folder, and the pages of the site that hold them.
+PAGES_ELSEWHERE = {
+    "benchmarks/RESULTS.md": "/compare/results.md",
+    "CHANGELOG.md": "/reference/changelog.md",
+    "CONTRIBUTING.md": "/reference/contributing.md",
+    "README.md": "/index.md",
+}
+FOLDER = Path(__file__).parent
+
+
+def rewrite_links(text: str, folder: Path, page: Path) -> str:
+    """The links of a text in ``folder``, which the site shows on a page in the folder ``page``."""
+
+    def rewritten(match: re.Match[str]) -> str:
+        target, _, anchor = match[1].partition("#")
+        path = (folder / target).resolve()
+        outside = path.relative_to(FOLDER.parent).as_posix() if path.is_relative_to(FOLDER.parent) else ""
+        if not target or "://" in target or not path.exists():
+            return match[0]
+        if outside == "README.md":
+            return "](/index.md)"  # the front page has other headings
+        if outside in PAGES_ELSEWHERE:
+            return f"]({PAGES_ELSEWHERE[outside]}{'#' * bool(anchor)}{anchor})"
+        if path.is_relative_to(FOLDER) and path.suffix == ".md":
+            return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
+        if path.is_relative_to(FOLDER):
+            return f"](/{path.relative_to(FOLDER).as_posix()})"
+        return f"]({os.path.relpath(path, page)})"  # offered for download
+
+    return re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
+
+
+def tables_of_docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
+    """Change the tables of a docstring, which are Markdown as in Gymnasium, to reStructuredText."""
+    changed: list[str] = []
+    inside = False
+    for line in lines:
+        text = line.strip()
+        is_row = text.startswith("|") and text.endswith("|")
+        indent = " " * (len(line) - len(line.lstrip()))
+        if is_row and not inside:
+            changed += ["", f"{indent}.. list-table::", f"{indent}   :header-rows: 1", ""]
+        if is_row and not set(text) <= set("|-: "):
+            cells = [cell.strip() for cell in text[1:-1].split("|")]
+            changed += [f"{indent}   {'* -' if number == 0 else '  -'} {cell}" for number, cell in enumerate(cells)]
+        elif not is_row:
+            changed += [""] * inside + [line]
+        inside = is_row
+    lines[:] = changed
+
+
+def setup(app: Sphinx) -> None:
+    """Connect what changes links."""
+
+    def on_source(app: Sphinx, name: str, content: list[str]) -> None:
+        folder = Path(app.env.doc2path(name)).parent
+        content[0] = rewrite_links(content[0], folder, folder)
+
+    def on_include(app: Sphinx, path: Path, parent: str, content: list[str]) -> None:
+        content[0] = rewrite_links(content[0], FOLDER / path.parent, Path(app.env.doc2path(parent)).parent)
+
+    app.connect("source-read", on_source)
+    app.connect("include-read", on_include)
+    app.connect("autodoc-process-docstring", tables_of_docstring)
+    app.add_lexer("csv", TextLexer)

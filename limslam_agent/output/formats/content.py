@@ -1,0 +1,135 @@
+"""What is exported: a finished run with its readings and its grid."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError, read_run
+from limslam_agent.safe_files import load_arrays, read_limited
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+
+_READINGS = ("ranges", "wheels", "robot")
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What the robots of a run measured.
+
+    Attributes
+    ----------
+    robot
+        Description of the robots.
+    ranges
+        (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
+    wheels
+        (n, robots, 2), left and right wheel travel since the previous step, m.
+    """
+
+    robot: RobotSpec
+    ranges: NDArray[np.float32]
+    wheels: NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """An occupancy grid.
+
+    Attributes
+    ----------
+    cells
+        (rows, columns) int8, row 0 at the bottom: 0 free, 100 occupied, -1 unknown, as in ROS.
+    resolution
+        Side of a cell, m.
+    origin
+        Position of the lower left corner (2,), m.
+    """
+
+    cells: NDArray[np.int8]
+    resolution: float
+    origin: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedRun:
+    """A finished run with all that other programs may want of it.
+
+    Attributes
+    ----------
+    run
+        The run.
+    readings
+        Its readings, or None where the folder has none, as that of a replayed log.
+    grid
+        Its occupancy grid, or None.
+    """
+
+    run: FinishedRun
+    readings: Readings | None
+    grid: Grid | None
+
+    def paths(self) -> dict[str, list[FloatArray]]:
+        """The trajectories that exist, each with the poses (n, 3) of each robot."""
+        run = self.run
+        kinds = {"true": run.true, "estimated": run.estimated, "smoothed": run.smoothed, "odometry": run.odometry}
+        return {name: poses for name, poses in kinds.items() if poses}
+
+
+def suffix_of(robot: int, robots: int) -> str:
+    """What the names of a robot's files end in: nothing for a single robot."""
+    return f"_{robot}" if robots > 1 else ""
+
+
+def read_exported(folder: Path) -> ExportedRun:
+    """Read the folder of a finished run.
+
+    Raises
+    ------
+    FolderError
+        If the folder is not that of a run, or a file in it cannot be used.
+    """
+    run = read_run(folder)
+    return ExportedRun(run, _readings(run), _grid(folder / "map.yaml"))
+
+
+def _readings(run: FinishedRun) -> Readings | None:
+    path = run.folder / LOG
+    if not path.is_file():
+        return None
+    try:
+        arrays = load_arrays(path, _READINGS)
+        robot = RobotSpec.from_json(str(arrays["robot"]))
+        count, robots = len(run.time), len(run.estimated)
+        ranges = arrays["ranges"].astype(np.float32).reshape(count, robots, len(robot.beams))
+        wheels = arrays["wheels"].reshape(count, robots, 2)
+    except KeyError as error:
+        raise FolderError(f"{path}: has no array {error.args[0]}") from error
+    except (OSError, ValueError) as error:
+        raise FolderError(f"{path}: does not fit the run: {error}") from error
+    return Readings(robot, ranges, wheels)
+
+
+def _grid(path: Path) -> Grid | None:
+    if not path.is_file():
+        return None
+    try:
+        described = yaml.safe_load(read_limited(path))
+        resolution, origin = float(described["resolution"]), np.array(described["origin"][:2], dtype=float)
+        pixels = _pgm(read_limited(path.with_name(str(described["image"]))))
+    except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        raise FolderError(f"{path}: is damaged: {error}") from error
+    cells = np.select([pixels >= 250, pixels <= 50], [0, 100], -1).astype(np.int8)
+    return Grid(cells[::-1], resolution, origin)
+
+
+def _pgm(content: bytes) -> NDArray[np.uint8]:
+    """Pixels (rows, columns) of a binary PGM file as this project writes it."""
+    magic, size, _, data = content.split(b"\n", 3)
+    columns, rows = map(int, size.split())
+    if magic != b"P5":
+        raise ValueError("the picture is not a binary PGM")
+    return np.frombuffer(data, dtype=np.uint8, count=rows * columns).reshape(rows, columns)

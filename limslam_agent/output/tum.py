@@ -1,0 +1,69 @@
+"""Reads and writes trajectories as text, in the format of the TUM RGB-D benchmark: lines ``t x y z qx qy qz qw``."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from limslam_agent.safe_files import read_limited
+from limslam_env.geometry import FloatArray
+from limslam_env.messages import one_line
+
+
+class TrajectoryError(ValueError):
+    """A file does not hold a trajectory. The message says which file and why."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
+
+
+def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
+    """Write a trajectory (n, 3) as TUM lines ``t x y z qx qy qz qw``, s and m."""
+    half = 0.5 * poses[:, 2]
+    zero = np.zeros(len(poses))
+    table = np.column_stack((time, poses[:, 0], poses[:, 1], zero, zero, zero, np.sin(half), np.cos(half)))
+    np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
+
+
+def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Times (n,), s, and poses in the plane (n, 3), m and rad, of a TUM file. Comments begin with ``#``.
+
+    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
+    """
+    rows: list[list[float]] = []
+    try:
+        lines = read_limited(path).decode("utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise TrajectoryError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    for number, line in enumerate(lines, start=1):
+        text = line.partition("#")[0]
+        if not text.strip():
+            continue
+        row = _numbers(text)
+        if len(row) != 8 or not all(map(math.isfinite, row)):
+            raise TrajectoryError(f"{path}: line {number} is not t x y z qx qy qz qw")
+        if not any(row[4:]):
+            raise TrajectoryError(f"{path}: line {number} has a quaternion of length 0")
+        rows.append(row)
+    if not rows:
+        raise TrajectoryError(f"{path}: is empty")
+    table = np.array(rows)
+    return table[:, 0], np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []
+
+
+def _yaw(quaternions: FloatArray) -> FloatArray:
+    """Yaw (n,), rad, of quaternions (n, 4) in the order x, y, z, w, which need not have the length 1."""
+    x, y, z, w = (quaternions / np.abs(quaternions).max(axis=1, keepdims=True)).T
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -1,0 +1,280 @@
+"""Scores the trajectory and the map of any SLAM system, from files, by the metrics of ``docs/metrics.md``."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limslam_agent.logs.relations import read_relations, relation_errors, summary
+from limslam_agent.output.export import finite
+from limslam_agent.output.finished_run import read_walls
+from limslam_agent.output.tum import TrajectoryError, read_tum
+from limslam_agent.safe_files import load_arrays, read_limited
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_env.interface import RobotSpec
+from limslam_env.metrics import metrics
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.world import World
+
+ALIGNMENTS = ("none", "start", "path")
+"""How the frame of an estimate can be moved onto that of the truth."""
+
+MAX_DIFFERENCE = 0.01
+"""Poses whose times differ by at most this (s) belong together, as in evo."""
+
+_UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
+
+
+@dataclass(frozen=True)
+class ScoredFiles:
+    """What is scored, and with what.
+
+    Attributes
+    ----------
+    estimated
+        Estimated trajectory, a TUM file, or None where only a map is scored.
+    true
+        True trajectory, a TUM file, or None.
+    relations
+        File of known relative poses, or None.
+    covariances
+        Covariances of the estimated poses (:func:`read_covariances`), or None.
+    align
+        How the frame of the estimate is moved first: ``none``, ``start`` or ``path`` (:meth:`Pairs.alignment`).
+    max_difference
+        Most that the times of poses that belong together may differ, s.
+    walls
+        Estimated walls, a ``map.json``, or None.
+    world
+        The true walls, a name or file of a world, or None.
+    robot
+        The robot that drove. Its range decides which walls can be seen.
+
+    Raises
+    ------
+    ValueError
+        If the files do not make up a score.
+    """
+
+    estimated: Path | None
+    true: Path | None
+    relations: Path | None
+    covariances: Path | None
+    align: str
+    max_difference: float
+    walls: Path | None
+    world: str | None
+    robot: RobotSpec
+
+    def __post_init__(self) -> None:
+        if self.align not in ALIGNMENTS:
+            raise ValueError(f"--align: {', '.join(ALIGNMENTS)} can be chosen, not {self.align!r}")
+        if not 0.0 <= self.max_difference < math.inf:
+            raise ValueError(f"--max-difference: must be at least 0 s and finite, not {self.max_difference:g}")
+        if self.estimated is None and self.walls is None:
+            raise ValueError("something to score is needed: --est FILE.tum, or --map map.json with --world")
+        if (self.walls is None) != (self.world is None):
+            raise ValueError("--map and --world go together: a map is scored against the walls of a world")
+        if self.estimated is not None and self.true is None and self.relations is None:
+            raise ValueError(f"{self.estimated}: needs something to compare with: --true FILE.tum, or --relations FILE")
+        needs = {"--true": self.true, "--relations": self.relations}
+        if self.estimated is None and any(needs.values()):
+            raise ValueError(f"{next(name for name, file in needs.items() if file)} needs --est FILE.tum")
+        if self.true is None and (self.covariances is not None or self.align != "none"):
+            raise ValueError("--covariances and --align need --est and --true")
+
+    def scores(self) -> dict[str, float | int | None]:
+        """All metrics that the files allow, by the names of ``docs/metrics.md``.
+
+        Raises
+        ------
+        ValueError
+            If a file cannot be used.
+        """
+        scores: dict[str, float | int | None] = {}
+        pairs, motion = None, np.zeros(3)
+        if self.estimated is not None and self.true is not None:
+            pairs = read_pairs(self.true, self.estimated, self.covariances, self.max_difference)
+            motion = pairs.alignment(self.align)
+            scores |= trajectory_scores(pairs.moved(motion))
+        if self.estimated is not None and self.relations is not None:
+            scores |= summary(relation_errors(read_relations(self.relations), *read_tum(self.estimated)))
+        if self.walls is not None and self.world is not None:
+            walls = read_walls(self.walls)
+            scores |= map_scores(load_world(self.world), self.robot, walls, motion, pairs)
+        return scores
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """True and estimated poses at the same times.
+
+    Attributes
+    ----------
+    true, estimated
+        Poses (n, 3), m and rad.
+    covariances
+        Covariances of the estimated poses (n, 3, 3), or None.
+    unmatched
+        Estimated poses without a true pose at their time.
+    """
+
+    true: FloatArray
+    estimated: FloatArray
+    covariances: FloatArray | None
+    unmatched: int
+
+    def alignment(self, how: str) -> FloatArray:
+        """The rigid motion (3,) that brings the frame of the estimate onto the frame of the truth, m and rad.
+
+        ``none`` is no motion: both have one frame. ``start`` lets both paths begin in the same pose. ``path`` brings
+        the whole path onto the true path (:func:`limslam_env.metrics.metrics.rigid_alignment`).
+        """
+        if how == "start":
+            return compose(self.true[0], inverse(self.estimated[0]))
+        if how == "path":
+            return metrics.rigid_alignment(self.true[:, :2], self.estimated[:, :2])
+        return np.zeros(3)
+
+    def moved(self, motion: FloatArray) -> "Pairs":
+        """The same with the frame of the estimate moved by a rigid motion (3,)."""
+        turn = _rotation(motion[2])
+        covariances = None if self.covariances is None else turn @ self.covariances @ turn.T
+        return replace(self, estimated=compose(motion, self.estimated), covariances=covariances)
+
+
+def read_pairs(true: Path, estimated: Path, covariances: Path | None, max_difference: float = MAX_DIFFERENCE) -> Pairs:
+    """Read two trajectories and, if it is given, a file with the covariances of the estimated one.
+
+    As in evo, each pose of the trajectory with fewer poses belongs to the pose of the longer one that is nearest in
+    time.
+
+    Raises
+    ------
+    TrajectoryError
+        If a file cannot be used, or no times agree.
+    """
+    true_time, true_poses = read_tum(true)
+    time, poses = read_tum(estimated)
+    of_true, of_estimated = matched(true_time, time, max_difference)
+    if len(of_true) == 0:
+        raise TrajectoryError(f"{estimated}: no pose has the time of a pose of {true} (within {max_difference:g} s)")
+    stated = None if covariances is None else read_covariances(covariances, estimated, time)
+    return Pairs(
+        true_poses[of_true], poses[of_estimated], None if stated is None else stated[of_estimated],
+        len(time) - len(np.unique(of_estimated)),
+    )  # fmt: skip
+
+
+def matched(first: FloatArray, second: FloatArray, max_difference: float) -> tuple[IntArray, IntArray]:
+    """Indices (k,) into two lists of times, s, of the times that belong together."""
+    if len(second) > len(first):
+        shorter, longer = matched(second, first, max_difference)[::-1]
+        return shorter, longer
+    order = np.argsort(first, kind="stable")
+    after = (
+        np.clip(np.searchsorted(first[order], second), 1, len(first) - 1)
+        if len(first) > 1
+        else np.zeros_like(second, int)
+    )
+    before = np.maximum(after - 1, 0)
+    is_before = np.abs(first[order][before] - second) <= np.abs(first[order][after] - second)
+    nearest = order[np.where(is_before, before, after)]
+    near = np.flatnonzero(np.abs(first[nearest] - second) <= max_difference)
+    return nearest[near], near
+
+
+def read_covariances(path: Path, trajectory: Path, time: FloatArray) -> FloatArray:
+    """Covariances (n, 3, 3), m and rad, of the poses of a trajectory in the same frame as its poses.
+
+    The file is ``covariance_est.npz`` of a run's folder, or a text with a line ``t xx xy xh yy yh hh`` for each pose,
+    where h is the heading. Comments begin with ``#``.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file cannot be read, or does not have a covariance for each pose.
+    """
+    found = _stored(path, trajectory) if path.suffix == ".npz" else _written(path)
+    if len(found) != len(time):
+        raise TrajectoryError(f"{path}: has {len(found)} covariances, and {trajectory} has {len(time)} poses")
+    if not np.isfinite(found).all():
+        raise TrajectoryError(f"{path}: a covariance is not finite")
+    return found
+
+
+def trajectory_scores(pairs: Pairs) -> dict[str, float | int | None]:
+    """Errors of the estimate, and where covariances are given whether they are as large as the errors."""
+    scores: dict[str, float | int | None] = {
+        "poses": len(pairs.true),
+        "poses_unmatched": pairs.unmatched,
+        "path_m": metrics.path_length(pairs.true),
+        **metrics.trajectory_metrics(pairs.true, pairs.estimated),
+    }
+    if pairs.covariances is not None:
+        scores |= finite(metrics.consistency_metrics(pairs.true, pairs.estimated, pairs.covariances))
+    return scores
+
+
+def map_scores(
+    world: World, robot: RobotSpec, walls: FloatArray, motion: FloatArray, pairs: Pairs | None
+) -> dict[str, float | int | None]:
+    """Scores of the walls of a map (m, 4), m, whose frame is first moved by a rigid motion (3,).
+
+    The metrics of an aligned map take the alignment of the trajectories ``pairs``, which belong to the map. Without
+    trajectories there are none of them. The robot says which walls can be seen.
+    """
+    segments = transform_points(motion, walls.reshape(-1, 2)).reshape(-1, 4)
+    visible = metrics.visible_samples(world, robot.radius, robot.reach)
+    alignment = np.zeros(3) if pairs is None else pairs.moved(motion).alignment("path")
+    scores = metrics.wall_metrics(visible, world.edges, segments, alignment)
+    if pairs is None:
+        scores = {name: value for name, value in scores.items() if "aligned" not in name}
+    return {**scores, "doors_open": metrics.doors_open(world.doors, segments), "landmarks": len(segments)}
+
+
+def _rotation(turn: float) -> FloatArray:
+    cosine, sine = np.cos(turn), np.sin(turn)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _stored(path: Path, trajectory: Path) -> FloatArray:
+    """The covariances of a run's folder that go with a trajectory: smoothed or not, of one of several robots."""
+    kind = "smoothed" if "smoothed" in trajectory.stem else "estimated"
+    number = trajectory.stem.rpartition("_")[2]
+    try:
+        arrays = load_arrays(path, (kind,))
+        found = np.asarray(arrays[kind], dtype=float)
+        return found[:, int(number) if number.isdigit() else 0]
+    except KeyError as error:
+        raise TrajectoryError(f"{path}: has no array {kind}") from error
+    except IndexError as error:
+        raise TrajectoryError(f"{path}: has no covariances of robot {number}") from error
+    except (OSError, ValueError) as error:
+        raise TrajectoryError(f"{path}: cannot be read: {error}") from error
+
+
+def _written(path: Path) -> FloatArray:
+    rows: list[list[float]] = []
+    try:
+        lines = read_limited(path).decode("utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise TrajectoryError(f"{path}: cannot be read: {error}") from error
+    for number, line in enumerate(lines, start=1):
+        text = line.partition("#")[0].split()
+        if not text:
+            continue
+        try:
+            row = [float(word) for word in text]
+        except ValueError:
+            row = []
+        if len(row) != 1 + len(_UPPER):
+            raise TrajectoryError(f"{path}: line {number} is not t xx xy xh yy yh hh")
+        rows.append(row)
+    table = np.array(rows).reshape(-1, 1 + len(_UPPER))
+    found = np.empty((len(table), 3, 3))
+    for column, (row_index, other) in enumerate(_UPPER, start=1):
+        found[:, row_index, other] = found[:, other, row_index] = table[:, column]
+    return found
