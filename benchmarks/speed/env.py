@@ -1,7 +1,6 @@
 """How fast the environments are, beside a plain pymunk loop in the same run: ``python -m benchmarks.speed.env``.
 
-A shared machine changes its speed from second to second. Therefore all candidates take turns in short bursts, and the
-best burst of each candidate counts.
+The candidates take turns (:mod:`benchmarks.speed.rates`). ``--plans`` also loads the largest wall list of a folder.
 """
 
 import argparse
@@ -16,14 +15,16 @@ import numpy as np
 import pymunk
 
 import limslam_env
+from benchmarks.speed.rates import Loop, print_rates, rates_in_turn
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World
 
-BURST = 600
-Loop = Callable[[int], None]
+BURST = 200
+StepLoop = Callable[[int], None]
+PLAIN = "plain pymunk, 40 walls, six rays"
 
 
-def plain_loop(walls: int = 40) -> Loop:
+def plain_loop(walls: int = 40) -> StepLoop:
     """Pymunk alone: a body that moves among walls, and six rays a step."""
     generator = np.random.default_rng(0)
     space = pymunk.Space()
@@ -58,7 +59,7 @@ def random_actions(count: int = 1000) -> list[np.ndarray]:
     return list(np.random.default_rng(0).uniform(-1.0, 1.0, (count, 2)).astype(np.float32))
 
 
-def single_loop(env: gym.Env) -> Loop:
+def single_loop(env: gym.Env) -> StepLoop:
     """Steps of a single-robot environment, with autoreset."""
     env.reset(seed=0)
     actions = itertools.cycle(random_actions())
@@ -72,7 +73,7 @@ def single_loop(env: gym.Env) -> Loop:
     return run
 
 
-def team_loop(num_robots: int) -> Loop:
+def team_loop(num_robots: int) -> StepLoop:
     """Robot-steps of the parallel environment, with autoreset."""
     env = limslam_env.parallel_env(world="env1", num_robots=num_robots, sensor_noise=0.02)
     env.reset(seed=0)
@@ -105,35 +106,29 @@ def rooms(num_walls: int) -> World:
     return World("rooms", (cell * side, cell * side), np.array(walls))
 
 
-def best_times(loops: dict[str, Loop], bursts: int) -> dict[str, float]:
-    """Duration of a step of each loop, microseconds: the best of several bursts, in which the loops take turns."""
-    best = dict.fromkeys(loops, math.inf)
-    for loop in loops.values():
-        loop(50)
-    for _ in range(bursts):
-        for name, loop in loops.items():
-            start = time.perf_counter()
-            loop(BURST)
-            best[name] = min(best[name], 1e6 * (time.perf_counter() - start) / BURST)
-    return best
+def counted(loop: StepLoop, steps: int) -> Loop:
+    """A loop of so many steps a call."""
+
+    def run() -> int:
+        loop(steps)
+        return steps
+
+    return run
 
 
-def print_speeds(bursts: int) -> None:
+def print_speeds(rounds: int) -> None:
     """Print a table of speeds, and the ratio of each to the speed of the plain loop."""
     small, large = rooms(40), rooms(2000)
     loops = {
-        "plain pymunk, 40 walls, six rays": plain_loop(),
+        PLAIN: plain_loop(),
         "LimSlam-Env1-v0": single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02)),
         "two robots, a robot-step": team_loop(2),
         "eight robots, a robot-step": team_loop(8),
         f"rooms of {len(small.edges)} walls": single_loop(gym.make("LimSlam-World-v0", world=small)),
         f"rooms of {len(large.edges)} walls": single_loop(gym.make("LimSlam-World-v0", world=large)),
     }
-    times = best_times(loops, bursts)
-    plain = next(iter(times.values()))
-    print("| loop | us a step | steps/s | x plain pymunk |\n|---|---|---|---|")
-    for name, value in times.items():
-        print(f"| {name} | {value:.2f} | {1e6 / value:,.0f} | {plain / value:.2f} |")
+    rates = rates_in_turn({name: counted(loop, BURST) for name, loop in loops.items()}, rounds)
+    print_rates(rates, {PLAIN: "plain pymunk"})
 
 
 def print_loading(folder: Path) -> None:
@@ -153,10 +148,10 @@ def print_loading(folder: Path) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print Markdown tables. The arguments are those of the command line unless they are given."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bursts", type=int, default=100)
+    parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--plans", type=Path, help="folder of wall lists")
     options = parser.parse_args(arguments)
-    print_speeds(options.bursts)
+    print_speeds(options.rounds)
     if options.plans:
         print_loading(options.plans)
 

@@ -1,8 +1,7 @@
-"""How fast the batched environment is, beside others in the same run: ``python -m benchmarks.speed.vector``.
+"""How fast the environments and their batches are, beside others in the same run: ``python -m benchmarks.speed``.
 
-As in :mod:`benchmarks.speed.env`, candidates take turns in short bursts, and the best burst of each counts: it shows
-what the machine can do when no other program uses it. ``vmas`` and ``ir-sim`` are measured too where they are installed
-(extra ``peers``).
+The candidates take turns (:mod:`benchmarks.speed.rates`). ``vmas`` and ``ir-sim`` are measured too where they are
+installed (extra ``peers``).
 """
 
 import argparse
@@ -14,17 +13,18 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.speed.env import rooms, single_loop
+from benchmarks.speed.env import PLAIN, counted, plain_loop, rooms, single_loop
 from benchmarks.speed.peers import irsim_loop, vmas_loop
+from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
+from limslam_env.geometry import FloatArray
 
-SECONDS = 0.02
-Loop = Callable[[], int]
+CARTPOLE, SINGLE = "CartPole of numpy, 1024", "single environment"
 
 _FIRST_STEP = """
 import time
@@ -44,24 +44,32 @@ def resident():
     with open("/proc/self/status") as status:
         return next(float(line.split()[1]) for line in status if line.startswith("VmRSS"))
 
-def made(count):
-    envs = gym.make_vec("LimSlam-Env1-v0", num_envs=count, sensor_noise=0.02)
+def made(id, count):
+    envs = gym.make_vec(id, num_envs=count, sensor_noise=0.02)
     envs.reset(seed=0)
     kept = [envs.step(np.zeros((count, 2), dtype=np.float32)) for _ in range(2)]
     return envs, kept
 
-small = made(1024)
-before = resident()
-large = made(16384)
-print((resident() - before) / 16384)
+for id, few, many in (("LimSlam-Env1-v0", 1024, 16384), ("LimSlam-Random-v0", 64, 576)):
+    small = made(id, few)
+    before = resident()
+    large = made(id, many)
+    print((resident() - before) / many)
 """
 
+_PLANS, _STARTS = 256, 1000
 
-def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
-    """Steps of a batch, with autoreset. A call returns the number of environment-steps that it has done."""
+# Steps before batches are timed: in the first ones, far more is seen for the first time than later.
+_FIRST = 400
+
+
+def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int, first: int = 0) -> Loop:
+    """Steps of a batch, with autoreset, after its ``first`` steps. A call returns how many environment-steps it did."""
     envs.reset(seed=0)
     envs.action_space.seed(0)
     actions = itertools.cycle([envs.action_space.sample() for _ in range(8)])
+    for _ in range(first):
+        envs.step(next(actions))
 
     def run() -> int:
         for _ in range(steps):
@@ -89,21 +97,17 @@ def team_loop(num_envs: int, steps: int) -> Loop:
 
 
 def loops() -> dict[str, Loop]:
-    """The loops that are compared. All rates are given as ratios to the first two loops."""
-    single = single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02))
-
-    def one() -> int:
-        single(1000)
-        return 1000
+    """The loops that are compared."""
 
     def ours(count: int, steps: int, **arguments: Any) -> Loop:
         place = {"id": "LimSlam-World-v0" if "world" in arguments else "LimSlam-Env1-v0", "sensor_noise": 0.02}
-        return vector_loop(gym.make_vec(**{**place, **arguments}, num_envs=count), steps)
+        return vector_loop(gym.make_vec(**{**place, **arguments}, num_envs=count), steps, _FIRST)
 
     cartpole = gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")
     found: dict[str, Loop] = {
-        "CartPole of numpy, 1024": vector_loop(cartpole, 100),
-        "single environment": one,
+        CARTPOLE: vector_loop(cartpole, 20),
+        SINGLE: counted(single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02)), 200),
+        PLAIN: counted(plain_loop(), 200),
         "batch of 1024": ours(1024, 20),
         "batch of 8192": ours(8192, 4),
         "batch of 8192, one thread": ours(8192, 4, num_threads=1),
@@ -117,20 +121,6 @@ def loops() -> dict[str, Loop]:
     if importlib.util.find_spec("irsim"):
         found["ir-sim, six rays, 40 walls"] = irsim_loop()
     return found
-
-
-def best_rates(candidates: dict[str, Loop], bursts: int) -> dict[str, float]:
-    """Environment-steps a second of each candidate, the best of bursts that take turns."""
-    best = dict.fromkeys(candidates, 0.0)
-    for loop in candidates.values():
-        loop()
-    for _ in range(bursts):
-        for name, loop in candidates.items():
-            start, done = time.perf_counter(), 0
-            while time.perf_counter() - start < SECONDS:
-                done += loop()
-            best[name] = max(best[name], done / (time.perf_counter() - start))
-    return best
 
 
 @contextlib.contextmanager
@@ -161,42 +151,63 @@ def of_new_process(code: str, *arguments: str) -> list[float]:
     return [float(word) for word in output.stdout.split()]
 
 
-def print_rates(rates: dict[str, float]) -> None:
-    """Print a table of rates, and the ratios to CartPole and to the single environment."""
-    cartpole, single = itertools.islice(rates.values(), 2)
-    print("| candidate | steps/s | x CartPole | x single |\n|---|---|---|---|")
-    for name, rate in rates.items():
-        print(f"| {name} | {rate:,.0f} | {rate / cartpole:.3f} | {rate / single:.1f} |")
+def seconds_of_plans() -> float:
+    """Wall-clock time in which 8192 floor plans would be drawn and prepared, s."""
+    envs = gym.make_vec("LimSlam-Random-v0", num_envs=_PLANS)
+    begin = time.perf_counter()
+    envs.reset(seed=0)
+    return (time.perf_counter() - begin) * 8192 / _PLANS
 
 
-def print_bars(rates: dict[str, float], batch: Loop) -> None:
-    """Print the ratios that this run should reach, and what it has reached."""
-    few, many = (rates[f"batch of 8192, rooms of {walls} walls"] for walls in (40, 2000))
+def seconds_of_starts() -> float:
+    """Wall-clock time of a reset with a thousand given starts, s: the median of five."""
+    envs = gym.make_vec("LimSlam-Env1-v0", num_envs=_STARTS)
+    _, infos = envs.reset(seed=0)
+    starts = infos["pose"] + np.random.default_rng(0).uniform(-0.02, 0.02, (_STARTS, 3))
+    times = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        envs.reset(options={"start": starts})
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))
+
+
+def print_bars(rates: dict[str, FloatArray], batch: Loop) -> None:
+    """Print what this run should reach, and what it has reached."""
+    forty, thousands = (f"batch of 8192, rooms of {walls} walls" for walls in (40, 2000))
     alone = median_rate(batch)
     with busy_process():
         beside = median_rate(batch)
     loading, first = min(of_new_process(_FIRST_STEP) for _ in range(3))
-    (memory,) = of_new_process(_MEMORY) if sys.platform == "linux" else (math.nan,)
+    memory, own = of_new_process(_MEMORY) if sys.platform == "linux" else (math.nan, math.nan)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     print("\n| bar | measured | wanted |\n|---|---|---|")
-    print(f"| 8192 / CartPole | {rates['batch of 8192'] / rates['CartPole of numpy, 1024']:.3f} | >= 0.35 |")
-    print(f"| 1024 / single | {rates['batch of 1024'] / rates['single environment']:.1f} | >= 30 |")
-    print(f"| 40 walls / 2000 walls | {few / many:.2f} | <= 1.3 |")
+    print(f"| batch of 8192 / CartPole | {ratio(rates, 'batch of 8192', CARTPOLE):.3f} | >= 0.37 |")
+    print(f"| batch of 1024 / single | {ratio(rates, 'batch of 1024', SINGLE):.1f} | >= 38 |")
+    print(f"| 40 walls / 2000 walls | {ratio(rates, forty, thousands):.2f} | <= 1.3 |")
+    print(f"| single / plain pymunk | {ratio(rates, SINGLE, PLAIN):.2f} | >= 2.3 |")
     print(f"| beside a busy process / alone, {cores} cores | {beside / alone:.2f} | >= {1.0 - 1.0 / cores:.2f} |")
     print(f"| import, then first step | {loading:.2f} s, {first:.2f} s | first step <= 1.5 s |")
+    print(f"| 1000 given starts | {1e3 * seconds_of_starts():.0f} ms | <= 50 ms |")
+    print(f"| 8192 floor plans, from {_PLANS} of them | {seconds_of_plans():.0f} s | <= 60 s on two cores |")
     print(f"| memory of an environment, with its grid and the results of two steps | {memory:.1f} kB | <= 20 kB |")
+    print(f"| memory of 8192 with plans of their own, from 576 of them | {own * 8.192:.0f} MB | <= 300 MB |")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print Markdown tables. The arguments are those of the command line unless they are given."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bursts", type=int, default=100)
+    parser.add_argument("--rounds", type=int, default=40, help="bursts of each candidate")
+    parser.add_argument("--no-bars", action="store_true", help="only the table of rates")
+    parser.add_argument(
+        "--processor-time",
+        action="store_true",
+        help="count processor time, for a machine that is busy; threads then count as one after the other",
+    )
     options = parser.parse_args(arguments)
     candidates = loops()
-    rates = best_rates(candidates, options.bursts)
-    print_rates(rates)
-    print_bars(rates, candidates["batch of 8192"])
-
-
-if __name__ == "__main__":
-    main()
+    clock: Clock = time.process_time if options.processor_time else time.perf_counter
+    rates = rates_in_turn(candidates, options.rounds, clock)
+    print_rates(rates, {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"})
+    if not options.no_bars:
+        print_bars(rates, candidates["batch of 8192"])
