@@ -3,7 +3,7 @@
  * The tests of LimSLAM compile this file with gcc and compare it, line by line, with the Python implementation. It has
  * not been run on a microcontroller.
  *
- * A robot needs four calls:
+ * A robot needs five calls:
  *
  *     limslam_start(&link, &hello);                      once, after power-on
  *     line = limslam_collect(&reader, byte);             for each byte that arrives

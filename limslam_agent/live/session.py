@@ -163,6 +163,7 @@ class Session:
     ) -> None:
         self.link, self.agent, self.recording, self.counts = link, agent, recording, LinkCounts()
         self._hello, self._watch = hello, watch
+        agent.mapper.longest_travel = math.inf  # the recording knows the times, and checks the travel
         self._observed: Row | None = None
         self._last_new = self._last_command = link.clock()
         self._was_stopped = self._is_connected = False
@@ -231,29 +232,41 @@ class Session:
             self.agent.observe(self.recording.observation(row, self._observed))
             self._observed = row
         self._answer(fresh[-1])
+        self._last_new = self.link.clock()  # silence is what the host has listened to, not what it has computed for
         if self.agent.done:
             return self.agent.stop_reason
         return OUT_OF_TIME if fresh[-1].time >= max_time else None
 
     def _take(self, messages: list[Message]) -> list[Row]:
         """Record telemetry. The rows that are later than all before them, in order."""
+        rows, packets = list[Row](), list[Telemetry]()
         for message in messages:
-            if isinstance(message, Hello):
-                self._greeted_by(message)
-        packets = [message for message in messages if isinstance(message, Telemetry)]
+            if isinstance(message, Telemetry):
+                packets.append(message)
+            elif isinstance(message, Hello) and self._is_restart(message):
+                rows += self._record(packets)  # of before the restart
+                packets = []
+                self._restart(message)
+        return rows + self._record(packets)
+
+    def _record(self, packets: list[Telemetry]) -> list[Row]:
         # Lines that have overtaken each other on their way are put in order, if they are here together.
         first = packets[0].seq if packets else 0
-        packets.sort(key=lambda packet: difference(packet.seq, first))
-        rows = [(packet, self.recording.add(packet, self.link.clock() - self._last_new)) for packet in packets]
-        fresh = [(packet, row) for packet, row in rows if row is not None and not row.is_late]
-        for packet, row in fresh:
-            self._note(packet, row)
-        return [row for _, row in fresh]
+        fresh = []
+        for packet in sorted(packets, key=lambda each: difference(each.seq, first)):
+            row = self.recording.add(packet, self.link.clock() - self._last_new)
+            if row is not None and not row.is_late:
+                self._note(packet, row)
+                fresh.append(row)
+        return fresh
 
-    def _greeted_by(self, hello: Hello) -> None:
-        """A robot that was switched on again begins to count from zero."""
-        if hello.boot == self._hello.boot or hello.version != VERSION or hello.beams != self._hello.beams:
-            return
+    def _is_restart(self, hello: Hello) -> bool:
+        """Whether the robot was switched on again."""
+        is_same_robot = (hello.version, hello.beams, hello.name) == (VERSION, self._hello.beams, self._hello.name)
+        return is_same_robot and hello.boot != self._hello.boot
+
+    def _restart(self, hello: Hello) -> None:
+        """Go on with a robot that counts from zero again."""
         self._hello = hello
         self.recording.restart()
         self._sent.clear()

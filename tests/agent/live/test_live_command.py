@@ -133,6 +133,15 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, t
     assert list(tmp_path.iterdir()) == []
 
 
+def test_without_pyserial_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    finished = call(main, "live", "--serial", "COM3", "--out", tmp_path / "room")
+    assert (finished.returncode, finished.stderr) == (
+        2,
+        "limslam: a serial port needs pyserial: pip install 'limslam[live]'\n",
+    )
+
+
 @pytest.mark.parametrize(
     ("hello", "words"),
     [

@@ -194,6 +194,43 @@ def test_a_robot_that_is_switched_on_again_continues_the_map():
     assert np.abs(log.wheels).max() < 0.03
 
 
+def test_lines_from_before_a_restart_do_not_belong_to_the_robot_after_it():
+    wire = Wire(emulated(seed=1))
+    plain, held = wire.receive, []
+
+    def receive(timeout):
+        lines = plain(timeout)
+        if wire.before or wire.emulator.time < 3.0:
+            return lines
+        held.extend(lines)
+        if len(held) < 4:
+            return []
+        wire.replace(emulated(seed=2))
+        return held + plain(timeout)  # telemetry of the first robot, then the hello of the second one
+
+    wire.receive = receive
+    session = session_with(wire, policy=Drive(0.2, 0.2))
+    assert session.drive(6.0, 5.0) == OUT_OF_TIME
+    log = session.recording.log()
+    assert session.counts.reconnections == 1
+    assert session.figures["packets_implausible"] == session.figures["packets_late"] == 0
+    assert (np.diff(log.time) > 0.0).all()
+    assert np.abs(log.wheels).max() < 0.03
+
+
+def test_a_host_that_computes_for_long_has_not_lost_the_robot():
+    class Thinks(Drive):
+        def act(self, belief):
+            if 1.0 < wire.emulator.time < 1.15:
+                wire.before += 60.0
+            return super().act(belief)
+
+    wire = Wire(emulated())
+    session = session_with(wire, policy=Thinks(0.2, 0.2))
+    assert session.drive(3.0, 5.0) == OUT_OF_TIME
+    assert wire.before >= 60.0
+
+
 def test_a_robot_that_never_answers_is_refused():
     wire = Wire(emulated())
     wire.is_cut = True
