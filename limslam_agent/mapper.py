@@ -1,10 +1,10 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
 
-import copy
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -157,7 +157,8 @@ class Mapper:
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if may_restart and len(self._early) < RESTART_WITHIN:
-            self._early.append(tuple(copy.deepcopy(seen) for seen in observations))
+            copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
+            self._early.append(cast("tuple[Observation, ...]", tuple(copies)))
             if not self.slam.may_calibrate:
                 self._restart()
 

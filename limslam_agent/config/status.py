@@ -137,7 +137,7 @@ class SmoothedStatusConfig(Bounded):
     unsure_share, lost_share
         The result is unsure or lost if this share of the readings contradicts the smoothed map.
     doubted_share
-        The same as ``unsure_share`` for a run in which the robot was unsure or lost at any time.
+        From this share on, a robot that was unsure or lost while it drove remains so.
     moved, moved_nees
         The result is unsure if the smoother moved a pose by more than ``moved``, m, and the mean NEES / 3 of the filter
         against the smoothed path exceeds ``moved_nees``.

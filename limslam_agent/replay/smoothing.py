@@ -27,7 +27,7 @@ from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loo
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
 from limslam_agent.status.smoothed_status import smoothed_status
-from limslam_agent.status.status import Status
+from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
 
 # The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
@@ -185,7 +185,7 @@ def smoothed_by_lines(
     poses = found.poses[:, 0]
     status = smoothed_status(
         found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
-        replay.config.status.smoothed, was_doubted=bool(replay.levels.any()),
+        replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
     )  # fmt: skip
     seconds = time.process_time() - begin
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status)

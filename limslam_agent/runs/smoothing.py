@@ -9,7 +9,7 @@ from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.status.smoothed_status import lost_note, smoothed_status
-from limslam_agent.status.status import final_status_scores, worst
+from limslam_agent.status.status import LEVELS, final_status_scores, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.metrics import metrics
 
@@ -91,7 +91,7 @@ def final_status(episode: "Episode") -> dict[str, str]:
     filtered, settings = (episode.estimated, episode.covariances), episode.config.agent.status.smoothed
     status = smoothed_status(
         smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances), settings,
-        was_doubted=bool(episode.levels.any()),
+        while_driving=LEVELS[int(episode.levels.max())],
     )  # fmt: skip
     return final_status_scores(status, online, lost_note(episode.time, episode.levels))
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from limslam_agent.config.status import SmoothedStatusConfig
-from limslam_agent.status.status import LEVELS, Status
+from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 
@@ -19,7 +19,7 @@ def smoothed_status(
     smoothed: tuple[FloatArray, FloatArray],
     config: SmoothedStatusConfig,
     *,
-    was_doubted: bool,
+    while_driving: Level,
 ) -> Status:
     """Whether the smoothed path and map can be trusted.
 
@@ -33,13 +33,15 @@ def smoothed_status(
     filtered, smoothed
         Poses (t, n, 3), m and rad, and their covariances (t, n, 3, 3): of the filter, as it reported them, and of the
         smoother.
-    was_doubted
-        Whether the robot was unsure or lost at any time.
+    while_driving
+        The worst level of the status while the robots drove.
     """
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
     if contradictions >= config.lost_share:
         return Status("lost", share)
-    if contradictions >= (config.doubted_share if was_doubted else config.unsure_share):
+    if contradictions >= config.doubted_share and while_driving != "ok":
+        return Status(while_driving, f"{share}, and the robot was {while_driving} while it drove")
+    if contradictions >= config.unsure_share:
         return Status("unsure", share)
     moved, excess = _moved(filtered, smoothed)
     if moved > config.moved and excess > config.moved_nees:

@@ -19,17 +19,14 @@ def path(aside=0.0, std=0.05, heading_std=0.01):
 
 
 @pytest.mark.parametrize(
-    ("share", "was_doubted", "level"),
+    ("share", "before", "level"),
     [
-        (0.001, True, "ok"),
-        (0.003, False, "ok"),
-        (0.003, True, "unsure"),
-        (0.02, False, "unsure"),
-        (0.05, False, "lost"),
+        (0.001, "lost", "ok"), (0.003, "ok", "ok"), (0.003, "unsure", "unsure"), (0.003, "lost", "lost"),
+        (0.02, "ok", "unsure"), (0.05, "ok", "lost"),
     ],
-)
-def test_contradictions_of_the_smoothed_map_count(share, was_doubted, level):
-    status = smoothed_status(share, path(), path(), CONFIG, was_doubted=was_doubted)
+)  # fmt: skip
+def test_contradictions_of_the_smoothed_map_count(share, before, level):
+    status = smoothed_status(share, path(), path(), CONFIG, while_driving=before)
     assert status.level == level
     assert bool(status.reason) == (level != "ok")
     assert level == "ok" or f"{100.0 * share:.2g} % of the readings contradict" in status.reason
@@ -42,14 +39,14 @@ def test_contradictions_of_the_smoothed_map_count(share, was_doubted, level):
 )
 def test_large_corrections_of_a_certain_filter_are_unsure(aside, std, level):
     filtered, smoothed = path(std=std), path(aside)
-    status = smoothed_status(0.0, filtered, smoothed, CONFIG, was_doubted=True)
+    status = smoothed_status(0.0, filtered, smoothed, CONFIG, while_driving="lost")
     assert status.level == level
     assert level == "ok" or "up to 0.80 m" in status.reason
     np.testing.assert_array_equal(smoothed[0], path(aside)[0])
 
 
 def test_an_uncertain_smoothed_heading_is_unsure():
-    status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), CONFIG, was_doubted=False)
+    status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), CONFIG, while_driving="ok")
     assert status == Status("unsure", "the smoothed heading's standard deviation reaches 6.0 deg")
 
 
