@@ -112,6 +112,7 @@ BENCHMARKS = {
     "benchmarks.analysis": {"benchmarks.suite"},
     "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
     "benchmarks.speed": set(),
+    "benchmarks.right_angles": set(),
     "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -19,6 +19,7 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 _FIXED = 3
+_AT_ONCE = 32
 
 
 @dataclass(eq=False)
@@ -76,12 +77,20 @@ class NormalEquations:
 
     def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
         """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
+        factors, found = self.factorise(), np.empty((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
+        # A few at a time, since each needs dense columns of all unknowns.
+        for begin in range(0, len(jacobian), _AT_ONCE):
+            part = slice(begin, begin + _AT_ONCE)
+            found[part] = self._covariances(factors, columns[part], jacobian[part])
+        return found
+
+    def _covariances(self, factors: SuperLU, columns: IntArray, jacobian: FloatArray) -> FloatArray:
         count, height, _ = jacobian.shape
         right = np.zeros((self.size, count * height))
         places = np.arange(count * height).reshape(count, height)
         right[columns[:, :, None], places[:, None, :]] = jacobian.transpose(0, 2, 1)
         solved = np.zeros_like(right)
-        solved[_FIXED:] = self.factorise().solve(right[_FIXED:])
+        solved[_FIXED:] = factors.solve(right[_FIXED:])
         return np.asarray(jacobian @ solved[columns[:, :, None], places[:, None, :]])
 
 

@@ -278,11 +278,15 @@ def _rounds(search: _Search, end: int) -> list[Round]:
             break
         kept = sum(verdict.kept for verdict in rounds[-1].verdicts)
         _say_round(search.report, log, start, number, kept)
-        trajectory = log.unbent(rounds[-1].trajectory, number)
-        chunks = log.chunks(trajectory, number)
-        candidates = Candidates(chunks, loops_along_the_way(chunks))
-        rounds.append(do_round(log, trajectory, number, candidates, start))
+        rounds.append(_next_round(log, rounds[-1].trajectory, number, start))
     return rounds
+
+
+def _next_round(log: LogProblem, trajectory: Trajectory, number: int, start: str) -> Round:
+    """Do a round with chunks of its own, whose grids are freed at its end."""
+    trajectory = log.unbent(trajectory, number)
+    chunks = log.chunks(trajectory, number)
+    return do_round(log, trajectory, number, Candidates(chunks, loops_along_the_way(chunks)), start)
 
 
 def _settled(rounds: list[Round], config: GraphConfig) -> bool:
