@@ -20,7 +20,7 @@ class Renewal:
     """The observations of a robot since its estimate was last renewed, and the estimate at that time.
 
     The filter cannot take back a wrong association, and a wrong one is only a matter of time. The smoother can. So the
-    stretch since the last renewal is smoothed each few minutes, and at once when the status is no longer ``ok``. Then
+    stretch since the last renewal is smoothed each few minutes, and at once when the robot gets lost. Then
     only the map remains of the stretch, so that memory and time do not grow with the length of a drive.
 
     Parameters
@@ -37,7 +37,8 @@ class Renewal:
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
         self._closures = self._first_step = self._tried = 0
-        self._is_lost = self._began_lost = False
+        self._level: Level = "ok"
+        self._is_wanted = self._began_lost = False
 
     @property
     def is_possible(self) -> bool:
@@ -56,22 +57,26 @@ class Renewal:
     def renew_if_due(self, level: Level) -> bool:
         """Renew the estimate if that is due, by the level of its status; whether it was renewed.
 
-        The pose of a robot that was lost at the beginning of a stretch is no place to smooth from. A robot that is no
-        longer lost may have been placed anew, and a new stretch begins.
+        It is due after some minutes, and once when the robot gets lost. A robot that is only unsure gains nothing by a
+        short stretch that knows little. The pose of a robot that was lost at the beginning of a stretch is no place to
+        smooth from. A robot that is no longer lost may have been placed anew, and a new stretch begins.
         """
         settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
         if settings is None or not self._rows:
             return False
-        is_found, self._is_lost = self._is_lost and level != "lost", level == "lost"
+        is_found = self._level == "lost" and level != "lost"
+        is_worse = self._level != "lost" and level == "lost"
+        self._is_wanted, self._level = (self._is_wanted or is_worse) and level != "ok", level
         is_over = waited >= settings.period
         # A stretch that could not be smoothed is tried again when it is twice as long.
-        is_early = level != "ok" and waited >= settings.least and len(self._rows) >= 2 * self._tried
+        is_early = self._is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
         is_renewed = False
         if (is_over or is_early) and not (is_found or self._began_lost):
             state, self._tried = self._smoothed(), len(self._rows)
             is_renewed = state is not None
             if state is not None:
                 self._slam.renew(state)
+                self._is_wanted = False
         if is_over or is_renewed or is_found:
             self._begin()
             self._rows = [self._rows[-1]]
@@ -82,7 +87,7 @@ class Renewal:
         self._start, self._associations = self._slam.map_state, list[AssociationRecord]()
         self._slam.recent_associations = self._associations
         self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
-        self._tried, self._began_lost = 0, self._is_lost
+        self._tried, self._began_lost = 0, self._level == "lost"
 
     def _smoothed(self) -> MapState | None:
         """The state by all readings of the stretch; None if the stretch cannot be smoothed."""

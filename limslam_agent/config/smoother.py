@@ -215,7 +215,7 @@ class RenewalConfig(Bounded):
     period
         Longest time between two renewals, s.
     least
-        Least time between two renewals, s, also if the status of the estimate is not ``ok``.
+        Least time between two renewals, s, also if the robot gets lost.
     end_noise
         By how much the position of each end of a known wall becomes less certain at each renewal, in standard
         deviations of a range. It stands for errors that a wall has in each stretch again.
