@@ -64,7 +64,7 @@ class LateBeamConfig(Bounded):
     window: Positive = 12.0
     longest_delay: Positive = 2.0
     sigmas: Positive = 2.0
-    evidence: Positive = 30.0
+    evidence: Positive = 40.0
     beyond_end: NonNegative = 1.0
     max_correction: Positive = 0.05
     max_turn_correction: Angle = math.radians(2.0)

@@ -28,6 +28,13 @@ A wall that is missing in the map, or that is not there, makes many readings wro
 """
 
 
+_COUNTER_EVIDENCE = 2.0
+"""So many times the evidence that finds a late beam is needed to say that the beam is no longer late.
+
+A beam that is late draws walls by its own readings, which then seem to be in time.
+"""
+
+
 @dataclass(frozen=True)
 class LateBeam:
     """A beam that reports late.
@@ -104,7 +111,8 @@ class LateBeams:
     Attributes
     ----------
     found
-        The beam that is late; None if no beam is. It stays until as much evidence says that the beam is not late.
+        The beam that is late; None if no beam is. It stays until twice as much evidence says that the beam is
+        not late.
     """
 
     def __init__(
@@ -112,7 +120,7 @@ class LateBeams:
     ) -> None:
         self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
         longest = max(round(config.longest_delay / robot.control_period), 1)
-        self._delays = np.unique(np.geomspace(min(2, longest), longest, 8).round().astype(int))
+        self._delays = np.unique(np.linspace(min(2, longest), longest, 10).round().astype(int))
         self._looks: deque[_Look] = deque(maxlen=max(round(config.window / robot.control_period), longest + 2))
         self._first_beam, self._lag, self._since = 0, 0, 0
         self.found: LateBeam | None = None
@@ -142,7 +150,7 @@ class LateBeams:
         if self.found is not None:
             beams = np.array([self.found.beam])
             gains = self._gains(self._model(segments, beams), self._lag)[-max(self._since, 1) :]
-            if gains.sum() < -self._config.evidence:
+            if gains.sum() < -_COUNTER_EVIDENCE * self._config.evidence:
                 self.found = None
             return
         count = len(self._robot.beams)
@@ -226,7 +234,7 @@ class LateBeams:
         weights = np.where(fits, (slope / std) ** 2, 0.0)
         total = float(weights.sum())
         # The tested delays are this far apart.
-        spread = max(0.2 * lag * period, period)
+        spread = max(float(np.diff(self._delays).max(initial=1)), 1.0) * period
         if total * spread**2 < 1.0:
             return lag * period, spread
         shift = -float(np.sum(weights * np.where(fits, residual / np.where(slope == 0.0, 1.0, slope), 0.0))) / total

@@ -1,6 +1,7 @@
 """The status of one robot, from made-up readings in a square room."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from limslam_env.geometry.se2 import between
 
 CONFIG = StatusConfig()
 WALLS = room(0.0, 0.0, 2.0, 2.0)
+OBLONG = room(0.0, 0.0, 2.0, 2.6)
 SURE = np.diag([1e-6, 1e-6, 1e-6])
 EVERY = np.ones(len(ROBOT.beams), dtype=bool)
 UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
@@ -206,21 +208,37 @@ def test_an_uncertain_heading_is_unsure():
     assert watched.status == Status()
 
 
-def test_a_late_beam_is_named():
-    watched, late = monitor(), 2
-    seen = [ranges_at(place(number), WALLS) for number in range(100)]
+def circle(watched, late, begin, delay, stop):
+    """Drive on a circle with a beam that is late by some steps, until a condition of the status holds; the steps."""
+    for number in range(begin, begin + 400):
+        ranges = ranges_at(place(number), OBLONG)
+        ranges[late] = ranges_at(place(max(number - delay, 0)), OBLONG)[late]
+        increment = between(place(number - 1), place(number))
+        if watched.observe(Sight(place(number), ranges, EVERY, increment), is_busy=True):
+            watched.check(SURE, KnownMap(OBLONG, UNKNOWN))
+        if stop(watched.status):
+            return number - begin
+    return None
+
+
+@pytest.mark.parametrize(("late", "delay"), [(2, 10), (0, 5), (5, 12)])
+def test_a_late_beam_is_named_with_its_delay_until_it_is_in_time_again(late, delay):
+    watched = monitor()
     # Ten steps are a second.
-    for number in range(100):
-        ranges = seen[number].copy()
-        ranges[late] = seen[max(number - 10, 0)][late]
-        if watched.observe(
-            Sight(place(number), ranges, EVERY, between(place(number - 1), place(number))), is_busy=True
-        ):
-            watched.check(SURE, KNOWN)
-        if "late" in watched.status.reason:
-            break
+    steps = circle(watched, late, 0, delay, lambda status: "late" in status.reason)
+    assert steps is not None
+    assert steps <= 100
     angle = math.degrees(ROBOT.beam_angles[late])
-    assert watched.status == Status("unsure", f"the beam at {angle:.0f} deg is late by 1.0 s (+- 0.1 s)")
+    assert watched.status.level == "unsure"
+    told = re.fullmatch(r"the beam at (.+) deg is late by (.+) s \(\+- (.+) s\)", watched.status.reason)
+    assert told is not None
+    assert told[1] == f"{angle:.0f}"
+    assert float(told[2]) == pytest.approx(0.1 * delay, abs=0.11)
+    assert circle(watched, late, steps + 1, 0, lambda status: status == Status()) is not None
+
+
+def test_no_beam_is_late_in_a_right_map():
+    assert circle(monitor(), 0, 0, 0, lambda status: status != Status()) is None
 
 
 def test_the_worst_robot_counts_and_is_named():
