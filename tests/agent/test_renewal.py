@@ -103,32 +103,26 @@ def test_a_stretch_that_contradicts_itself_is_not_used():
     assert len(slam.all_landmarks) > 0
 
 
-def test_a_robot_that_gets_lost_is_renewed_once():
-    told, _ = rounds(2)
-    settings = config(1000.0)
+def renewed_at(settings, lost):
+    """The steps of two rounds after which an estimate is renewed, if the robot is lost in some of the steps."""
     slam = LineSlam(ROBOT, settings, START)
     renewal, steps = Renewal(slam, settings), []
-    for step, observation in enumerate(told):
+    for step, observation in enumerate(rounds(2)[0]):
         slam.step(observation)
         renewal.note(observation)
-        if renewal.renew_if_due("lost"):
+        if renewal.renew_if_due("lost" if step in lost else "ok"):
             steps.append(step)
-    least = round(settings.renewal.least / ROBOT.control_period)
-    assert steps == [least - 1]
+    return steps
+
+
+def test_a_robot_that_gets_lost_is_renewed_once():
+    settings = config(1000.0)
+    assert renewed_at(settings, range(1000)) == [round(settings.renewal.least / ROBOT.control_period) - 1]
 
 
 def test_a_robot_that_is_lost_is_renewed_only_from_a_pose_that_was_known():
-    told, _ = rounds(2)
-    settings = config(10.0)
-    slam = LineSlam(ROBOT, settings, START)
-    renewal, steps = Renewal(slam, settings), []
-    for step, observation in enumerate(told):
-        slam.step(observation)
-        renewal.note(observation)
-        if renewal.renew_if_due("lost" if 150 <= step < 450 else "ok"):
-            steps.append(step)
     # The stretch from 99 to 198 began before the robot was lost. A new stretch begins when it is found, at 450.
-    assert steps == [99, 198, 549]
+    assert renewed_at(config(10.0), range(150, 450)) == [99, 198, 549]
 
 
 def test_a_robot_that_stands_still_is_not_renewed():
