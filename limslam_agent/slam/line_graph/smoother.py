@@ -20,6 +20,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
 from limslam_agent.slam.line_graph.map_score import score
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
+from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -70,6 +71,9 @@ class SmoothedRun:
         bias of all ranges, m. None where the robots are taken to be as specified.
     moves
         The moves that corrected the associations; empty if no move was necessary or none raised the score.
+    range_std, beam_width
+        Standard deviation of a range, m, and half the opening angle of the beams, rad, as specified or as the residuals
+        require.
     """
 
     poses: FloatArray
@@ -78,6 +82,8 @@ class SmoothedRun:
     segments: FloatArray
     calibration: FloatArray | None
     moves: tuple[str, ...]
+    range_std: float = 0.0
+    beam_width: float = 0.0
 
 
 def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
@@ -94,6 +100,7 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
     try:
+        problem = _as_read(problem, run, labels, config)
         best = _settled(problem, run, labels, config)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):
             sized = replace(problem, prior=config.calibration.information)
@@ -115,6 +122,18 @@ class _Settled:
         """The score, minus the gain that is required to accept a calibration."""
         price = 0.0 if self.problem.prior is None else config.calibration_price
         return score(self.problem, self.association, config.score).total - price
+
+
+def _as_read(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Problem:
+    """The problem with the noise of the ranges and the width of the beams that its residuals require."""
+    stated = problem.range_std
+    for _ in range(config.sensor.rounds):
+        found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+        changed = fitted_sensor(problem, found, config, stated)
+        if changed is problem:
+            break
+        problem = changed
+    return problem
 
 
 def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> _Settled:
@@ -173,4 +192,6 @@ def _smoothed(best: _Settled, config: SmootherConfig) -> SmoothedRun:
         segments=segments,
         calibration=None if problem.prior is None else found.state.calibration,
         moves=best.moves,
+        range_std=problem.range_std,
+        beam_width=problem.beam_width,
     )
