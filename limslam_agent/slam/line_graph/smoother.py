@@ -100,11 +100,12 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
     try:
-        problem = _as_read(problem, run, labels, config)
-        best = _settled(problem, run, labels, config)
+        problem, found = _as_read(problem, run, labels, config)
+        best = _settled(problem, found, run, config)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):
             sized = replace(problem, prior=config.calibration.information)
-            best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
+            again = _settled(sized, _reassociated(sized, run, labels, config), run, config)
+            best = max(best, again, key=lambda each: each.worth(config))
     except DegenerateError:
         return None
     return _smoothed(best, config)
@@ -124,21 +125,26 @@ class _Settled:
         return score(self.problem, self.association, config.score).total - price
 
 
-def _as_read(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Problem:
-    """The problem with the noise of the ranges and the width of the beams that its residuals require."""
+def _as_read(
+    problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig
+) -> tuple[Problem, Association]:
+    """The problem with the noise and the beam width that its residuals require, and its re-associated solution."""
     stated = problem.range_std
+    found = _reassociated(problem, run, labels, config)
     for _ in range(config.sensor.rounds):
-        found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
         changed = fitted_sensor(problem, found, config, stated)
         if changed is problem:
             break
-        problem = changed
-    return problem
+        problem, found = changed, _reassociated(changed, run, labels, config)
+    return problem, found
 
 
-def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> _Settled:
-    """The solution of a problem, with corrected associations where a correction is needed."""
-    found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+def _reassociated(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Association:
+    return reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+
+
+def _settled(problem: Problem, found: Association, run: FilteredRun, config: SmootherConfig) -> _Settled:
+    """The re-associated solution of a problem, with corrected associations where a correction is needed."""
     if not needs_mending(problem, found, run.covariances, config):
         return _Settled(problem, found, ())
     kept = mend(problem, found, config)
