@@ -171,12 +171,35 @@ class MendingConfig(Bounded):
 
 
 @dataclass(frozen=True)
+class SensorConfig(Bounded):
+    """Errors of the range sensors that were not specified.
+
+    Attributes
+    ----------
+    rounds
+        Largest number of times that they are estimated, each time with a new solution; 0 takes sensors to be as
+        specified.
+    noise_ratio
+        The noise is as specified if the standard deviation of the residuals differs from it by at most this factor.
+    width_gate
+        The beams have an opening angle if chi-square falls by more than this.
+    max_width
+        Largest half of the opening angle, rad.
+    """
+
+    rounds: CountOrNone = 4
+    noise_ratio: Annotated[float, Bounds(1.0, 100.0)] = 1.25
+    width_gate: NonNegative = 40.0
+    max_width: Angle = math.radians(10.0)
+
+
+@dataclass(frozen=True)
 class SmootherConfig(Bounded):
     """All settings of the line smoother.
 
     Attributes
     ----------
-    reassociation, score, mending
+    reassociation, score, mending, sensor
         Settings of the stages.
     calibrate, calibration
         Whether constant errors of wheels, axle and ranges are estimated (``always``, ``never``, or ``if_needed``), and
@@ -195,6 +218,7 @@ class SmootherConfig(Bounded):
     reassociation: ReassociationConfig = field(default_factory=ReassociationConfig)
     score: ScoreConfig = field(default_factory=ScoreConfig)
     mending: MendingConfig = field(default_factory=MendingConfig)
+    sensor: SensorConfig = field(default_factory=SensorConfig)
     calibrate: Literal["always", "if_needed", "never"] = "if_needed"
     calibration: CalibrationPrior = field(default_factory=CalibrationPrior)
     calibration_gate: NonNegative = 40.0

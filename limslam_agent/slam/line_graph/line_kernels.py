@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.consistent.wall_extent import BIN
+from limslam_agent.slam.line_graph.beam_width import read_share
 from limslam_agent.slam.line_graph.chain_kernels import COLUMNS, RANGE, expected_reading
 from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -110,6 +111,7 @@ def best_lines(
     anchors: FloatArray,
     ends: FloatArray,
     beyond: float,
+    width: float,
     best: IntArray,
     misfits: FloatArray,
 ) -> None:
@@ -117,9 +119,9 @@ def best_lines(
 
     Parameters
     ----------
-    ends, beyond
-        Ends (m, 2) of the part of each line that was read, m, and the distance beyond the ends at which a beam may meet
-        it.
+    ends, beyond, width
+        Ends (m, 2) of the part of each line that was read, m, the distance beyond the ends at which a beam may meet it,
+        and half the opening angle of the beams, rad.
     best, misfits
         Output arrays: the line or -1, and the misfits of the reading to the best and the second line (k, 2), m.
     """
@@ -134,7 +136,7 @@ def best_lines(
             if abs(cosine) < GRAZING or distance <= 0.0:
                 continue
             along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
-            misfit = abs(distance - distances[k])
+            misfit = abs(distance * read_share(cosine, width) - distances[k])
             if misfit >= misfits[k, 1] or along < ends[line, 0] - beyond or along > ends[line, 1] + beyond:
                 continue
             if misfit < misfits[k, 0]:
@@ -442,6 +444,7 @@ def explain_looks(
     low: IntArray,
     hits: IntArray,
     margin: float,
+    width: float,
     misfits: FloatArray,
     best: IntArray,
 ) -> None:
@@ -456,7 +459,7 @@ def explain_looks(
         ray_of_beam = ray(poses[places[k]], beams[k])
         first, line, cosine = _first_sure(ray_of_beam, normals, low, hits)
         if has_hit[k]:
-            misfits[k], best[k] = _nearest_before(ray_of_beam, reached[k], first, normals, low, hits)
+            misfits[k], best[k] = _nearest_before(ray_of_beam, reached[k], first, width, normals, low, hits)
         else:
             went = first + margin / max(cosine, GRAZING) < reached[k]
             misfits[k], best[k] = (_FAR, line) if went else (0.0, -1)
@@ -487,6 +490,7 @@ def _nearest_before(
     beam: tuple[float, float, float, float],
     reading: float,
     first: float,
+    width: float,
     normals: FloatArray,
     low: IntArray,
     hits: IntArray,
@@ -498,12 +502,15 @@ def _nearest_before(
         nx, ny = normals[line, 0], normals[line, 1]
         cosine = nx * ux + ny * uy
         distance = (normals[line, 2] - nx * x - ny * y) / cosine
-        if abs(cosine) < GRAZING or distance <= 0.0 or distance > first or abs(distance - reading) >= misfit:
+        if abs(cosine) < GRAZING or distance <= 0.0 or distance > first:
+            continue
+        away = abs(distance * read_share(cosine, width) - reading)
+        if away >= misfit:
             continue
         along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
         place = math.floor(along / BIN) - low[line]
         if -2 < place <= hits.shape[1] and _has_hits(hits[line], place):
-            misfit, best = abs(distance - reading), line
+            misfit, best = away, line
     return misfit, best
 
 

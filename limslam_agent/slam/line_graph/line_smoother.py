@@ -14,6 +14,7 @@ import numpy as np
 
 from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.line_graph import chain_kernels as kernels
+from limslam_agent.slam.line_graph.beam_width import widen
 from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
 from limslam_agent.slam.line_graph.elimination import Chain, Couplings, Factored, eliminated
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -22,14 +23,10 @@ from limslam_env.interface import NominalNoise, RobotSpec
 LEAST_RANGE_STD = 0.005  # m
 GRAZING = 0.2  # cosine between beam and normal; below this value a reading depends mostly on the beam's angle error
 
-# Sideways shifts of this size add up to less than a millimetre in a run. They keep the equations regular.
-_ASIDE_STD = 1e-5
-_LEAST_VARIANCE = 1e-12
-# Standard deviations, m and rad, that keep the equations of a line regular if it was read only once. Other lines are
-# unaffected.
-_LINE_STD = np.array([100.0, 10.0])
-_MOST_HALVINGS = 6
-_CHOOSING = 2  # iterations after which the set of grazing readings is fixed
+_ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
+_LEAST_VARIANCE = 1e-12  # m^2
+_LINE_STD = np.array([100.0, 10.0])  # m and rad: keeps the equations of a line regular if it was read only once
+_MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +36,7 @@ class Readings:
     Attributes
     ----------
     places
-        Index (k,) of the pose at which each reading was taken. The pose of robot i at step s of t has the index i t +
-        s.
+        Index (k,) of the pose of each reading. The pose of robot i at step s of t has the index i t + s.
     beams
         Index (k,) of the beam of each reading.
     distances
@@ -71,8 +67,8 @@ class Problem:
         The readings of walls, and their standard deviation, m.
     looks
         The readings of walls, and the beams that met no wall, each with the length of its free path.
-    prior
-        Inverse covariance (4, 4) of a robot's calibration; None where the robots are taken to be as specified.
+    prior, beam_width
+        Inverse covariance (4, 4) of a robot's calibration, or None; and half the opening angle of all beams, rad.
     """
 
     robot: RobotSpec
@@ -83,6 +79,7 @@ class Problem:
     looks: Readings
     range_std: float
     prior: FloatArray | None = None
+    beam_width: float = 0.0
 
     @property
     def steps(self) -> int:
@@ -238,6 +235,9 @@ def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     kernels.expected_readings(
         state.flat_poses, problem.readings.places, problem.beams, labels, state.lines, state.anchors, rows
     )
+    if problem.beam_width:
+        headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+        widen(rows, state.lines[labels, 1] - headings, problem.beam_width)
     return rows
 
 

@@ -97,7 +97,7 @@ def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, I
     biases = state.calibration[looks.places // problem.steps, 3]
     kernels.explain_looks(
         state.flat_poses, looks.places, problem.look_beams, looks.distances - biases, problem.is_hit, state.lines,
-        state.anchors, counted.low, counted.hits, _margin(problem), misfits, best,
+        state.anchors, counted.low, counted.hits, _margin(problem), problem.beam_width, misfits, best,
     )  # fmt: skip
     return misfits / problem.range_std, best
 

@@ -228,7 +228,7 @@ def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) 
     biases = state.calibration[readings.places // problem.steps, 3]
     kernels.best_lines(
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, beyond, best, misfits,
+        ends, beyond, problem.beam_width, best, misfits,
     )  # fmt: skip
     return best, misfits / problem.range_std
 

@@ -20,6 +20,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
 from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
+from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -73,6 +74,9 @@ class SmoothedRun:
         bias of all ranges, m. None where the robots are taken to be as specified.
     moves
         The moves that corrected the associations; empty if no move was necessary or none raised the score.
+    range_std, beam_width
+        Standard deviation of a range, m, and half the opening angle of the beams, rad, as specified or as the residuals
+        require.
     contradictions
         Share of all looks that passed through a wall of the solution.
     """
@@ -84,6 +88,8 @@ class SmoothedRun:
     calibration: FloatArray | None
     moves: tuple[str, ...]
     contradictions: float
+    range_std: float
+    beam_width: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +128,37 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
     try:
-        best = _settled(problem, run, labels, config)
+        problem, found = _as_read(problem, run, labels, config)
+        best = _settled(problem, found, run, config)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):
             sized = replace(problem, prior=config.calibration.information)
-            best = max(best, _settled(sized, run, labels, config), key=lambda each: each.worth(config))
+            again = _settled(sized, _reassociated(sized, run, labels, config), run, config)
+            best = max(best, again, key=lambda each: each.worth(config))
     except DegenerateError:
         return None
     return best
 
 
-def _settled(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Settled:
-    """The solution of a problem, with corrected associations where a correction is needed."""
-    found = reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+def _as_read(
+    problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig
+) -> tuple[Problem, Association]:
+    """The problem with the noise and the beam width that its residuals require, and its re-associated solution."""
+    stated = problem.range_std
+    found = _reassociated(problem, run, labels, config)
+    for _ in range(config.sensor.rounds):
+        changed = fitted_sensor(problem, found, config, stated)
+        if changed is problem:
+            break
+        problem, found = changed, _reassociated(changed, run, labels, config)
+    return problem, found
+
+
+def _reassociated(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Association:
+    return reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+
+
+def _settled(problem: Problem, found: Association, run: FilteredRun, config: SmootherConfig) -> Settled:
+    """The re-associated solution of a problem, with corrected associations where a correction is needed."""
     if not needs_mending(problem, found, run.covariances, config):
         return Settled(problem, found, ())
     kept = mend(problem, found, config)
@@ -191,4 +216,6 @@ def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
         calibration=None if problem.prior is None else found.state.calibration,
         moves=best.moves,
         contradictions=tally(problem, found).contradictions / max(len(problem.looks), 1),
+        range_std=problem.range_std,
+        beam_width=problem.beam_width,
     )

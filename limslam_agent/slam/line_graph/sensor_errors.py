@@ -1,0 +1,79 @@
+"""Errors of the range sensors that were not specified: the size of the noise, and the width of the beams.
+
+Both are estimated from the residuals of readings with known lines, and used only where the residuals require it. A run
+with sensors as specified is solved as if nothing could be estimated.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.line_graph.line_smoother import (
+    LEAST_RANGE_STD,
+    DegenerateError,
+    Problem,
+    range_residuals,
+    rows_of,
+    solve,
+)
+from limslam_agent.slam.line_graph.reassociation import Association
+
+_FIXED_POINT = 20
+_SETTLED = 1.05
+_TRIED_WIDTHS = (0.0, 0.02, 0.04)  # rad
+
+
+def fitted_sensor(problem: Problem, found: Association, config: SmootherConfig, stated: float) -> Problem:
+    """The problem with the beam width and the noise that the residuals of a solution require.
+
+    It is the same object if they require no change. ``stated`` is the specified standard deviation of a range, m: a
+    departure from it needs more evidence than a further change.
+    """
+    ratio = max(residual_std(problem, found, config.reassociation.gate), LEAST_RANGE_STD) / problem.range_std
+    most = config.sensor.noise_ratio if problem.range_std == stated else _SETTLED
+    changed = _with_width(problem, found, config)
+    if 1.0 / most <= ratio <= most:
+        return changed
+    return replace(changed, range_std=ratio * problem.range_std)
+
+
+def residual_std(problem: Problem, found: Association, gate: float) -> float:
+    """Standard deviation of the ranges, m, by the median size of the residuals of the readings that were used.
+
+    Readings beyond the gate of association, in standard deviations, were not used. The median is that of a normal
+    distribution without its tails.
+    """
+    used = found.solution.weights > 0.0
+    if not used.any():
+        return problem.range_std
+    residuals = range_residuals(problem, found.state, rows_of(problem, found.state, found.labels))
+    median, std = float(np.median(np.abs(residuals[used]))), problem.range_std
+    for _ in range(_FIXED_POINT):
+        inside = 2.0 * float(ndtr(gate * problem.range_std / std)) - 1.0
+        std = max(median / float(ndtri(0.5 + 0.25 * inside)), 1e-6)
+    return std
+
+
+def _with_width(problem: Problem, found: Association, config: SmootherConfig) -> Problem:
+    """The problem with the width that minimises chi-square, if chi-square then falls by more than the gate.
+
+    Chi-square at the optimum of all other variables is quadratic in the width, since the width is small. The constant
+    errors of wheels and ranges are among these variables, so that they are not taken for a width.
+    """
+    sized = replace(problem, prior=config.calibration.information)
+    offsets = np.array(_TRIED_WIDTHS)
+    try:
+        costs = [
+            solve(replace(sized, beam_width=problem.beam_width + each), found.state, found.labels).chi_square
+            for each in offsets
+        ]
+    except DegenerateError:
+        return problem
+    bend, slope, _ = np.polyfit(offsets, costs, 2)
+    best = -0.5 * slope / bend if bend > 0.0 else 0.0
+    width = float(np.clip(problem.beam_width + best, 0.0, config.sensor.max_width))
+    step = width - problem.beam_width
+    gain = -(bend * step**2 + slope * step)
+    return replace(problem, beam_width=width) if gain > config.sensor.width_gate else problem

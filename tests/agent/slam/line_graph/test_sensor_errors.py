@@ -1,0 +1,78 @@
+"""Noise and beam width that were not specified."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.smoother_runs import ROUND, noisy_run, true_labels
+
+from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.line_graph.beam_width import read_share
+from limslam_agent.slam.line_graph.line_smoother import rows_of, state_from_poses
+from limslam_agent.slam.line_graph.reassociation import solve_labels
+from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor, residual_std
+
+CONFIG = SmootherConfig()
+
+
+def solved(problem, poses):
+    return solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses), 6)
+
+
+def widened(problem, poses, width):
+    """The problem with the readings of beams with an opening angle."""
+    found = solved(problem, poses)
+    cosines = rows_of(problem, found.state, found.labels)[:, 6]
+    shares = [read_share(cosine, width) if cosine else 1.0 for cosine in cosines.tolist()]
+    return replace(problem, readings=replace(problem.readings, distances=problem.readings.distances * shares))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
+def test_sensors_as_specified_change_nothing(noise):
+    problem, poses = noisy_run(1, noise)
+    assert fitted_sensor(problem, solved(problem, poses), CONFIG, problem.range_std) is problem
+
+
+@pytest.mark.parametrize(("true", "told"), [(0.04, 0.02), (0.02, 0.04)])
+def test_noise_is_estimated_from_the_residuals(true, told):
+    problem, poses = noisy_run(2, true)
+    told_wrong = replace(problem, range_std=told)
+    found = solved(told_wrong, poses)
+    assert fitted_sensor(told_wrong, found, CONFIG, told).range_std == pytest.approx(true, rel=0.1)
+
+
+def test_the_median_is_that_of_a_distribution_without_tails():
+    problem, poses = noisy_run(3, 0.04)
+    found = solved(replace(problem, range_std=0.02), poses)
+    rows = rows_of(problem, found.state, found.labels)
+    is_near = np.abs(problem.readings.distances - rows[:, 0]) < 3.5 * 0.02
+    cut = replace(found, solution=replace(found.solution, weights=found.solution.weights * is_near))
+    std = residual_std(replace(problem, range_std=0.02), cut, 3.5)
+    assert std == pytest.approx(0.04, rel=0.12)
+
+
+def test_a_beam_width_is_found_and_explains_the_readings():
+    problem, poses = noisy_run(4, 0.02, places=3 * ROUND)
+    wide = widened(problem, poses, 0.05)
+    before = solved(wide, poses)
+    fitted = fitted_sensor(wide, before, CONFIG, wide.range_std)
+    after = solved(fitted, poses)
+    assert fitted.beam_width == pytest.approx(0.05, abs=0.012)
+    assert after.solution.chi_square < before.solution.chi_square - 40.0
+
+
+def test_derivatives_of_wide_beams_are_differences():
+    problem, poses = noisy_run(5, 0.02)
+    wide = replace(problem, beam_width=0.03)
+    found = solved(problem, poses)
+    state, step = found.state, 1e-6
+    rows = rows_of(wide, state, found.labels)
+    slanted = (found.labels >= 0) & (np.abs(rows[:, 6]) < 0.99) & (np.abs(rows[:, 6]) > 0.2)
+    turned = replace(state, poses=state.poses + np.array([0.0, 0.0, step]))
+    assert (rows_of(wide, turned, found.labels)[:, 0] - rows[:, 0])[slanted] / step == pytest.approx(
+        rows[slanted, 3], abs=1e-4
+    )
+    bent = replace(state, lines=state.lines + np.array([0.0, step]))
+    assert (rows_of(wide, bent, found.labels)[:, 0] - rows[:, 0])[slanted] / step == pytest.approx(
+        rows[slanted, 5], abs=1e-4
+    )
