@@ -4,7 +4,8 @@ import copy
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,10 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.revisions import Revision, Unplaced
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.slam.slam import Extraction, LineSlam
@@ -99,7 +104,15 @@ class Mapper:
     slam_ms
         Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
     on_restart
-        Called before all observations so far are processed again, if set. The SLAM is then another object.
+        Called before observations are processed again, if set, with the number of associations so far that remain
+        valid. The SLAM is then another object.
+    frame
+        Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
+        found its place, and then in the earlier frame again.
+    revisions
+        Poses of earlier steps as they became known when a robot had found its place.
+    unplaced
+        After :meth:`finish`: the local map of a robot that is still lost; None otherwise.
 
     Raises
     ------
@@ -112,7 +125,7 @@ class Mapper:
     ) -> None:
         self.robot, self.config = robot, config or preset(DEFAULT_PRESET)
         self.longest_travel = TOO_FAST * robot.max_wheel_speed * robot.control_period
-        self.on_restart: Callable[[], None] | None = None
+        self.on_restart: Callable[[int], None] | None = None
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
     def reset(self, start_pose: FloatArray) -> None:
@@ -132,7 +145,11 @@ class Mapper:
         self._grid = OccupancyGrid(self.config.grid)
         self._starts, self._early = starts, list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
+        self.frame, self.revisions = 0, list[Revision]()
+        self.unplaced: Unplaced | None = None
+        self._listener: Callable[[AssociationRecord], None] | None = None
         self._watch_anew()
+        self._recovery = self._new_recovery()
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -151,7 +168,7 @@ class Mapper:
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             front.check(observation)
             self._check_travel(observation)
-        may_restart, self.slam_ms = self.slam.may_calibrate, 0.0
+        may_restart, self.slam_ms = self.slam.may_calibrate and not self.frame, 0.0
         motions = self._process(observations)
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
@@ -159,10 +176,20 @@ class Mapper:
             self._early.append(tuple(copy.deepcopy(seen) for seen in observations))
             if not self.slam.may_calibrate:
                 self._restart()
+                return
+        if self._recovery is not None and "wheels" in observations[0]:
+            self._follow(self._recovery, observations[0], motions[0])
 
     def finish(self) -> None:
-        """Use the readings that are still buffered. Call this after the last step."""
+        """Use the readings that are still buffered. Call this after the last step.
+
+        A robot that is still lost then gets the map back that it was lost from.
+        """
         self.slam.finish()
+        if self._recovery is not None and self._recovery.is_lost:
+            self._seek(self._recovery)
+        if self._recovery is not None and self._recovery.is_lost:
+            self._give_up(self._recovery)
 
     @property
     def belief(self) -> Belief:
@@ -185,7 +212,18 @@ class Mapper:
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        return [monitor.status for monitor in self._monitors]
+        found = [monitor.status for monitor in self._monitors]
+        return found if self._recovery is None else [self._recovery.status(found[0])]
+
+    @property
+    def breaks(self) -> list[int]:
+        """The steps before which the robot was carried away, as far as it has found its place again."""
+        return [] if self._recovery is None else list(self._recovery.breaks)
+
+    @property
+    def places(self) -> list[dict[str, Any]]:
+        """What happened to a robot that was lost: when it was lost and found, and the matches that decided it."""
+        return [] if self._recovery is None else list(self._recovery.records)
 
     @property
     def covariances(self) -> FloatArray:
@@ -194,7 +232,7 @@ class Mapper:
         for number, monitor in enumerate(self._monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
-        return covariances
+        return covariances if self._recovery is None else covariances + self._recovery.added_covariance
 
     @property
     def grid(self) -> GridView:
@@ -241,13 +279,101 @@ class Mapper:
         the heading, and the linear correction of its state leaves errors of second order.
         """
         if self.on_restart is not None:
-            self.on_restart()
+            self.on_restart(0)
         listener, early = self.slam.on_association, self._early
         self.slam = LineSlam(self.robot, self_calibrating(self.config), self._starts)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
         self._watch_anew()
+        self._recovery = self._new_recovery()
         for observations in early:
-            self._process(observations)
+            motions = self._process(observations)
+            if self._recovery is not None:
+                self._follow(self._recovery, observations[0], motions[0])
+
+    def _new_recovery(self) -> Recovery | None:
+        """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
+        places = self.config.recovery
+        return Recovery(self.robot, self.config, places) if places is not None and len(self._starts) == 1 else None
+
+    def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
+        """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
+        recovery.note(self._logged(observation, motion), self.slam, self._grid)
+        own = self._monitors[0]
+        if own.status.level == "lost":
+            jump = math.sqrt(own.added_covariance[0, 0])
+            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid)
+            self._go_on_locally(recovery)
+        elif recovery.is_lost and recovery.is_due():
+            self._seek(recovery)
+        elif recovery.is_due():
+            recovery.confirm(own.status, self.slam.segments, self._grid.view)
+
+    def _logged(self, observation: Observation, motion: FloatArray) -> LoggedStep:
+        front = self.slam.robots[0]
+        ranges = np.where(front.measured, front.ranges, np.nan)
+        return LoggedStep(copy.deepcopy(observation), self.slam.pose, motion, ranges)
+
+    def _go_on_locally(self, recovery: Recovery) -> None:
+        """Begin a new map in a local frame, with the steps since the robot was lost."""
+        absence, log = recovery.absence, recovery.log
+        assert absence is not None  # noqa: S101 (the robot is lost)
+        listener = self.slam.on_association
+        self._listener = listener or self._listener
+        self._use(LineSlam(self.robot, self.config, log[absence.first - 1].pose), OccupancyGrid(self.config.grid))
+        self.slam.robots[0].step = absence.first - 1
+        self._play(recovery, absence.first)
+
+    def _seek(self, recovery: Recovery) -> None:
+        """Match the local map with the map that the robot was lost from, and go on there if the place is clear."""
+        found = recovery.seek(self.slam.segments, self._grid.view)
+        if found is None:
+            return
+        absence, log = recovery.absence, recovery.log
+        assert absence is not None  # noqa: S101 (the robot was lost until now)
+        slam, grid = absence.known.copied()
+        if self.on_restart is not None:
+            self.on_restart(slam.associated)
+        slam.on_association = self._listener
+        self._use(slam, grid)
+        self.slam.robots[0].step = log.begin - 1
+        poses = self._play(recovery, log.begin, found.step)
+        self.slam.relocate(found.pose, found.covariance)
+        # The comparisons until now have seen how the robot was carried away.
+        self._watch_anew()
+        poses += self._play(recovery, found.step)
+        self.revisions.append(
+            Revision(log.begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses]))
+        )
+        recovery.has_joined(found)
+
+    def _give_up(self, recovery: Recovery) -> None:
+        """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
+        absence = recovery.absence
+        assert absence is not None  # noqa: S101 (the robot is lost)
+        self.unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
+        pose, covariance = self.slam.pose, self.slam.covariance
+        slam, grid = absence.known.copied()
+        if self.on_restart is not None:
+            self.on_restart(slam.associated)
+        slam.on_association = self._listener
+        self._use(slam, grid)
+        self.slam.relocate(pose, covariance)
+        recovery.give_up()
+
+    def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+        """Go on with another SLAM and grid, in another frame."""
+        self.slam, self._grid, self.frame = slam, grid, self.frame + 1
+        self._watch_anew()
+
+    def _play(self, recovery: Recovery, begin: int, end: int | None = None) -> list[tuple[FloatArray, FloatArray]]:
+        """Process the steps from ``begin`` to before ``end`` again; the pose and its covariance after each of them."""
+        log, played = recovery.log, []
+        for number in range(begin, log.end if end is None else end):
+            step = log[number]
+            self._process((step.observation,))
+            log.steps[number - log.begin] = replace(step, pose=self.slam.pose)
+            played.append((self.slam.pose, self.slam.covariance))
+        return played
 
     def _motion(self, observation: Observation) -> FloatArray:
         """The motion (3,) that an observation reports, in the frame of the robot before it."""

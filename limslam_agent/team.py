@@ -114,6 +114,7 @@ class LimSlamTeam:
         )
         # Number of known cells at the time when each robot stopped.
         self._known_at_stop: dict[int, int] = {}
+        self._frame = self.mapper.frame
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
         """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one observation of each."""
@@ -133,6 +134,7 @@ class LimSlamTeam:
             If a policy does not answer with two finite numbers.
         """
         beliefs = self.mapper.beliefs
+        self._renew_in_another_frame()
         self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
@@ -185,6 +187,12 @@ class LimSlamTeam:
 
     def _new_policy(self, number: int) -> Policy:
         return explorer(self.robot, self.config, number)
+
+    def _renew_in_another_frame(self) -> None:
+        """Plan anew where the frame of the map has changed. Policies that were given keep their plans."""
+        if self._frame != self.mapper.frame and self._given_policies is None:
+            self.policies = [self._new_policy(number) for number in range(self.num_robots)]
+        self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:
         """Give a robot that has stopped a new policy, once the other robots have mapped enough new cells."""

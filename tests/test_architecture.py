@@ -69,8 +69,9 @@ AGENT = {
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
+    "limslam_agent.places": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status")},
     "limslam_agent.mapper": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "status"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "status", "places"),
     },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
     "limslam_agent.policies.learned": {

@@ -76,6 +76,10 @@ Sharp = Annotated[
         "--sharp",
     ),
 ]
+KidnapAt = Annotated[
+    float | None,
+    _option(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
+]
 Calibration = Annotated[
     bool | None,
     _option(

@@ -35,6 +35,7 @@ def run(
     slip_share: take.SlipShare = None,
     dropout: take.Dropout = None,
     sharp: take.Sharp = None,
+    kidnap_at: take.KidnapAt = None,
     ablation: take.Ablation = None,
     limit: take.Limit = None,
     video: take.Video = None,

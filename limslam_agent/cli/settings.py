@@ -48,6 +48,7 @@ class RunOptions(Bounded):
     laps: CountOrNone = 0
     robots: Annotated[int, Bounds(1, 8)] = 1
     ablation: str | None = None
+    kidnap_at: float | None = None
     limit: bool = False
     video: Path | None = None
     film_speed: Annotated[float, Bounds(1.0, 100.0)] = 5.0
@@ -363,7 +364,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(), options.robots, options.ablation, options.policy, options.limit,
-            agent, given.true_noise(NoiseConfig()),
+            agent, given.true_noise(NoiseConfig()), kidnap_at=options.kidnap_at,
         )  # fmt: skip
     except SettingsError:
         raise

@@ -1,5 +1,6 @@
 """A low-resolution occupancy grid that grows with the area that the robot has seen."""
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +79,10 @@ class OccupancyGrid:
         # Cells are counted from the world's origin. The known cells lie between the two corners.
         self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
         self._values = np.zeros((0, 0), dtype=np.int16)
+
+    def copied(self) -> "OccupancyGrid":
+        """A copy. Later updates of one of the two do not change the other."""
+        return copy.deepcopy(self)
 
     @property
     def view(self) -> GridView:

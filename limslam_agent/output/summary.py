@@ -38,6 +38,11 @@ def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[
     }
 
 
+def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What happened to a robot that was lost, with the time (s) of each step (n,)."""
+    return [{**each, "time_s": float(time[min(each["step"], len(time) - 1)])} for each in places]
+
+
 def record_summary(result: Mapping[str, Any]) -> list[str]:
     """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
     config, record = _part(result, "config"), _part(result, "record")
@@ -54,11 +59,23 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
         lasted = f"{record['steps']} steps, {record['duration_s']:.1f} s, {record['driven_m']:.1f} m driven"
         is_team = _has(config, "robots") and config["robots"] > 1
         lines.append(f"record      {lasted}{' by each robot' if is_team else ''}")
+    lines += _places(record.get("places"))
     each = record.get("calibration")
     lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
     if "log" in config and (end := _pose(record)) is not None:
         lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
+
+
+def _places(events: Any) -> list[str]:
+    """When the robot was lost, and when it found its place again."""
+    known = [each for each in events if isinstance(each, dict)] if isinstance(events, list) else []
+    words = [
+        f"{each.get('event')} at {each['time_s']:.1f} s" if each.get("event") != "not found" else "not found again"
+        for each in known
+        if _has(each, "time_s")
+    ]
+    return [f"place       {', '.join(words)}"] if words else []
 
 
 def _calibration_line(found: Any) -> str:

@@ -139,7 +139,8 @@ def replay_log(
     mapper = Mapper(log.robot, config, log.start_pose)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
     count, associations = len(log), list[AssociationRecord]()
-    mapper.slam.on_association, mapper.on_restart = associations.append, associations.clear
+    mapper.slam.on_association = associations.append
+    mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms, levels = np.empty((count, 3, 3)), np.empty(count), np.empty(count, dtype=np.int64)
     begin = time.perf_counter()

@@ -15,8 +15,10 @@ import numpy as np
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, with_until
+from limslam_agent.places.revisions import Revision, Unplaced
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED
+from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
@@ -82,6 +84,8 @@ class RunConfig:
     until
         When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
         (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
+    kidnap_at
+        Time at which the robot is carried to a random place, s. None leaves it alone.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
@@ -106,6 +110,7 @@ class RunConfig:
     settings: AgentConfig | None = None
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
     until: str | None = None
+    kidnap_at: float | None = None
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -115,6 +120,7 @@ class RunConfig:
             raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
         if not 0.0 < self.max_time <= LONGEST_TIME:
             raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
+        self._check_kidnapping()
         if self.laps < 0:
             raise ValueError(f"laps must be 0 or more, not {self.laps}")
         check_policy(self.policy, self.laps, self.robots)
@@ -124,6 +130,17 @@ class RunConfig:
         if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
+
+    def _check_kidnapping(self) -> None:
+        if self.kidnap_at is None:
+            return
+        if not 0.0 < self.kidnap_at < self.max_time:
+            raise ValueError(
+                f"a robot is kidnapped after 0 s and before {self.max_time:g} s, not at {self.kidnap_at:g} s"
+            )
+        if self.robots > 1 or self.limit:
+            what = "one of several robots" if self.robots > 1 else "a run that is compared with the offline optimum"
+            raise ValueError(f"{what} cannot be kidnapped")
 
     @property
     def agent(self) -> AgentConfig:
@@ -181,6 +198,13 @@ class Episode:
         What is believed at the end.
     coverage_grid
         The cells that count for coverage.
+    revisions, breaks
+        Poses of earlier steps as they became known when the robot had found its place again, and the steps before
+        which it was carried away.
+    unplaced
+        The local map of a robot that was lost until the end.
+    places
+        What happened to a robot that was lost, in order.
     stop_reason, is_finished
         Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
@@ -205,6 +229,10 @@ class Episode:
     associations: list[AssociationRecord]
     closures: list[Closure]
     calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
+    revisions: list[Revision]
+    breaks: list[int]
+    unplaced: Unplaced | None
+    places: list[dict[str, Any]]
     snapshot: Snapshot
     coverage_grid: CoverageGrid
     stop_reason: str
@@ -283,7 +311,7 @@ def run_episode(
         if on_association is not None:
             on_association(record)
 
-    team.mapper.on_restart = associations.clear
+    team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, note_association, watch)
     return Episode(
@@ -292,6 +320,10 @@ def run_episode(
         associations=associations,
         closures=list(team.slam.closures),
         calibrations=team.slam.odometry_calibrations,
+        revisions=team.mapper.revisions,
+        breaks=team.mapper.breaks,
+        unplaced=team.mapper.unplaced,
+        places=team.mapper.places,
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=_stop_reason(config, world, team.stop_reason),
@@ -348,6 +380,7 @@ def _drive(
     team.slam.on_association = on_association
     rows: list[_Row] = []
     max_steps = round(config.max_time / config.robot.control_period)
+    kidnapped_at = None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
     while True:
         observations = [observed[name] for name in team.names]
         truth = infos[team.names[0]]
@@ -371,4 +404,7 @@ def _drive(
         if team.done or len(rows) > max_steps:
             team.finish()
             return rows
+        if len(rows) == kidnapped_at:
+            draws = np.random.default_rng([config.seed, kidnapped_at])
+            env.carry(0, another_place(env.world, config.robot, infos[team.names[0]]["pose"], draws))
         observed, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))

@@ -1,11 +1,12 @@
 """What is known at the end of a run: the smoothed path, and the map that is drawn from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray
@@ -49,18 +50,30 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
     # The kernels of the smoother load numba, which takes time that other commands do not need.
     from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
 
+    poses, covariances = revised(episode.estimated, episode.covariances, episode.revisions)
+    known = slice(episode.unplaced.begin if episode.unplaced else None)
     run = FilteredRun(
         robot=episode.config.robot,
         noise=agent.noise,
-        wheels=episode.wheels,
-        ranges=episode.ranges,
-        usable=~episode.dropped,
-        poses=episode.estimated,
-        covariances=episode.covariances,
+        wheels=episode.wheels[known],
+        ranges=episode.ranges[known],
+        usable=~episode.dropped[known],
+        poses=poses[known],
+        covariances=covariances[known],
         associations=episode.associations,
         closures=episode.closures,
+        breaks=tuple((0, step) for step in episode.breaks),
     )
-    return smooth_run(run, settings)
+    found = smooth_run(run, settings)
+    if found is None or episode.unplaced is None:
+        return found
+    # Nothing is known about later poses but what was believed at the time.
+    count = len(found.poses)
+    return replace(
+        found,
+        poses=np.concatenate((found.poses, poses[count:])),
+        covariances=np.concatenate((found.covariances, covariances[count:])),
+    )
 
 
 def online_map(episode: "Episode") -> FinalMap:
@@ -77,7 +90,8 @@ def final_map(episode: "Episode") -> FinalMap:
     ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
-    grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses, ranges, measured)
+    known = slice(episode.unplaced.begin if episode.unplaced else None)
+    grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses[known], ranges[known], measured[known])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
 

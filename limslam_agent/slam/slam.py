@@ -1,5 +1,6 @@
 """LineSlam: estimates the poses of robots, and the walls around them, from a few beams and odometry."""
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -70,6 +71,22 @@ class LineSlam:
         """Use all pending readings at the end of a run."""
         self._estimator.finish(self.robots)
 
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map.
+
+        Readings that are still pending are used before.
+        """
+        self.finish()
+        self._estimator.relocate(pose, covariance, robot)
+
+    def copied(self) -> "LineSlam":
+        """A copy that nothing listens to. Later steps of one of the two do not change the other."""
+        listener, self.on_association = self.on_association, None
+        try:
+            return copy.deepcopy(self)
+        finally:
+            self.on_association = listener
+
     @property
     def pose(self) -> FloatArray:
         """Estimated pose of the first robot (3,), m, m, rad."""
@@ -123,6 +140,11 @@ class LineSlam:
     @on_association.setter
     def on_association(self, listener: Callable[[AssociationRecord], None] | None) -> None:
         self._estimator.on_association = listener
+
+    @property
+    def associated(self) -> int:
+        """Number of observed lines that were associated so far."""
+        return self._estimator.associated
 
     @property
     def pending_points(self) -> list[PendingPoints]:

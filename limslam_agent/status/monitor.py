@@ -52,11 +52,14 @@ class _Check:
         Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall.
     lateness
         Evidence that each beam is late (n_beams,).
+    step
+        Number of the step.
     """
 
     place: float
     counts: tuple[int, int, int, int]
     lateness: FloatArray
+    step: int
 
 
 class StatusMonitor:
@@ -96,6 +99,7 @@ class StatusMonitor:
         self._late_beams = LateBeams(robot, config.late_beams)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
+        self._doubted = 0
         self._changed = (0, 0)
         self.status = Status()
 
@@ -157,6 +161,17 @@ class StatusMonitor:
         heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
+    @property
+    def doubted(self) -> int:
+        """For how many steps the estimate of a lost robot has been doubtful; 0 if the doubt began in this step."""
+        return self._step - self._doubted
+
+    def _first_doubt(self) -> int:
+        """The step of the first comparison in the last metres that contradicts the map, or the present step."""
+        if self._jump or self._by_contradictions().level != "lost":
+            return self._step
+        return next(check.step for check in self._recent(self._config.window) if check.counts[1])
+
     def _look_for_sudden_changes(self) -> None:
         """Note how many readings changed at once since the last comparison."""
         sights = [sight for _, sight in self._sights]
@@ -184,12 +199,13 @@ class StatusMonitor:
         nothing = ranges[-2:] >= robot.too_far
         measured = last.measured & ~(nothing[-1] & ~nothing[0]) if len(sights) > 1 else last.measured
         outcome = compare(robot, last.pose, last.ranges, measured, known, *expected, self._std, settings)
-        self._checks.append(_Check(self._place, outcome.counts, lateness))
+        self._checks.append(_Check(self._place, outcome.counts, lateness, self._step))
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
         self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
         if self.status.level == "lost":
+            self._doubted = self._first_doubt()
             # The values of the grid's view change with the grid.
             frozen = replace(present.grid, values=present.grid.values.copy())
             self._reference = KnownMap(present.segments, frozen)

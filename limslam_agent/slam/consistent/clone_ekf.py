@@ -160,6 +160,12 @@ class CloneEKF(LineEKF):
         self._move(moved, increment, by_pose, Q, moved)
         self._bias.predict(moved, by_pose, by_errors)
 
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
+        super().relocate(pose, covariance, robot)
+        if self._bias is not None:
+            self._bias.forget(slice(POSE * robot, POSE * robot + POSE))
+
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""
         moved, old = slice(POSE * robot, POSE * robot + POSE), len(self.x)

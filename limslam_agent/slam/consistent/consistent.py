@@ -294,6 +294,7 @@ class ConsistentEstimator(Estimator):
         index, is_new = self._map.walls.index(wall), not wall.groups
         self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
         self._map.grow(index, self._points(readings))
+        self.associated += 1
         if self.on_association is not None:
             self.on_association(AssociationRecord(wall.number, is_new, readings.sources, robot))
         self._close_loops_of(wall, step)

@@ -31,6 +31,8 @@ class Estimator:
         Pairs of landmarks that were found to be one wall, in order.
     last_extraction
         The lines of the latest scan; None before the first.
+    associated
+        Number of observed lines that were associated so far.
     on_association
         Called with the association of each observed line.
     """
@@ -39,6 +41,7 @@ class Estimator:
         self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
+        self.associated = 0
         self.on_association: Callable[[AssociationRecord], None] | None = None
 
     @property
@@ -81,6 +84,10 @@ class Estimator:
         """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
         del robot
         return None
+
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map."""
+        self._belief.relocate(pose, covariance, robot)
 
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""

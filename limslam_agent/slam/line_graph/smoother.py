@@ -25,6 +25,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
+_CARRIED_STD = 10.0  # m, of all three components of a motion of which nothing is known
+
 
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
@@ -42,6 +44,8 @@ class FilteredRun:
         The filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first poses are the known starts.
     associations, closures
         The associations of the observed lines, and the merged landmarks, in order.
+    breaks
+        Robots and steps before which a robot was carried away.
     """
 
     robot: RobotSpec
@@ -53,6 +57,7 @@ class FilteredRun:
     covariances: FloatArray
     associations: list[AssociationRecord]
     closures: list[Closure]
+    breaks: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +95,7 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     config = config or SmootherConfig()
     prior = config.calibration if config.calibrate == "always" else None
     problem = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior)
+    problem = with_breaks(problem, run.breaks)
     labels = filter_labels(problem, run.associations, run.closures)
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
@@ -140,6 +146,14 @@ def _may_need_calibration(found: _Settled, config: SmootherConfig) -> bool:
     values, first = solution.state.calibration.ravel(), 3 * len(sized.starts)
     covariance = solution.factored.covariance[first : first + len(values), first : first + len(values)]
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
+
+
+def with_breaks(problem: Problem, breaks: Iterable[tuple[int, int]]) -> Problem:
+    """A problem in which nothing is known about the motions to some steps, given as robots and steps."""
+    stds = problem.stds.copy()
+    for number, step in breaks:
+        stds[number, step - 1] = _CARRIED_STD
+    return replace(problem, stds=stds)
 
 
 def filter_labels(problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure]) -> IntArray:
