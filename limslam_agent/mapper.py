@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import cast
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.lookup import Lookup
 from limslam_agent.places.recovery import Recovery
-from limslam_agent.places.revisions import Revision, Unplaced
+from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import motion_of
@@ -26,6 +28,9 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
+
+NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
+"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
 
 RESTART_WITHIN = 600
 """Number of first steps within which a mapper starts again when the SLAM finds constant errors of the odometry."""
@@ -91,6 +96,11 @@ class Mapper:
     start_pose
         Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n robots (n, 3).
 
+    prior_map
+        The map of an earlier run (:func:`~limslam_agent.places.saved_map.read_saved_map`), in which the robot is at an
+        unknown place. The robot begins in a frame of its own, at ``start_pose``. When its map fits into the earlier map
+        in one place only, it goes on in the earlier map.
+
     Attributes
     ----------
     slam
@@ -109,21 +119,24 @@ class Mapper:
     frame
         Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
         found its place, and then in the earlier frame again.
-    revisions
-        Poses of earlier steps as they became known when a robot had found its place.
-    unplaced
-        After :meth:`finish`: the local map of a robot that is still lost; None otherwise.
+    prior_frame
+        Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
     Raises
     ------
     ValueError
-        If a start pose has another shape or is not finite.
+        If a start pose has another shape or is not finite, or an earlier map does not go with the other settings.
     """
 
     def __init__(
-        self, robot: RobotSpec, config: AgentConfig | None = None, start_pose: FloatArray | None = None
+        self,
+        robot: RobotSpec,
+        config: AgentConfig | None = None,
+        start_pose: FloatArray | None = None,
+        *,
+        prior_map: SavedMap | None = None,
     ) -> None:
-        self.robot, self.config = robot, config or preset(DEFAULT_PRESET)
+        self.robot, self.config, self._prior_map = robot, config or preset(DEFAULT_PRESET), prior_map
         self.longest_travel = TOO_FAST * robot.max_wheel_speed * robot.control_period
         self.on_restart: Callable[[int], None] | None = None
         self.reset(np.zeros(3) if start_pose is None else start_pose)
@@ -145,11 +158,12 @@ class Mapper:
         self._grid = OccupancyGrid(self.config.grid)
         self._starts, self._early = starts, list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
-        self.frame, self.revisions = 0, list[Revision]()
-        self.unplaced: Unplaced | None = None
+        self.frame, self._revisions = 0, list[Revision]()
+        self._unplaced: Unplaced | None = None
         self._listener: Callable[[AssociationRecord], None] | None = None
         self._watch_anew()
-        self._recovery = self._new_recovery()
+        self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
+        self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -172,6 +186,8 @@ class Mapper:
         motions = self._process(observations)
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
+        if self._lookup is not None and self._lookup.is_open:
+            self._lookup.note(self._logged(observations[0], motions[0]))
         if may_restart and len(self._early) < RESTART_WITHIN:
             self._early.append(tuple(copy.deepcopy(seen) for seen in observations))
             if not self.slam.may_calibrate:
@@ -179,6 +195,8 @@ class Mapper:
                 return
         if self._recovery is not None and "wheels" in observations[0]:
             self._follow(self._recovery, observations[0], motions[0])
+        if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
+            self._look_up(self._lookup)
 
     def finish(self) -> None:
         """Use the readings that are still buffered. Call this after the last step.
@@ -186,6 +204,10 @@ class Mapper:
         A robot that is still lost then gets the map back that it was lost from.
         """
         self.slam.finish()
+        if self._lookup is not None and self._lookup.is_open:
+            self._look_up(self._lookup)
+        if self._lookup is not None and self._lookup.is_open:
+            self._lookup.end("no match was good and unambiguous")
         if self._recovery is not None and self._recovery.is_lost:
             self._seek(self._recovery)
         if self._recovery is not None and self._recovery.is_lost:
@@ -213,17 +235,19 @@ class Mapper:
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
         found = [monitor.status for monitor in self._monitors]
-        return found if self._recovery is None else [self._recovery.status(found[0])]
+        found = found if self._recovery is None else [self._recovery.status(found[0])]
+        is_open = self._lookup is not None and self._lookup.is_open
+        return [NOT_YET_FOUND] if is_open and found[0].level == "ok" else found
 
     @property
-    def breaks(self) -> list[int]:
-        """The steps before which the robot was carried away, as far as it has found its place again."""
-        return [] if self._recovery is None else list(self._recovery.breaks)
-
-    @property
-    def places(self) -> list[dict[str, Any]]:
-        """What happened to a robot that was lost: when it was lost and found, and the matches that decided it."""
-        return [] if self._recovery is None else list(self._recovery.records)
+    def places(self) -> PlaceHistory:
+        """What happened when the robot was lost. Its unplaced map is known after :meth:`finish`."""
+        if self._recovery is None:
+            return PlaceHistory()
+        breaks, records = list(self._recovery.breaks), list(self._recovery.records)
+        if self._lookup is not None:
+            records = [*self._lookup.records, *records]
+        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records)
 
     @property
     def covariances(self) -> FloatArray:
@@ -295,6 +319,43 @@ class Mapper:
         places = self.config.recovery
         return Recovery(self.robot, self.config, places) if places is not None and len(self._starts) == 1 else None
 
+    def _new_lookup(self) -> Lookup | None:
+        """The search for the robot's place in an earlier map, if there is one."""
+        if self._prior_map is None:
+            return None
+        places = self.config.recovery
+        if places is None or len(self._starts) != 1:
+            raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
+        OccupancyGrid.of(self._prior_map.grid, self.config.grid)
+        return Lookup(self._prior_map, places)
+
+    def _look_up(self, lookup: Lookup) -> None:
+        """Match the map with the earlier map, and go on in the earlier map if the place is clear."""
+        if self.frame:
+            lookup.end("the robot was lost before its place was found")
+            return
+        found = lookup.seek(self._starts[0], self.slam.segments, self._grid.view)
+        if found is None:
+            return
+        self.prior_frame, start, covariance = found
+        segments, grid = self.slam.segments, self.grid
+        if self.on_restart is not None:
+            self.on_restart(0)
+        slam = LineSlam(self.robot, self.config, start)
+        slam.know(lookup.saved.landmarks, lookup.saved.segments)
+        slam.relocate(start, covariance)
+        slam.on_association = self.slam.on_association
+        self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
+        self._recovery = self._new_recovery()
+        for step in lookup.steps:
+            self._process((step.observation,))
+            if self._recovery is not None:
+                self._recovery.note(replace(step, pose=self.slam.pose), self.slam, self._grid)
+        if self._recovery is not None:
+            self._recovery.arrive(segments, grid)
+        self.odometry = compose(self.prior_frame, self.odometry)
+        self.odometry.setflags(write=False)
+
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
         recovery.note(self._logged(observation, motion), self.slam, self._grid)
@@ -311,7 +372,8 @@ class Mapper:
     def _logged(self, observation: Observation, motion: FloatArray) -> LoggedStep:
         front = self.slam.robots[0]
         ranges = np.where(front.measured, front.ranges, np.nan)
-        return LoggedStep(copy.deepcopy(observation), self.slam.pose, motion, ranges)
+        kept = cast("Observation", {name: np.array(value) for name, value in observation.items()})
+        return LoggedStep(kept, self.slam.pose, motion, ranges)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost."""
@@ -330,6 +392,7 @@ class Mapper:
             return
         absence, log = recovery.absence, recovery.log
         assert absence is not None  # noqa: S101 (the robot was lost until now)
+        assert absence.known is not None  # noqa: S101 (it was lost from a frame)
         slam, grid = absence.known.copied()
         if self.on_restart is not None:
             self.on_restart(slam.associated)
@@ -341,7 +404,7 @@ class Mapper:
         # The comparisons until now have seen how the robot was carried away.
         self._watch_anew()
         poses += self._play(recovery, found.step)
-        self.revisions.append(
+        self._revisions.append(
             Revision(log.begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses]))
         )
         recovery.has_joined(found)
@@ -350,7 +413,8 @@ class Mapper:
         """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
         absence = recovery.absence
         assert absence is not None  # noqa: S101 (the robot is lost)
-        self.unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
+        assert absence.known is not None  # noqa: S101 (it was lost from a frame)
+        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
         pose, covariance = self.slam.pose, self.slam.covariance
         slam, grid = absence.known.copied()
         if self.on_restart is not None:

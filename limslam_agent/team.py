@@ -8,6 +8,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper, MapSnapshot
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.slam import LineSlam
@@ -61,6 +62,8 @@ class LimSlamTeam:
     policies
         One policy for each robot. By default each robot explores frontiers, and the robots divide the frontiers
         among themselves. Policies that are given serve for one run.
+    prior_map
+        The map of an earlier run, in which one robot is at an unknown place (:class:`Mapper`).
 
     Attributes
     ----------
@@ -83,12 +86,14 @@ class LimSlamTeam:
         config: AgentConfig | None = None,
         num_robots: int = 2,
         policies: Sequence[Policy] | None = None,
+        *,
+        prior_map: SavedMap | None = None,
     ) -> None:
         if num_robots < 1:
             raise ValueError(f"a team has one robot or more, not {num_robots}")
         if policies is not None and len(policies) != num_robots:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
-        self.mapper = Mapper(robot, config, np.zeros((num_robots, 3)))
+        self.mapper = Mapper(robot, config, np.zeros((num_robots, 3)), prior_map=prior_map)
         self.robot, self.config, self.num_robots = robot, self.mapper.config, num_robots
         self.names = [f"robot_{number}" for number in range(num_robots)]
         self._given_policies = policies

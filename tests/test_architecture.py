@@ -69,7 +69,9 @@ AGENT = {
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
-    "limslam_agent.places": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status")},
+    "limslam_agent.places": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status", "safe_files"),
+    },
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "status", "places"),
     },
@@ -78,7 +80,8 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
     },
     "limslam_agent.team": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "mapper", "policies", "status"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam", "slam.core", "grid", "mapper", "places", "policies", "status"),
     },
     "limslam_agent.agent": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),
@@ -88,7 +91,8 @@ AGENT = {
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "status"),
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
+        *agent("status"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip

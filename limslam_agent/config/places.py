@@ -31,6 +31,9 @@ class PlaceConfig(Bounded):
         Least share of the local map's points that are confirmed.
     runner_up
         Largest score of another pose, as a share of the best score.
+    discount, discounted
+        The score of another pose counts only for the share ``discount`` if at least this number of points contradict it
+        and its shares of confirmed points are less than ``forward``.
     apart, apart_turn
         Two poses are different if they are farther apart than this, m or rad.
     std, heading_std
@@ -53,11 +56,13 @@ class PlaceConfig(Bounded):
     turn: Angle = math.radians(20.0)
     contradiction: NonNegative = 2.0
     least_walls: NonNegative = 4.0
-    least_across: NonNegative = 0.6
+    least_across: NonNegative = 0.9
     forward: Share = 0.94
     backward: Share = 0.85
-    known: Share = 0.20
+    known: Share = 0.35
     runner_up: Share = 0.70
+    discount: Share = 0.78
+    discounted: Count = 4
     apart: Positive = 0.40
     apart_turn: Angle = math.radians(15.0)
     std: Positive = 0.05
@@ -66,7 +71,7 @@ class PlaceConfig(Bounded):
     spacing: Positive = 0.5
     checkpoint: Count = 50
     checkpoints: Count = 6
-    margin: Count = 30
+    margin: Count = 100
     longest: Count = 6000
     confirmed: NonNegative = 3.0
     far_confirmed: NonNegative = 30.0

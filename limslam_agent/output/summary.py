@@ -70,12 +70,16 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
 def _places(events: Any) -> list[str]:
     """When the robot was lost, and when it found its place again."""
     known = [each for each in events if isinstance(each, dict)] if isinstance(events, list) else []
-    words = [
-        f"{each.get('event')} at {each['time_s']:.1f} s" if each.get("event") != "not found" else "not found again"
-        for each in known
-        if _has(each, "time_s")
-    ]
+    words = [_event(str(each.get("event")), each) for each in known if _has(each, "time_s")]
     return [f"place       {', '.join(words)}"] if words else []
+
+
+def _event(event: str, details: Mapping[str, Any]) -> str:
+    """An event of a robot that was lost or searched for its place, in words."""
+    if not event.startswith("not found"):
+        return f"{event} at {details['time_s']:.1f} s"
+    own_frame = f": {details.get('reason')}; the results are in the run's own frame"
+    return event + (own_frame if "saved map" in event else " again")
 
 
 def _calibration_line(found: Any) -> str:

@@ -1,5 +1,6 @@
 """Whether a match of two maps counts: it must be good, and no other place may fit nearly as well."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,9 +58,19 @@ def find_place(known: PlaceMap, local: PlaceMap, config: PlaceConfig) -> Decisio
     if not fits:
         return Decision(None, 0.0, "one of the maps has no walls")
     best = fits[0]
-    second = max(fits[1].score, 0.0) if len(fits) > 1 else 0.0
-    runner_up = second / best.score if best.score > 0.0 else 1.0
-    return Decision(best, runner_up, _refusal(best, runner_up, config))
+    share = runner_up(fits, config)
+    return Decision(best, share, _refusal(best, share, config))
+
+
+def runner_up(fits: Sequence[Fit], config: PlaceConfig) -> float:
+    """The best score of the other poses, as a share of the score of the first one. Contradicted poses count less."""
+    best = fits[0].score
+    scores = [max(fit.score, 0.0) * (config.discount if _is_contradicted(fit, config) else 1.0) for fit in fits[1:]]
+    return max(scores, default=0.0) / best if best > 0.0 else 1.0
+
+
+def _is_contradicted(fit: Fit, config: PlaceConfig) -> bool:
+    return fit.contradictions >= config.discounted and min(fit.forward, fit.backward) < config.forward
 
 
 def agree(first: Decision, second: Decision, local: PlaceMap, config: PlaceConfig) -> bool:

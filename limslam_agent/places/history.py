@@ -10,7 +10,8 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
-_WORST, _UNEXPLAINED = 3.0, 2.0  # standard deviations: largest residual, and the residual of a reading without a wall
+_WORST = 3.0  # standard deviations: largest residual that counts
+_CHANGE = 0.10  # m: a reading seldom changes by more in a step in which the robot is not carried away
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +105,14 @@ def carried_at(
         _misfits(poses, ranges, robot, segments, range_std, config)
         for poses in (np.array([step.pose for step in steps]), placed)
     ]
-    gains = np.concatenate(([0.0], np.cumsum(costs[0] - costs[1])))
     # The steps before the break are explained by the first cost, and the others by the second one.
-    return log.begin + max(int(gains.argmin()), 1)
+    totals = np.cumsum(costs[0] - costs[1])
+    # Readings may change by more where the break is.
+    changes = np.diff([step.ranges for step in log.steps[: len(placed) + 1]], axis=0) / (_CHANGE + 5.0 * range_std)
+    saved = np.minimum(np.abs(np.nan_to_num(changes)), _WORST) ** 2
+    totals[: len(saved)] -= saved.sum(axis=1)
+    # Of equally good steps, the last one is the nearest to the first doubt.
+    return log.begin + len(totals) - int(totals[::-1].argmin())
 
 
 def _misfits(
@@ -117,13 +123,13 @@ def _misfits(
     range_std: float,
     config: ContradictionConfig,
 ) -> FloatArray:
-    """Sum of the squared residuals of the readings (m, n_beams) of each pose (m, 3), in variances."""
+    """Sum of the squared residuals (m,) of the readings (m, n_beams) of each pose (m, 3) that pass through walls.
+
+    Other readings speak against no pose: the map does not have all walls.
+    """
     slack = np.diag([config.slack**2, config.slack**2, 0.0])
     expected = expected_ranges(robot, poses, slack, segments, range_std, config)
     has_wall = np.isfinite(expected.ranges)
     seen = np.minimum(ranges, robot.max_ranges)
-    off = np.abs(seen - np.where(has_wall, expected.ranges, 0.0)) / np.where(has_wall, expected.stds, 1.0)
-    explained = np.minimum(off, _WORST) ** 2
-    unexplained = np.where(seen < robot.too_far, _UNEXPLAINED**2, 0.0)
-    costs = np.where(has_wall, explained, unexplained)
-    return np.asarray(np.where(np.isfinite(ranges), costs, 0.0).sum(axis=1))
+    beyond = (seen - np.where(has_wall, expected.ranges, np.inf)) / np.where(has_wall, expected.stds, 1.0)
+    return np.asarray((np.clip(np.nan_to_num(beyond, nan=0.0, neginf=0.0), 0.0, _WORST) ** 2).sum(axis=1))

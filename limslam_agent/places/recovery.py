@@ -16,7 +16,7 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.decision import Decision, agree, find_place, placed_covariance
+from limslam_agent.places.decision import Decision, agree, find_place, placed_covariance, runner_up
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap, place_map
@@ -56,7 +56,7 @@ class Absence:
     Attributes
     ----------
     known
-        The frame that it was lost from.
+        The frame that it was lost from. None if its place was found in the map of an earlier run.
     first
         First step in the local frame.
     reason
@@ -73,7 +73,7 @@ class Absence:
         Distance at which the robot found its place, m, and the local map at that time; None while it is lost.
     """
 
-    known: KnownFrame
+    known: KnownFrame | None
     first: int
     reason: str
     jump: float
@@ -138,6 +138,7 @@ class Recovery:
         self.absence: Absence | None = None
         self.breaks: list[int] = []
         self.records: list[dict[str, Any]] = []
+        self._arrival: Absence | None = None
 
     @property
     def is_lost(self) -> bool:
@@ -146,13 +147,14 @@ class Recovery:
 
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
-        if self.absence is None:
+        found = self.absence or self._arrival
+        if found is None:
             return own
-        if not self.absence.is_placed:
-            return Status("lost", self.absence.reason)
+        if not found.is_placed:
+            return Status("lost", found.reason)
         if own.level != "ok":
             return own
-        return Status("unsure", "the robot was lost, and the place where it was found again is not confirmed yet")
+        return Status("unsure", "the robot's place was found, and it is not confirmed yet")
 
     @property
     def added_covariance(self) -> FloatArray:
@@ -167,8 +169,10 @@ class Recovery:
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it."""
         self.log.steps.append(step)
+        absence = self.absence or self._arrival
+        if absence is not None:
+            absence.driven += math.hypot(*step.motion[:2].tolist())
         if self.absence is not None:
-            self.absence.driven += math.hypot(*step.motion[:2].tolist())
             self.log.forget_before(self.log.end - self._config.longest)
         elif self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies[1 - self._config.checkpoints :], self._copy(slam, grid)]
@@ -180,7 +184,7 @@ class Recovery:
         A robot that had found its place without being sure of it goes back to the frame as it was before.
         """
         first = self.log.end - 1 - doubted
-        before = self.absence
+        before, self._arrival = self.absence, None
         if before is None:
             old = [copy for copy in self._copies if copy.step <= first - self._config.margin]
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
@@ -198,7 +202,7 @@ class Recovery:
 
     def is_due(self) -> bool:
         """Whether the local map is to be matched now, or a place to be confirmed."""
-        absence = self.absence
+        absence = self.absence or self._arrival
         return absence is not None and absence.driven - absence.sought >= self._config.spacing
 
     def seek(self, segments: FloatArray, grid: GridView) -> Placement | None:
@@ -222,10 +226,15 @@ class Recovery:
         self.breaks.append(placement.step)
         self._note_event("found", step=self.log.end - 1, carried_at=placement.step)
 
+    def arrive(self, segments: FloatArray, grid: GridView) -> None:
+        """The robot's place in the map of an earlier run was found by a local map, and has to be confirmed."""
+        local = place_map(segments, grid)
+        self._arrival = Absence(None, 0, "", 0.0, local, placed=0.0, local=local)
+
     def confirm(self, own: Status, segments: FloatArray, grid: GridView) -> None:
         """End an absence if nothing speaks against the place any more."""
-        absence, config = self.absence, self._config
-        assert absence is not None  # noqa: S101
+        absence, config = self.absence or self._arrival, self._config
+        assert absence is not None  # noqa: S101 (a place is to be confirmed)
         absence.sought = absence.driven
         driven = absence.driven - (absence.placed or 0.0)
         is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
@@ -234,9 +243,9 @@ class Recovery:
         whole = place_map(segments, grid)
         assert absence.local is not None  # noqa: S101 (the robot has found its place)
         fits = best_fits(whole, absence.local, config)
-        if len(fits) < 2 or fits[1].score <= config.runner_up * fits[0].score:
+        if fits and runner_up(fits, config) <= config.runner_up:
             self._note_event("confirmed", step=self.log.end - 1)
-            self.absence = None
+            self.absence = self._arrival = None
 
     def give_up(self) -> None:
         """The run is over, and the robot is still lost."""
@@ -252,7 +261,7 @@ class Recovery:
         last = max(absence.first - 1, log.begin)
         placed = log.driven_back(compose(decision.fit.pose, log[last].pose), last + 1)
         step = last + 1
-        if log.begin == absence.known.step:
+        if absence.known is not None and log.begin == absence.known.step:
             step = carried_at(
                 log, placed, self._robot, absence.place.segments, self._agent.range_std,
                 self._agent.status.contradictions,

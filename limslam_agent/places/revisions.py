@@ -1,7 +1,8 @@
 """What becomes known about earlier steps of a robot that was lost: their poses, or that their place is unknown."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.line_map import Landmark
@@ -43,6 +44,33 @@ class Unplaced:
     segments: FloatArray
     landmarks: list[Landmark]
     grid: GridView
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceHistory:
+    """What happened to a robot that was lost during a run.
+
+    Attributes
+    ----------
+    revisions
+        Poses of earlier steps as they became known when the robot had found its place.
+    breaks
+        The steps before which the robot was carried away, as far as it has found its place again.
+    unplaced
+        The local map of a robot that is still lost at the end; None otherwise.
+    records
+        When the robot was lost and found, and the matches that decided it.
+    """
+
+    revisions: list[Revision] = field(default_factory=list)
+    breaks: list[int] = field(default_factory=list)
+    unplaced: Unplaced | None = None
+    records: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def placed(self) -> slice:
+        """The steps in which the robot's place is known at the end."""
+        return slice(None if self.unplaced is None else self.unplaced.begin)
 
 
 def revised(poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]) -> tuple[FloatArray, FloatArray]:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,9 @@ import numpy as np
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, with_until
-from limslam_agent.places.revisions import Revision, Unplaced
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.places.revisions import PlaceHistory
+from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.kidnapping import another_place
@@ -32,6 +35,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import WorldSource, load_world
@@ -86,6 +90,9 @@ class RunConfig:
         (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
     kidnap_at
         Time at which the robot is carried to a random place, s. None leaves it alone.
+    prior_map
+        Folder of an earlier run. The robot begins in its map, at a place that the agent does not know. None begins with
+        an empty map and a known start pose.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
@@ -111,6 +118,7 @@ class RunConfig:
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
     until: str | None = None
     kidnap_at: float | None = None
+    prior_map: Path | None = None
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -121,6 +129,7 @@ class RunConfig:
         if not 0.0 < self.max_time <= LONGEST_TIME:
             raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
         self._check_kidnapping()
+        self._check_prior_map()
         if self.laps < 0:
             raise ValueError(f"laps must be 0 or more, not {self.laps}")
         check_policy(self.policy, self.laps, self.robots)
@@ -131,12 +140,21 @@ class RunConfig:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
 
+    def _check_prior_map(self) -> None:
+        if self.prior_map is None:
+            return
+        if self.robots > 1 or self.laps or self.limit or self.agent.recovery is None:
+            raise ValueError(
+                "a map of an earlier run is for one robot that explores with the preset graph or consistent"
+            )
+        OccupancyGrid.of(read_saved_map(self.prior_map).grid, self.agent.grid)
+
     def _check_kidnapping(self) -> None:
         if self.kidnap_at is None:
             return
-        if not 0.0 < self.kidnap_at < self.max_time:
+        if not 0.0 < self.kidnap_at <= LONGEST_TIME:
             raise ValueError(
-                f"a robot is kidnapped after 0 s and before {self.max_time:g} s, not at {self.kidnap_at:g} s"
+                f"a robot is kidnapped after 0 s and within {LONGEST_TIME:g} s, not at {self.kidnap_at:g} s"
             )
         if self.robots > 1 or self.limit:
             what = "one of several robots" if self.robots > 1 else "a run that is compared with the offline optimum"
@@ -198,13 +216,10 @@ class Episode:
         What is believed at the end.
     coverage_grid
         The cells that count for coverage.
-    revisions, breaks
-        Poses of earlier steps as they became known when the robot had found its place again, and the steps before
-        which it was carried away.
-    unplaced
-        The local map of a robot that was lost until the end.
     places
-        What happened to a robot that was lost, in order.
+        What happened when the robot was lost.
+    in_prior_map
+        Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
     stop_reason, is_finished
         Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
@@ -229,10 +244,8 @@ class Episode:
     associations: list[AssociationRecord]
     closures: list[Closure]
     calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
-    revisions: list[Revision]
-    breaks: list[int]
-    unplaced: Unplaced | None
-    places: list[dict[str, Any]]
+    places: PlaceHistory
+    in_prior_map: bool
     snapshot: Snapshot
     coverage_grid: CoverageGrid
     stop_reason: str
@@ -303,7 +316,8 @@ def run_episode(
     policies = policies_for(
         config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
     )
-    team = LimSlamTeam(config.robot, config.agent, config.robots, policies)
+    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
+    team = LimSlamTeam(config.robot, config.agent, config.robots, policies, prior_map=prior_map)
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
     def note_association(record: AssociationRecord) -> None:
@@ -320,16 +334,14 @@ def run_episode(
         associations=associations,
         closures=list(team.slam.closures),
         calibrations=team.slam.odometry_calibrations,
-        revisions=team.mapper.revisions,
-        breaks=team.mapper.breaks,
-        unplaced=team.mapper.unplaced,
         places=team.mapper.places,
+        in_prior_map=team.mapper.prior_frame is not None,
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
-        **_columns(rows),
+        **_in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places),
     )
 
 
@@ -368,6 +380,19 @@ def _columns(rows: list[_Row]) -> dict[str, Any]:
     return {name: np.array(column) for name, column in columns.items()}
 
 
+def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, places: PlaceHistory) -> dict[str, Any]:
+    """The columns of a run, with all poses in the frame of an earlier map if the robot found its place there."""
+    if prior_frame is None:
+        return columns
+    own = slice(places.records[0]["step"])
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(prior_frame[2]), -np.sin(prior_frame[2])], [np.sin(prior_frame[2]), np.cos(prior_frame[2])]]
+    for name in ("estimated", "odometry"):
+        columns[name][own] = compose(prior_frame, columns[name][own])
+    columns["covariances"][own] = turn @ columns["covariances"][own] @ turn.T
+    return columns
+
+
 def _drive(
     config: RunConfig,
     env: LimSlamParallelEnv,
@@ -376,7 +401,8 @@ def _drive(
     watch: Watcher | None,
 ) -> list[_Row]:
     observed, infos = env.reset(seed=config.seed)
-    team.reset(np.array([infos[name]["pose"] for name in team.names]), config.seed)
+    starts = np.array([infos[name]["pose"] for name in team.names])
+    team.reset(starts if config.prior_map is None else np.zeros_like(starts), config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
     max_steps = round(config.max_time / config.robot.control_period)

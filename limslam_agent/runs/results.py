@@ -209,14 +209,15 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     write_map(folder, episode.final_map)
     if episode.smoothed is not None:
         write_json(folder / "map_online.json", map_content(online_map(episode)))
-    if episode.unplaced is not None:
-        write_json(folder / UNPLACED, map_content(episode.unplaced, "local"))
+    if episode.places.unplaced is not None:
+        write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
     _draw(folder / "map.png", episode)
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
         "policy": short_name(config.policy), "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
-        "kidnap_at": config.kidnap_at, "robot": asdict(config.robot), "agent": asdict(config.agent),
+        "kidnap_at": config.kidnap_at, "map": config.prior_map and str(config.prior_map),
+        "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
         "metrics": score(episode), "cost": cost(episode), "config": written_config, "record": _record(episode),
@@ -231,7 +232,7 @@ def _record(episode: Episode) -> dict[str, Any]:
     record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
     return {
         **record,
-        "places": place_records(episode.time, episode.places),
+        "places": place_records(episode.time, episode.places.records),
         "calibration": [found and calibration_record(*found) for found in episode.calibrations],
     }
 

@@ -1,6 +1,6 @@
 """What is known at the end of a run: the smoothed path, and the map that is drawn from it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,13 +45,14 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
     Only the associations of the consistent estimator can be smoothed.
     """
     agent, settings = episode.config.agent, episode.config.agent.run_smoothing
-    if settings is None:
+    # The smoother does not know the lines of an earlier map.
+    if settings is None or episode.in_prior_map:
         return None
     # The kernels of the smoother load numba, which takes time that other commands do not need.
-    from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+    from limslam_agent.slam.line_graph.smoother import FilteredRun, completed, smooth_run
 
-    poses, covariances = revised(episode.estimated, episode.covariances, episode.revisions)
-    known = slice(episode.unplaced.begin if episode.unplaced else None)
+    places, known = episode.places, episode.places.placed
+    poses, covariances = revised(episode.estimated, episode.covariances, places.revisions)
     run = FilteredRun(
         robot=episode.config.robot,
         noise=agent.noise,
@@ -62,18 +63,10 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         covariances=covariances[known],
         associations=episode.associations,
         closures=episode.closures,
-        breaks=tuple((0, step) for step in episode.breaks),
+        breaks=tuple((0, step) for step in places.breaks),
     )
     found = smooth_run(run, settings)
-    if found is None or episode.unplaced is None:
-        return found
-    # Nothing is known about later poses but what was believed at the time.
-    count = len(found.poses)
-    return replace(
-        found,
-        poses=np.concatenate((found.poses, poses[count:])),
-        covariances=np.concatenate((found.covariances, covariances[count:])),
-    )
+    return None if found is None else completed(found, poses, covariances)
 
 
 def online_map(episode: "Episode") -> FinalMap:
@@ -90,7 +83,7 @@ def final_map(episode: "Episode") -> FinalMap:
     ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
-    known = slice(episode.unplaced.begin if episode.unplaced else None)
+    known = episode.places.placed
     grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses[known], ranges[known], measured[known])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 

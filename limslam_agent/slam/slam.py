@@ -1,7 +1,7 @@
 """LineSlam: estimates the poses of robots, and the walls around them, from a few beams and odometry."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -78,6 +78,13 @@ class LineSlam:
         """
         self.finish()
         self._estimator.relocate(pose, covariance, robot)
+
+    def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
+        """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on.
+
+        Call this before the first step. Only the consistent estimator can do so.
+        """
+        self._estimator.know(landmarks, segments)
 
     def copied(self) -> "LineSlam":
         """A copy that nothing listens to. Later steps of one of the two do not change the other."""

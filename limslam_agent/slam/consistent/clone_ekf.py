@@ -213,6 +213,19 @@ class CloneEKF(LineEKF):
         self._anchors = np.vstack((self._anchors, anchor))
         return self.num_lines - 1
 
+    def add_known_line(self, line: FloatArray, covariance: FloatArray, anchor: FloatArray) -> int:
+        """Add a line (r, theta) with a covariance (2, 2), independent of all else, and return its index.
+
+        Its anchor (2,), m, should be near the wall.
+        """
+        (r, theta), index = line.tolist(), self.add_line(float(line[1]), anchor)
+        part, (x, y) = self._part(index), anchor.tolist()
+        cos, sin = np.cos(theta), np.sin(theta)
+        about_anchor = np.array([[1.0, x * sin - y * cos], [0.0, 1.0]])
+        self.x[part] = r - x * cos - y * sin, theta
+        self.P[part, part] = about_anchor @ covariance @ about_anchor.T
+        return index
+
     def observe(self, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
         """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 

@@ -89,6 +89,10 @@ class Estimator:
         """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map."""
         self._belief.relocate(pose, covariance, robot)
 
+    def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
+        """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
+        raise NotImplementedError
+
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""
         self._belief.predict(motion.increment, motion.covariance, robot)

@@ -109,6 +109,16 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     return _smoothed(best, config)
 
 
+def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) -> SmoothedRun:
+    """A smoothed run with the later steps of a longer run, whose poses (t, n, 3) stay as they are."""
+    count = len(found.poses)
+    return replace(
+        found,
+        poses=np.concatenate((found.poses, poses[count:])),
+        covariances=np.concatenate((found.covariances, covariances[count:])),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Settled:
     """A solution, its problem, and the moves that corrected its associations."""
