@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -12,7 +12,13 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.lookup import Lookup
+from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.renewal import Renewal
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import Extraction, LineSlam
 from limslam_agent.status.contradictions import KnownMap
@@ -21,6 +27,9 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
+
+NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
+"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
 
 RESTART_WITHIN = 600
 """Number of first steps within which a mapper starts again when the SLAM finds constant errors of the odometry."""
@@ -86,6 +95,11 @@ class Mapper:
     start_pose
         Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n robots (n, 3).
 
+    prior_map
+        The map of an earlier run (:func:`~limslam_agent.places.saved_map.read_saved_map`), in which the robot is at an
+        unknown place. The robot begins in a frame of its own, at ``start_pose``. When its map fits into the earlier map
+        in one place only, it goes on in the earlier map.
+
     Attributes
     ----------
     slam
@@ -99,20 +113,31 @@ class Mapper:
     slam_ms
         Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
     on_restart
-        Called before all observations so far are processed again, if set. The SLAM is then another object.
+        Called before observations are processed again, if set, with the number of associations so far that remain
+        valid. The SLAM is then another object.
+    frame
+        Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
+        found its place, and then in the earlier frame again.
+    prior_frame
+        Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
     Raises
     ------
     ValueError
-        If a start pose has another shape or is not finite.
+        If a start pose has another shape or is not finite, or an earlier map does not go with the other settings.
     """
 
     def __init__(
-        self, robot: RobotSpec, config: AgentConfig | None = None, start_pose: FloatArray | None = None
+        self,
+        robot: RobotSpec,
+        config: AgentConfig | None = None,
+        start_pose: FloatArray | None = None,
+        *,
+        prior_map: SavedMap | None = None,
     ) -> None:
-        self.robot, self.config = robot, config or preset(DEFAULT_PRESET)
+        self.robot, self.config, self._prior_map = robot, config or preset(DEFAULT_PRESET), prior_map
         self.longest_travel = TOO_FAST * robot.max_wheel_speed * robot.control_period
-        self.on_restart: Callable[[], None] | None = None
+        self.on_restart: Callable[[int], None] | None = None
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
     def reset(self, start_pose: FloatArray) -> None:
@@ -132,8 +157,13 @@ class Mapper:
         self._grid = OccupancyGrid(self.config.grid)
         self._starts, self._early = starts, list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
+        self.frame, self._revisions = 0, list[Revision]()
+        self._unplaced: Unplaced | None = None
+        self._listener: Callable[[AssociationRecord], None] | None = None
         self._watch_anew()
         self._renewal = Renewal(self.slam, self.config)
+        self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
+        self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
         self.slam_ms = 0.0
@@ -152,19 +182,37 @@ class Mapper:
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             front.check(observation)
             self._check_travel(observation)
-        may_restart, self.slam_ms = self.slam.may_calibrate, 0.0
+        may_restart, self.slam_ms = self.slam.may_calibrate and not self.frame, 0.0
         motions = self._process(observations)
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
+        if self._lookup is not None and self._lookup.is_open:
+            self._lookup.note(self._logged(observations[0], motions[0]))
         if may_restart and len(self._early) < RESTART_WITHIN:
             copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
             self._early.append(cast("tuple[Observation, ...]", tuple(copies)))
             if not self.slam.may_calibrate:
                 self._restart()
+                return
+        if self._recovery is not None and "wheels" in observations[0]:
+            self._follow(self._recovery, observations[0], motions[0])
+        if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
+            self._look_up(self._lookup)
 
     def finish(self) -> None:
-        """Use the readings that are still buffered. Call this after the last step."""
+        """Use the readings that are still buffered. Call this after the last step.
+
+        A robot that is still lost then gets the map back that it was lost from.
+        """
         self.slam.finish()
+        if self._lookup is not None and self._lookup.is_open:
+            self._look_up(self._lookup)
+        if self._lookup is not None and self._lookup.is_open:
+            self._lookup.end("no match was good and unambiguous")
+        if self._recovery is not None and self._recovery.is_lost:
+            self._seek(self._recovery)
+        if self._recovery is not None and self._recovery.is_lost:
+            self._give_up(self._recovery)
 
     @property
     def belief(self) -> Belief:
@@ -187,7 +235,20 @@ class Mapper:
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        return [monitor.status for monitor in self._monitors]
+        found = [monitor.status for monitor in self._monitors]
+        found = found if self._recovery is None else [self._recovery.status(found[0])]
+        is_open = self._lookup is not None and self._lookup.is_open
+        return [NOT_YET_FOUND] if is_open and found[0].level == "ok" else found
+
+    @property
+    def places(self) -> PlaceHistory:
+        """What happened when the robot was lost. Its unplaced map is known after :meth:`finish`."""
+        if self._recovery is None:
+            return PlaceHistory()
+        breaks, records = list(self._recovery.breaks), list(self._recovery.records)
+        if self._lookup is not None:
+            records = [*self._lookup.records, *records]
+        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records)
 
     @property
     def covariances(self) -> FloatArray:
@@ -196,7 +257,7 @@ class Mapper:
         for number, monitor in enumerate(self._monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
-        return covariances
+        return covariances if self._recovery is None else covariances + self._recovery.added_covariance
 
     @property
     def grid(self) -> GridView:
@@ -242,7 +303,8 @@ class Mapper:
         if not self._renewal.is_possible or "wheels" not in observation:
             return
         self._renewal.note(observation)
-        self._renewal.renew_if_due(self._monitors[0].status.level)
+        # A lost robot goes on in a local frame, where there is a search for its place.
+        self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level)
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that has estimated the odometry's calibration from the start.
@@ -251,14 +313,143 @@ class Mapper:
         the heading, and the linear correction of its state leaves errors of second order.
         """
         if self.on_restart is not None:
-            self.on_restart()
+            self.on_restart(0)
         listener, early = self.slam.on_association, self._early
         self.slam = LineSlam(self.robot, self_calibrating(self.config), self._starts)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
         self._watch_anew()
         self._renewal = Renewal(self.slam, self.config)
+        self._recovery = self._new_recovery()
         for observations in early:
-            self._process(observations)
+            motions = self._process(observations)
+            if self._recovery is not None:
+                self._follow(self._recovery, observations[0], motions[0])
+
+    def _new_recovery(self) -> Recovery | None:
+        """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
+        places = self.config.recovery
+        return Recovery(self.robot, self.config, places) if places is not None and len(self._starts) == 1 else None
+
+    def _new_lookup(self) -> Lookup | None:
+        """The search for the robot's place in an earlier map, if there is one."""
+        if self._prior_map is None:
+            return None
+        places = self.config.recovery
+        if places is None or len(self._starts) != 1:
+            raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
+        OccupancyGrid.of(self._prior_map.grid, self.config.grid)
+        return Lookup(self._prior_map, places)
+
+    def _look_up(self, lookup: Lookup) -> None:
+        """Match the map with the earlier map, and go on in the earlier map if the place is clear."""
+        if self.frame:
+            lookup.end("the robot was lost before its place was found")
+            return
+        found = lookup.seek(self._starts[0], self.slam.segments, self._grid.view)
+        if found is None:
+            return
+        self.prior_frame, start, covariance = found
+        segments, grid = self.slam.segments, self.grid
+        if self.on_restart is not None:
+            self.on_restart(0)
+        slam = LineSlam(self.robot, self.config, start)
+        slam.know(lookup.saved.landmarks, lookup.saved.segments)
+        slam.relocate(start, covariance)
+        slam.on_association = self.slam.on_association
+        self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
+        self._recovery = self._new_recovery()
+        for step in lookup.steps:
+            self._process((step.observation,))
+            if self._recovery is not None:
+                self._recovery.note(replace(step, pose=self.slam.pose), self.slam, self._grid)
+        if self._recovery is not None:
+            self._recovery.arrive(segments, grid)
+        self.odometry = compose(self.prior_frame, self.odometry)
+        self.odometry.setflags(write=False)
+
+    def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
+        """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
+        recovery.note(self._logged(observation, motion), self.slam, self._grid)
+        own = self._monitors[0]
+        if own.status.level == "lost":
+            jump = math.sqrt(own.added_covariance[0, 0])
+            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid)
+            self._go_on_locally(recovery)
+        elif recovery.is_lost and recovery.is_due():
+            self._seek(recovery)
+        elif recovery.is_due():
+            recovery.confirm(own.status, self.slam.segments, self._grid.view)
+
+    def _logged(self, observation: Observation, motion: FloatArray) -> LoggedStep:
+        front = self.slam.robots[0]
+        ranges = np.where(front.measured, front.ranges, np.nan)
+        kept = cast("Observation", {name: np.array(value) for name, value in observation.items()})
+        return LoggedStep(kept, self.slam.pose, motion, ranges)
+
+    def _go_on_locally(self, recovery: Recovery) -> None:
+        """Begin a new map in a local frame, with the steps since the robot was lost."""
+        absence, log = recovery.absence, recovery.log
+        assert absence is not None  # noqa: S101 (the robot is lost)
+        listener = self.slam.on_association
+        self._listener = listener or self._listener
+        self._use(LineSlam(self.robot, self.config, log[absence.first - 1].pose), OccupancyGrid(self.config.grid))
+        self.slam.robots[0].step = absence.first - 1
+        self._play(recovery, absence.first)
+
+    def _seek(self, recovery: Recovery) -> None:
+        """Match the local map with the map that the robot was lost from, and go on there if the place is clear."""
+        found = recovery.seek(self.slam.segments, self._grid.view)
+        if found is None:
+            return
+        absence, log = recovery.absence, recovery.log
+        assert absence is not None  # noqa: S101 (the robot was lost until now)
+        assert absence.known is not None  # noqa: S101 (it was lost from a frame)
+        slam, grid = absence.known.copied()
+        if self.on_restart is not None:
+            self.on_restart(slam.associated)
+        slam.on_association = self._listener
+        self._use(slam, grid)
+        self.slam.robots[0].step = log.begin - 1
+        poses = self._play(recovery, log.begin, found.step)
+        self.slam.relocate(found.pose, found.covariance)
+        # The comparisons until now have seen how the robot was carried away.
+        self._watch_anew()
+        poses += self._play(recovery, found.step)
+        self._revisions.append(
+            Revision(log.begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses]))
+        )
+        recovery.has_joined(found)
+
+    def _give_up(self, recovery: Recovery) -> None:
+        """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
+        absence = recovery.absence
+        assert absence is not None  # noqa: S101 (the robot is lost)
+        assert absence.known is not None  # noqa: S101 (it was lost from a frame)
+        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
+        pose, covariance = self.slam.pose, self.slam.covariance
+        slam, grid = absence.known.copied()
+        if self.on_restart is not None:
+            self.on_restart(slam.associated)
+        slam.on_association = self._listener
+        self._use(slam, grid)
+        self.slam.relocate(pose, covariance)
+        recovery.give_up()
+
+    def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+        """Go on with another SLAM and grid, in another frame."""
+        self.slam, self._grid, self.frame = slam, grid, self.frame + 1
+        self._renewal = Renewal(self.slam, self.config)
+        self._watch_anew()
+
+    def _play(self, recovery: Recovery, begin: int, end: int | None = None) -> list[tuple[FloatArray, FloatArray]]:
+        """Process the steps from ``begin`` to before ``end`` again; the pose and its covariance after each of them."""
+        log, played = recovery.log, []
+        for number in range(begin, log.end if end is None else end):
+            step = log[number]
+            self._process((step.observation,))
+            log.steps[number - log.begin] = replace(step, pose=self.slam.pose)
+            played.append((self.slam.pose, self.slam.covariance))
+        return played
 
     def _watch_anew(self) -> None:
         """Begin to monitor the estimate of each robot."""

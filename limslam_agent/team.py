@@ -8,6 +8,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper, MapSnapshot
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.slam import LineSlam
@@ -61,6 +62,8 @@ class LimSlamTeam:
     policies
         One policy for each robot. By default each robot explores frontiers, and the robots divide the frontiers
         among themselves. Policies that are given serve for one run.
+    prior_map
+        The map of an earlier run, in which one robot is at an unknown place (:class:`Mapper`).
 
     Attributes
     ----------
@@ -83,12 +86,14 @@ class LimSlamTeam:
         config: AgentConfig | None = None,
         num_robots: int = 2,
         policies: Sequence[Policy] | None = None,
+        *,
+        prior_map: SavedMap | None = None,
     ) -> None:
         if num_robots < 1:
             raise ValueError(f"a team has one robot or more, not {num_robots}")
         if policies is not None and len(policies) != num_robots:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
-        self.mapper = Mapper(robot, config, np.zeros((num_robots, 3)))
+        self.mapper = Mapper(robot, config, np.zeros((num_robots, 3)), prior_map=prior_map)
         self.robot, self.config, self.num_robots = robot, self.mapper.config, num_robots
         self.names = [f"robot_{number}" for number in range(num_robots)]
         self._given_policies = policies
@@ -114,6 +119,7 @@ class LimSlamTeam:
         )
         # Number of known cells at the time when each robot stopped.
         self._known_at_stop: dict[int, int] = {}
+        self._frame = self.mapper.frame
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
         """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one observation of each."""
@@ -133,6 +139,7 @@ class LimSlamTeam:
             If a policy does not answer with two finite numbers.
         """
         beliefs = self.mapper.beliefs
+        self._renew_in_another_frame()
         self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
@@ -185,6 +192,12 @@ class LimSlamTeam:
 
     def _new_policy(self, number: int) -> Policy:
         return explorer(self.robot, self.config, number)
+
+    def _renew_in_another_frame(self) -> None:
+        """Plan anew where the frame of the map has changed. Policies that were given keep their plans."""
+        if self._frame != self.mapper.frame and self._given_policies is None:
+            self.policies = [self._new_policy(number) for number in range(self.num_robots)]
+        self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:
         """Give a robot that has stopped a new policy, once the other robots have mapped enough new cells."""

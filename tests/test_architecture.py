@@ -69,19 +69,24 @@ AGENT = {
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
+    "limslam_agent.places": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status", "safe_files"),
+    },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
     },
     "limslam_agent.mapper": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "slam", "slam.core", "grid", "renewal", "status"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("belief", "config", "slam", "slam.core", "grid", "renewal", "status", "places"),
     },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
     "limslam_agent.policies.learned": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
     },
     "limslam_agent.team": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "mapper", "policies", "status"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam", "slam.core", "grid", "mapper", "places", "policies", "status"),
     },
     "limslam_agent.agent": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),
@@ -92,7 +97,8 @@ AGENT = {
     "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "status"),
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
+        *agent("status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},

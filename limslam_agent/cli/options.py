@@ -81,6 +81,16 @@ Sharp = Annotated[
         "--sharp",
     ),
 ]
+PriorMap = Annotated[
+    Path | None,
+    _option(
+        _AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known.", None, "--map"
+    ),
+]
+KidnapAt = Annotated[
+    float | None,
+    _option(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
+]
 Calibration = Annotated[
     bool | None,
     _option(

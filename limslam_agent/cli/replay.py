@@ -31,6 +31,7 @@ def replay(
     zone_axes: take.ZoneAxes = None,
     noise: take.AssumedNoise = None,
     preset: take.ReplayPreset = None,
+    map: take.PriorMap = None,  # noqa: A002 (the option's name)
     odometry_noise: take.OdometryNoise = None,
     odometry_bias: take.OdometryBias = None,
     self_calibrate: take.SelfCalibrate = None,
@@ -93,6 +94,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     """
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, replay_summary
+    from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
@@ -109,6 +111,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
             result = replay_log(
                 job.log, job.config, lambda done: advance(done, f"{done} of {count} events"),
                 lambda stage: advance(count, f"smoothing: {stage}"),
+                None if options.map is None else read_saved_map(options.map),
             )  # fmt: skip
         scores = _scores(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
@@ -148,6 +151,8 @@ def _job(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
         return read_log(path, angles, options.max_range, topics, limits, table)
 
     recorded = opened(log)
+    if options.map is not None and recorded.wheels is None:
+        raise ValueError(f"{log}: has odometry poses; --map is for logs of wheel travel")
     if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):
         raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
     calibration = calibration_run.estimate(recorded, agent.odometry, opened)

@@ -35,6 +35,8 @@ def run(
     slip_share: take.SlipShare = None,
     dropout: take.Dropout = None,
     sharp: take.Sharp = None,
+    kidnap_at: take.KidnapAt = None,
+    map: take.PriorMap = None,  # noqa: A002 (the option's name)
     ablation: take.Ablation = None,
     limit: take.Limit = None,
     video: take.Video = None,

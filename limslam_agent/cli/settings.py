@@ -48,6 +48,8 @@ class RunOptions(Bounded):
     laps: CountOrNone = 0
     robots: Annotated[int, Bounds(1, 8)] = 1
     ablation: str | None = None
+    kidnap_at: float | None = None
+    map: Path | None = None
     limit: bool = False
     video: Path | None = None
     film_speed: Annotated[float, Bounds(1.0, 100.0)] = 5.0
@@ -69,6 +71,7 @@ class ReplayOptions(Bounded):
     zone_axes: str | None = None
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
+    map: Path | None = None
     odometry_noise: str | None = None
     odometry_bias: str | None = None
     self_calibrate: bool | None = None
@@ -381,7 +384,8 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         return RunConfig(
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(), options.robots, options.ablation, options.policy, options.limit,
-            agent, given.true_noise(NoiseConfig()),
+            agent, given.true_noise(NoiseConfig()), kidnap_at=options.kidnap_at,
+            prior_map=options.map,
         )  # fmt: skip
     except SettingsError:
         raise

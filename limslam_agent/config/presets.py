@@ -7,6 +7,7 @@ from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.config.graph import GraphConfig
+from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
@@ -72,6 +73,9 @@ class AgentConfig(Bounded):
         Exploration.
     status
         When an estimate is unsure or lost.
+    places
+        How a lost robot finds its place again. None leaves it lost. Only a single robot with wheels and the consistent
+        estimator can go on in a new frame.
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
@@ -91,6 +95,7 @@ class AgentConfig(Bounded):
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     status: StatusConfig = field(default_factory=StatusConfig)
+    places: PlaceConfig | None = field(default_factory=PlaceConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
     line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
     renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
@@ -104,6 +109,11 @@ class AgentConfig(Bounded):
         if self.line_smoothing is None or not isinstance(self.estimator, ConsistentConfig):
             return None
         return replace(self.line_smoothing, calibrate=self.estimator.self_calibration.calibrate)
+
+    @property
+    def recovery(self) -> PlaceConfig | None:
+        """Settings by which a lost robot finds its place again. None if it stays lost."""
+        return self.places if isinstance(self.estimator, ConsistentConfig) else None
 
     @property
     def range_std(self) -> float:

@@ -1,5 +1,6 @@
 """A low-resolution occupancy grid that grows with the area that the robot has seen."""
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +79,27 @@ class OccupancyGrid:
         # Cells are counted from the world's origin. The known cells lie between the two corners.
         self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
         self._values = np.zeros((0, 0), dtype=np.int16)
+
+    @classmethod
+    def of(cls, view: GridView, config: GridConfig) -> "OccupancyGrid":
+        """A grid that begins with known cells.
+
+        Raises
+        ------
+        ValueError
+            If the cells have another size than those of the settings.
+        """
+        if abs(view.cell - config.cell) > 1e-6 * config.cell:
+            raise ValueError(f"the map has cells of {view.cell:g} m, and the settings have cells of {config.cell:g} m")
+        grid = cls(config)
+        grid._low = grid._known_low = np.rint(view.low / config.cell).astype(np.int64)
+        grid._known_high = grid._low + np.array(view.values.shape[::-1])
+        grid._values = np.array(view.values, dtype=np.int16)
+        return grid
+
+    def copied(self) -> "OccupancyGrid":
+        """A copy. Later updates of one of the two do not change the other."""
+        return copy.deepcopy(self)
 
     @property
     def view(self) -> GridView:

@@ -55,13 +55,13 @@ def write_map(folder: Path, final: WallsAndGrid) -> None:
     write_grid(folder, final.grid)
 
 
-def map_content(final: WallsAndGrid) -> dict[str, Any]:
-    """The content of ``map.json`` in the world frame, m and rad.
+def map_content(final: WallsAndGrid, frame: str = "world") -> dict[str, Any]:
+    """The content of ``map.json`` in a frame, m and rad.
 
     The segments are written with all their digits, so that a score of the file equals the score of the run.
     """
     return {
-        "frame": "world",
+        "frame": frame,
         "segments": final.segments.tolist(),
         "landmarks": [
             {

@@ -17,6 +17,7 @@ from limslam_env.messages import counted, one_line
 
 RESULT, MAP, LOG, PICTURE, WORLD = "result.json", "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
+UNPLACED = "map_unplaced.json"
 
 
 class FolderError(ValueError):

@@ -39,6 +39,11 @@ def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[
     }
 
 
+def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What happened to a robot that was lost, with the time (s) of each step (n,)."""
+    return [{**each, "time_s": float(time[min(each["step"], len(time) - 1)])} for each in places]
+
+
 def record_summary(result: Mapping[str, Any]) -> list[str]:
     """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
     config, record = _part(result, "config"), _part(result, "record")
@@ -55,11 +60,27 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
         lasted = f"{record['steps']} steps, {record['duration_s']:.1f} s, {record['driven_m']:.1f} m driven"
         is_team = _has(config, "robots") and config["robots"] > 1
         lines.append(f"record      {lasted}{' by each robot' if is_team else ''}")
+    lines += _places(record.get("places"))
     each = record.get("calibration")
     lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
     if "log" in config and (end := _pose(record)) is not None:
         lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
+
+
+def _places(events: Any) -> list[str]:
+    """When the robot was lost, and when it found its place again."""
+    known = [each for each in events if isinstance(each, dict)] if isinstance(events, list) else []
+    words = [_event(str(each.get("event")), each) for each in known if _has(each, "time_s")]
+    return [f"place       {', '.join(words)}"] if words else []
+
+
+def _event(event: str, details: Mapping[str, Any]) -> str:
+    """An event of a robot that was lost or searched for its place, in words."""
+    if not event.startswith("not found"):
+        return f"{event} at {details['time_s']:.1f} s"
+    own_frame = f": {details.get('reason')}; the results are in the run's own frame"
+    return event + (own_frame if "saved map" in event else " again")
 
 
 def _calibration_line(found: Any) -> str:

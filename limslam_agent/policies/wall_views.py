@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -198,7 +199,11 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     """
     farthest = robot.radius + _FAR_SHARE * robot.reach
     # In a large map there are millions of pairs, and few of them are near.
-    near = cKDTree(faces.middles).query_ball_point(stands, farthest * (1.0 + 1e-9), return_sorted=True)
+    # The stubs of scipy know only the result for a single place.
+    near = cast(
+        "list[list[int]]",
+        cKDTree(faces.middles).query_ball_point(stands, farthest * (1.0 + 1e-9), return_sorted=True),
+    )
     counts = np.array([len(each) for each in near], dtype=np.int64)
     place = np.repeat(np.arange(len(stands)), counts)
     face = np.concatenate([np.zeros(0, dtype=np.int64), *(np.array(each, dtype=np.int64) for each in near if each)])

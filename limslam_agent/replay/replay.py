@@ -15,16 +15,19 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import write_covariances, write_json, write_map
-from limslam_agent.output.finished_run import COVARIANCES
-from limslam_agent.output.summary import record_of
+from limslam_agent.output.export import map_content, write_covariances, write_json, write_map
+from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
+from limslam_agent.output.summary import place_records, record_of
 from limslam_agent.output.tum import write_tum
+from limslam_agent.places.revisions import PlaceHistory
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.status.smoothed_status import lost_note
 from limslam_agent.status.status import LEVELS, Status, final_status_scores, status_scores
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.se2 import compose
 
 if TYPE_CHECKING:
     from limslam_agent.replay.smoothing import Smoothed
@@ -97,6 +100,8 @@ class Replay:
         Systematic odometry errors that the filter has estimated. None if this was not asked for.
     slam_ms, wall_clock
         Cost of the SLAM for each event (n,), ms, and of the whole replay, s.
+    places
+        What happened when the robot was lost.
     smoothed
         What is known at the end of the log. None if the settings do not smooth it.
     """
@@ -115,6 +120,7 @@ class Replay:
     self_calibration: SelfCalibration | None
     slam_ms: FloatArray
     wall_clock: float
+    places: PlaceHistory
     smoothed: "Smoothed | None" = None
 
 
@@ -123,6 +129,7 @@ def replay_log(
     config: AgentConfig,
     progress: Callable[[int], None] | None = None,
     report: Callable[[str], None] | None = None,
+    prior_map: SavedMap | None = None,
 ) -> Replay:
     """Map from a log, event by event, as if the robot were driving now.
 
@@ -136,12 +143,15 @@ def replay_log(
         Called after each event with the number of events that are done.
     report
         Called at the start of each stage of the smoothing with the stage in words. Smoothing can take minutes.
+    prior_map
+        The map of an earlier run, in which the log begins at an unknown place. Only for logs of wheel travel.
     """
     report = report or (lambda _: None)
-    mapper = Mapper(log.robot, config, log.start_pose)
+    mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
     count, associations = len(log), list[AssociationRecord]()
-    mapper.slam.on_association, mapper.on_restart = associations.append, associations.clear
+    mapper.slam.on_association = associations.append
+    mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms, levels = np.empty((count, 3, 3)), np.empty(count), np.empty(count, dtype=np.int64)
     begin = time.perf_counter()
@@ -154,6 +164,9 @@ def replay_log(
         if progress is not None:
             progress(number + 1)
     mapper.finish()
+    if mapper.prior_frame is not None:
+        own = slice(mapper.places.records[0]["step"])
+        estimated[own], odometry[own] = (compose(mapper.prior_frame, each[own]) for each in (estimated, odometry))
     slam = mapper.slam
     replay = Replay(
         log=log,
@@ -170,12 +183,14 @@ def replay_log(
         self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         slam_ms=slam_ms,
         wall_clock=time.perf_counter() - begin,
+        places=mapper.places,
     )
     if log.odometry is not None and config.smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_graph
 
         return smoothed_by_graph(replay, config.smoothing, report)
-    if log.wheels is not None and config.run_smoothing is not None:
+    # The smoother does not know the lines of an earlier map.
+    if log.wheels is not None and config.run_smoothing is not None and mapper.prior_frame is None:
         from limslam_agent.replay.smoothing import smoothed_by_lines
 
         report("all poses and walls")
@@ -254,11 +269,14 @@ def write_replay(
     cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)
     if smoothed is not None:
         counts, cost = {**counts, **smoothed.figures}, {**cost, "smoothing_cpu_s": smoothed.seconds}
+    record = record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry])
+    if replay.places.unplaced is not None:
+        write_json(folder / UNPLACED, map_content(replay.places.unplaced, "local"))
     result = {
         "metrics": {**scores, **found, **statuses, **counts},
         "cost": cost,
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
-        "record": record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry]),
+        "record": {**record, "places": place_records(log.time, replay.places.records)},
         "versions": versions,
         "seed": None,
     }

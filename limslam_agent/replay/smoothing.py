@@ -16,6 +16,7 @@ from limslam_agent.config.graph import GraphConfig, WallLineConfig
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.trust import PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
@@ -25,7 +26,7 @@ from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
-from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
 from limslam_agent.status.smoothed_status import smoothed_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
@@ -167,21 +168,25 @@ def smoothed_by_lines(
         The replay as it was if there is nothing to smooth.
     """
     log, begin = replay.log, time.process_time()
+    places, placed = replay.places, replay.places.placed
+    poses, covariances = revised(replay.estimated[:, None], replay.covariances[:, None], places.revisions)
     assert log.wheels is not None  # noqa: S101 (the caller chooses the smoother by it)
     run = FilteredRun(
         robot=log.robot,
         noise=replay.config.noise,
-        wheels=log.wheels[:, None],
-        ranges=log.ranges[:, None].astype(np.float64),
-        usable=np.broadcast_to(log.has_scan[:, None, None], (len(log), 1, log.ranges.shape[1])),
-        poses=replay.estimated[:, None],
-        covariances=replay.covariances[:, None],
+        wheels=log.wheels[placed, None],
+        ranges=log.ranges[placed, None].astype(np.float64),
+        usable=np.broadcast_to(log.has_scan[:, None, None], (len(log), 1, log.ranges.shape[1]))[placed],
+        poses=poses[placed],
+        covariances=covariances[placed],
         associations=associations,
         closures=closures,
+        breaks=tuple((0, step) for step in places.breaks),
     )
     found = smooth_run(run, config)
     if found is None:
         return replay
+    found, drawn = completed(found, poses, covariances), found.poses[:, 0]
     poses = found.poses[:, 0]
     status = smoothed_status(
         found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
@@ -190,14 +195,14 @@ def smoothed_by_lines(
     seconds = time.process_time() - begin
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status)
     return replace(
-        replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, poses), smoothed=smoothed
+        replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, drawn), smoothed=smoothed
     )
 
 
 def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
-    """The occupancy grid of a log's readings from poses (n, 3)."""
+    """The occupancy grid of a log's first readings from their poses (n, 3)."""
     log = replay.log
-    rows = np.flatnonzero(log.has_scan)
+    rows = np.flatnonzero(log.has_scan[: len(poses)])
     ranges = log.ranges[rows, None].astype(np.float64)
     return drawn_grid(replay.config.grid, log.robot, poses[rows, None], ranges, np.isfinite(ranges))
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +16,12 @@ import numpy as np
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, with_until
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.places.revisions import PlaceHistory
+from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED
+from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
@@ -30,6 +35,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import WorldSource, load_world
@@ -82,6 +88,11 @@ class RunConfig:
     until
         When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
         (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
+    kidnap_at
+        Time at which the robot is carried to a random place, s. None leaves it alone.
+    prior_map
+        Folder of an earlier run. The robot begins in its map, at a place that the agent does not know. None begins with
+        an empty map and a known start pose.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
@@ -106,6 +117,8 @@ class RunConfig:
     settings: AgentConfig | None = None
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
     until: str | None = None
+    kidnap_at: float | None = None
+    prior_map: Path | None = None
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -115,6 +128,8 @@ class RunConfig:
             raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
         if not 0.0 < self.max_time <= LONGEST_TIME:
             raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
+        self._check_kidnapping()
+        self._check_prior_map()
         if self.laps < 0:
             raise ValueError(f"laps must be 0 or more, not {self.laps}")
         check_policy(self.policy, self.laps, self.robots)
@@ -124,6 +139,26 @@ class RunConfig:
         if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
+
+    def _check_prior_map(self) -> None:
+        if self.prior_map is None:
+            return
+        if self.robots > 1 or self.laps or self.limit or self.agent.recovery is None:
+            raise ValueError(
+                "a map of an earlier run is for one robot that explores with the preset graph or consistent"
+            )
+        OccupancyGrid.of(read_saved_map(self.prior_map).grid, self.agent.grid)
+
+    def _check_kidnapping(self) -> None:
+        if self.kidnap_at is None:
+            return
+        if not 0.0 < self.kidnap_at <= LONGEST_TIME:
+            raise ValueError(
+                f"a robot is kidnapped after 0 s and within {LONGEST_TIME:g} s, not at {self.kidnap_at:g} s"
+            )
+        if self.robots > 1 or self.limit:
+            what = "one of several robots" if self.robots > 1 else "a run that is compared with the offline optimum"
+            raise ValueError(f"{what} cannot be kidnapped")
 
     @property
     def agent(self) -> AgentConfig:
@@ -181,6 +216,10 @@ class Episode:
         What is believed at the end.
     coverage_grid
         The cells that count for coverage.
+    places
+        What happened when the robot was lost.
+    in_prior_map
+        Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
     stop_reason, is_finished
         Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
@@ -205,6 +244,8 @@ class Episode:
     associations: list[AssociationRecord]
     closures: list[Closure]
     calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
+    places: PlaceHistory
+    in_prior_map: bool
     snapshot: Snapshot
     coverage_grid: CoverageGrid
     stop_reason: str
@@ -275,7 +316,8 @@ def run_episode(
     policies = policies_for(
         config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
     )
-    team = LimSlamTeam(config.robot, config.agent, config.robots, policies)
+    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
+    team = LimSlamTeam(config.robot, config.agent, config.robots, policies, prior_map=prior_map)
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
     def note_association(record: AssociationRecord) -> None:
@@ -283,7 +325,7 @@ def run_episode(
         if on_association is not None:
             on_association(record)
 
-    team.mapper.on_restart = associations.clear
+    team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, note_association, watch)
     return Episode(
@@ -292,12 +334,14 @@ def run_episode(
         associations=associations,
         closures=list(team.slam.closures),
         calibrations=team.slam.odometry_calibrations,
+        places=team.mapper.places,
+        in_prior_map=team.mapper.prior_frame is not None,
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
         stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
-        **_columns(rows),
+        **_in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places),
     )
 
 
@@ -336,6 +380,19 @@ def _columns(rows: list[_Row]) -> dict[str, Any]:
     return {name: np.array(column) for name, column in columns.items()}
 
 
+def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, places: PlaceHistory) -> dict[str, Any]:
+    """The columns of a run, with all poses in the frame of an earlier map if the robot found its place there."""
+    if prior_frame is None:
+        return columns
+    own = slice(places.records[0]["step"])
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(prior_frame[2]), -np.sin(prior_frame[2])], [np.sin(prior_frame[2]), np.cos(prior_frame[2])]]
+    for name in ("estimated", "odometry"):
+        columns[name][own] = compose(prior_frame, columns[name][own])
+    columns["covariances"][own] = turn @ columns["covariances"][own] @ turn.T
+    return columns
+
+
 def _drive(
     config: RunConfig,
     env: LimSlamParallelEnv,
@@ -344,10 +401,12 @@ def _drive(
     watch: Watcher | None,
 ) -> list[_Row]:
     observed, infos = env.reset(seed=config.seed)
-    team.reset(np.array([infos[name]["pose"] for name in team.names]), config.seed)
+    starts = np.array([infos[name]["pose"] for name in team.names])
+    team.reset(starts if config.prior_map is None else np.zeros_like(starts), config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
     max_steps = round(config.max_time / config.robot.control_period)
+    kidnapped_at = None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
     while True:
         observations = [observed[name] for name in team.names]
         truth = infos[team.names[0]]
@@ -371,4 +430,7 @@ def _drive(
         if team.done or len(rows) > max_steps:
             team.finish()
             return rows
+        if len(rows) == kidnapped_at:
+            draws = np.random.default_rng([config.seed, kidnapped_at])
+            env.carry(0, another_place(env.world, config.robot, infos[team.names[0]]["pose"], draws))
         observed, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))

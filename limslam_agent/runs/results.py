@@ -13,8 +13,8 @@ import numpy as np
 
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, finite, map_content, write_covariances, write_json, write_map
-from limslam_agent.output.finished_run import COVARIANCES, WORLD, policy_words
-from limslam_agent.output.summary import calibration_record, record_of
+from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, policy_words
+from limslam_agent.output.summary import calibration_record, place_records, record_of
 from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode, RunConfig
@@ -210,11 +210,14 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     write_map(folder, episode.final_map)
     if episode.smoothed is not None:
         write_json(folder / "map_online.json", map_content(online_map(episode)))
+    if episode.places.unplaced is not None:
+        write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
     _draw(folder / "map.png", episode)
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
         "policy": short_name(config.policy), "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
+        "kidnap_at": config.kidnap_at, "map": config.prior_map and str(config.prior_map),
         "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
@@ -228,7 +231,11 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
 
 def _record(episode: Episode) -> dict[str, Any]:
     record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
-    return {**record, "calibration": [found and calibration_record(*found) for found in episode.calibrations]}
+    return {
+        **record,
+        "places": place_records(episode.time, episode.places.records),
+        "calibration": [found and calibration_record(*found) for found in episode.calibrations],
+    }
 
 
 def _write_log(path: Path, episode: Episode) -> None:

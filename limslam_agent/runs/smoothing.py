@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.status.smoothed_status import lost_note, smoothed_status
@@ -46,23 +47,28 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
     Only the associations of the consistent estimator can be smoothed.
     """
     agent, settings = episode.config.agent, episode.config.agent.run_smoothing
-    if settings is None:
+    # The smoother does not know the lines of an earlier map.
+    if settings is None or episode.in_prior_map:
         return None
     # The kernels of the smoother load numba, which takes time that other commands do not need.
-    from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+    from limslam_agent.slam.line_graph.smoother import FilteredRun, completed, smooth_run
 
+    places, known = episode.places, episode.places.placed
+    poses, covariances = revised(episode.estimated, episode.covariances, places.revisions)
     run = FilteredRun(
         robot=episode.config.robot,
         noise=agent.noise,
-        wheels=episode.wheels,
-        ranges=episode.ranges,
-        usable=~episode.dropped,
-        poses=episode.estimated,
-        covariances=episode.covariances,
+        wheels=episode.wheels[known],
+        ranges=episode.ranges[known],
+        usable=~episode.dropped[known],
+        poses=poses[known],
+        covariances=covariances[known],
         associations=episode.associations,
         closures=episode.closures,
+        breaks=tuple((0, step) for step in places.breaks),
     )
-    return smooth_run(run, settings)
+    found = smooth_run(run, settings)
+    return None if found is None else completed(found, poses, covariances)
 
 
 def online_map(episode: "Episode") -> FinalMap:
@@ -79,7 +85,8 @@ def final_map(episode: "Episode") -> FinalMap:
     ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
-    grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses, ranges, measured)
+    known = episode.places.placed
+    grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses[known], ranges[known], measured[known])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
 

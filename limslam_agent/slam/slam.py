@@ -1,6 +1,7 @@
 """LineSlam: estimates the poses of robots, and the walls around them, from a few beams and odometry."""
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -77,6 +78,31 @@ class LineSlam:
         """Use all pending readings at the end of a run."""
         self._estimator.finish(self.robots)
 
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map.
+
+        Readings that are still pending are used before.
+        """
+        self.finish()
+        self._estimator.relocate(pose, covariance, robot)
+
+    def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
+        """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on.
+
+        Call this before the first step. Only the consistent estimator can do so.
+        """
+        self._estimator.know(landmarks, segments)
+
+    def copied(self) -> "LineSlam":
+        """A copy that nothing listens to. Later steps of one of the two do not change the other."""
+        estimator = self._estimator
+        kept = estimator.on_association, estimator.recent_associations
+        estimator.on_association = estimator.recent_associations = None
+        try:
+            return copy.deepcopy(self)
+        finally:
+            estimator.on_association, estimator.recent_associations = kept
+
     @property
     def pose(self) -> FloatArray:
         """Estimated pose of the first robot (3,), m, m, rad."""
@@ -130,6 +156,11 @@ class LineSlam:
     @on_association.setter
     def on_association(self, listener: Callable[[AssociationRecord], None] | None) -> None:
         self._estimator.on_association = listener
+
+    @property
+    def associated(self) -> int:
+        """Number of observed lines that were associated so far."""
+        return self._estimator.associated
 
     @property
     def recent_associations(self) -> list[AssociationRecord] | None:

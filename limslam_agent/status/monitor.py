@@ -55,12 +55,15 @@ class _Check:
     beams, points
         The beams (k,) that contradict the map, and where (k, 2), m: at the wall that the beam passed through, or where
         it ended in free space.
+    step
+        Number of the step.
     """
 
     place: float
     counts: tuple[int, int, int, int]
     beams: IntArray
     points: FloatArray
+    step: int
 
 
 class StatusMonitor:
@@ -101,6 +104,7 @@ class StatusMonitor:
         self._late_beams = LateBeams(robot, config.late_beams, config.contradictions, range_std)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
+        self._doubted = 0
         # How many readings changed at once, of how many, and how many then should have ended at a wall, and did.
         self._changed = (0, 0, 0, 0)
         self.status = Status()
@@ -165,6 +169,17 @@ class StatusMonitor:
         heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
+    @property
+    def doubted(self) -> int:
+        """For how many steps the estimate of a lost robot has been doubtful; 0 if the doubt began in this step."""
+        return self._step - self._doubted
+
+    def _first_doubt(self) -> int:
+        """The step of the first comparison in the last metres that contradicts the map, or the present step."""
+        if self._jump or self._by_contradictions().level != "lost":
+            return self._step
+        return next(check.step for check in self._recent(self._config.window) if check.counts[1])
+
     def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap) -> None:
         """Note how many readings changed at once since the last comparison, and how many fitted the map after that."""
         sights = [sight for _, sight in self._sights]
@@ -198,7 +213,7 @@ class StatusMonitor:
         points = transform_points(
             last.pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams]
         )
-        self._checks.append(_Check(self._place, outcome.counts, beams, points))
+        self._checks.append(_Check(self._place, outcome.counts, beams, points, self._step))
 
     def _compared(
         self, sight: Sight, measured: BoolArray, covariance: FloatArray, known: KnownMap
@@ -226,6 +241,7 @@ class StatusMonitor:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
         self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
         if self.status.level == "lost":
+            self._doubted = self._first_doubt()
             # The values of the grid's view change with the grid.
             frozen = replace(present.grid, values=present.grid.values.copy())
             self._reference = KnownMap(present.segments, frozen)

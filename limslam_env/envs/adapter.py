@@ -244,6 +244,16 @@ class SimulationEnv:
         """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
         return self._episode.running.seen
 
+    def carry(self, robot: int, pose: FloatArray) -> None:
+        """Carry a robot to another pose (3,) without a turn of its wheels, as a test of what an agent does then.
+
+        Raises
+        ------
+        WorldError
+            If the robot collides there or is outside.
+        """
+        self._episode.running.carry(robot, pose)
+
     @property
     def overlay(self) -> Sequence[Overlay]:
         """The agents' estimates, drawn over later pictures; the first one has the colour of the first robot.

@@ -137,6 +137,19 @@ class Simulation:
         self._new_cells = np.zeros(count, dtype=np.int64)
         return self._observe(np.zeros((count, 2)), self._draws.next(), [False] * count)
 
+    def carry(self, number: int, pose: FloatArray) -> None:
+        """Carry a robot to another pose (3,). Its wheels do not turn on the way. It reads its beams in the next step.
+
+        Raises
+        ------
+        WorldError
+            If the robot collides there or is outside.
+        """
+        self.world.check_poses(np.asarray(pose, dtype=float)[None], self.robot.radius)
+        poses = self._physics.poses
+        poses[number] = pose
+        self._physics.place(poses, self.robot.axle * (1.0 + self._noise.axle_mismatch))
+
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
         """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
         self._steps += 1

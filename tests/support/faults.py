@@ -2,13 +2,14 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from limslam_agent import LimSlamAgent
 from limslam_agent.config.presets import preset
+from limslam_agent.runs.kidnapping import another_place
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation
@@ -16,8 +17,6 @@ from limslam_env.interface import NominalNoise, Observation
 KINDS = ("kidnapped", "reversed", "swapped", "delayed", "jump")
 DELAY = 10
 """Steps by which a beam is delayed: 1 s."""
-LEAST_MOVE = 2.0
-"""Least distance to which a robot is kidnapped, m."""
 
 
 @dataclass(eq=False)
@@ -44,15 +43,7 @@ class Fault:
 
     def carry(self, env: LimSlamEnv, pose: FloatArray) -> None:
         """Move the body of a robot that is kidnapped."""
-        world, robot = env.world, env.robot
-        grid = world.free_space(robot.radius)
-        cells = np.argwhere(grid.region_of(pose[:2]))[:, ::-1]
-        places = np.asarray(grid.origin) + (cells + 0.5) * grid.cell
-        far = places[np.hypot(*(places - pose[:2]).T) > LEAST_MOVE]
-        draws = np.random.default_rng(self.seed)
-        place = far[draws.integers(len(far))]
-        physics = env._episode.simulation._physics
-        physics.place(np.array([[*place, draws.uniform(-np.pi, np.pi)]]), physics._axle)
+        env.carry(0, another_place(env.world, env.robot, pose, np.random.default_rng(self.seed)))
 
     def altered(self, told: Observation, time: float) -> Observation:
         """The observation as the robot with the fault reports it."""
@@ -72,9 +63,16 @@ class Fault:
 
 
 def steps_with(
-    fault: Fault, world: str, noise: float, lasts: float, seed: int, note: list[str] | None = None
+    fault: Fault,
+    world: str,
+    noise: float,
+    lasts: float,
+    seed: int,
+    note: list[str] | None = None,
+    *,
+    finds_places: bool = True,
 ) -> tuple[LimSlamAgent, list[dict[str, Any]]]:
-    """Explore until some seconds (``lasts``) after a fault began.
+    """Explore until some seconds (``lasts``) after a fault began. A lost robot may look for its place.
 
     Returns
     -------
@@ -84,7 +82,8 @@ def steps_with(
         For each step the true ``info``, and the ``observation`` that the agent got. Its status is added to ``note``.
     """
     env = LimSlamEnv(world, sensor_noise=noise, coverage_goal=None)
-    agent = LimSlamAgent(env.robot, preset("consistent", NominalNoise(noise)))
+    settings = preset("consistent", NominalNoise(noise))
+    agent = LimSlamAgent(env.robot, settings if finds_places else replace(settings, places=None))
     told, info = env.reset(seed=seed)
     agent.reset(info["pose"], seed)
     rows = []

@@ -177,6 +177,12 @@ class CloneEKF(LineEKF):
         self._move(moved, increment, by_pose, Q, moved)
         self._bias.predict(moved, by_pose, by_errors)
 
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
+        super().relocate(pose, covariance, robot)
+        if self._bias is not None:
+            self._bias.forget(slice(POSE * robot, POSE * robot + POSE))
+
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""
         moved, old = slice(POSE * robot, POSE * robot + POSE), len(self.x)
@@ -223,6 +229,19 @@ class CloneEKF(LineEKF):
             self._bias.insert(at, np.zeros((2, self._poses_end)))
         self._anchors = np.vstack((self._anchors, anchor))
         return self.num_lines - 1
+
+    def add_known_line(self, line: FloatArray, covariance: FloatArray, anchor: FloatArray) -> int:
+        """Add a line (r, theta) with a covariance (2, 2), independent of all else, and return its index.
+
+        Its anchor (2,), m, should be near the wall.
+        """
+        (r, theta), index = line.tolist(), self.add_line(float(line[1]), anchor)
+        part, (x, y) = self._part(index), anchor.tolist()
+        cos, sin = np.cos(theta), np.sin(theta)
+        about_anchor = np.array([[1.0, x * sin - y * cos], [0.0, 1.0]])
+        self.x[part] = r - x * cos - y * sin, theta
+        self.P[part, part] = about_anchor @ covariance @ about_anchor.T
+        return index
 
     def observe(self, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
         """Update by readings of one line: the iterated EKF, linearised anew at each iteration.

@@ -28,6 +28,7 @@ from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibra
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
 
 BESIDE_CORNER = 0.15
@@ -42,6 +43,12 @@ difference that is known more exactly than any wall is straight.
 
 RENEWAL_ITERATIONS = 3
 """Iterations of each merge when a map is renewed, since that merges all walls of the map at once."""
+
+KNOWN_SPACING = 0.01
+"""Distance, m, between the points by which a wall of an earlier map is counted, as if beams had ended there."""
+
+KNOWN_VARIANCES = (0.01**2, math.radians(0.2) ** 2)
+"""Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations are not known."""
 
 SHORTEST = 0.1
 """Least length of a wall segment, m, that the error of its direction is based on."""
@@ -78,6 +85,16 @@ class ConsistentEstimator(Estimator):
         super().__init__(robot, self._filter)
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
+
+    def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
+        """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
+        for mark in landmarks:
+            if mark.segments:
+                points, _ = sample(segments[list(mark.segments)], KNOWN_SPACING)
+                spread = mark.covariance + np.diag(KNOWN_VARIANCES)
+                index = self._filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
+                self._map.add()
+                self._map.grow(index, points)
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
         """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""

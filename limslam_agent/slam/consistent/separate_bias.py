@@ -56,6 +56,10 @@ class SeparateBias:
         self._by_errors[moved] = by_pose @ self._by_errors[moved]
         self._by_errors[moved, moved] += by_errors
 
+    def forget(self, part: slice) -> None:
+        """A part of the state got a value that does not depend on the errors."""
+        self._by_errors[part] = 0.0
+
     def insert(self, place: int, rows: FloatArray) -> None:
         """States were inserted before ``place``, with these derivatives (k, 3 n)."""
         self._by_errors = np.concatenate((self._by_errors[:place], rows, self._by_errors[place:]))

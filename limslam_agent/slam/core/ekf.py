@@ -67,6 +67,12 @@ class LineEKF(ExtendedKalmanFilter):
         """Covariance of all poses together (3 n, 3 n), a copy."""
         return np.array(self.P[: self._poses_end, : self._poses_end])
 
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
+        part = slice(POSE * robot, POSE * robot + POSE)
+        self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
+        self.P[part, part] = covariance
+
     @property
     def lines(self) -> FloatArray:
         """The lines (N, 2), a copy."""

@@ -31,6 +31,8 @@ class Estimator:
         Pairs of landmarks that were found to be one wall, in order.
     last_extraction
         The lines of the latest scan; None before the first.
+    associated
+        Number of observed lines that were associated so far.
     on_association
         Called with the association of each observed line.
     recent_associations
@@ -41,6 +43,7 @@ class Estimator:
         self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
+        self.associated = 0
         self.on_association: Callable[[AssociationRecord], None] | None = None
         self.recent_associations: list[AssociationRecord] | None = None
 
@@ -86,11 +89,20 @@ class Estimator:
         return None
 
     def report(self, record: AssociationRecord) -> None:
-        """Tell the listener of an association, and store it if that is wanted."""
+        """Count an association, tell the listener of it, and store it if that is wanted."""
+        self.associated += 1
         if self.on_association is not None:
             self.on_association(record)
         if self.recent_associations is not None:
             self.recent_associations.append(record)
+
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int) -> None:
+        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map."""
+        self._belief.relocate(pose, covariance, robot)
+
+    def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
+        """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
+        raise NotImplementedError
 
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""

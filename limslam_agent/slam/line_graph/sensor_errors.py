@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
     LEAST_RANGE_STD,
-    DegenerateError,
     Problem,
     range_residuals,
     rows_of,

@@ -26,6 +26,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
+_CARRIED_STD = 10.0  # m, of all three components of a motion of which nothing is known
+
 
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
@@ -45,6 +47,8 @@ class FilteredRun:
         The associations of the observed lines, and the merged landmarks, in order.
     first_step
         Step of the drive that row 0 belongs to, if the run is a part of a drive.
+    breaks
+        Robots and steps before which a robot was carried away.
     """
 
     robot: RobotSpec
@@ -57,6 +61,7 @@ class FilteredRun:
     associations: list[AssociationRecord]
     closures: list[Closure]
     first_step: int = 0
+    breaks: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +97,16 @@ class SmoothedRun:
     beam_width: float
 
 
+def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) -> SmoothedRun:
+    """A smoothed run with the later steps of a longer run, whose poses (t, n, 3) stay as they are."""
+    count = len(found.poses)
+    return replace(
+        found,
+        poses=np.concatenate((found.poses, poses[count:])),
+        covariances=np.concatenate((found.covariances, covariances[count:])),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Settled:
     """A solution, its problem, and the moves that corrected its associations."""
@@ -124,6 +139,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     problem = make_problem(
         run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step
     )
+    problem = with_breaks(problem, run.breaks)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
@@ -179,6 +195,14 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     values, first = solution.state.calibration.ravel(), solution.factored.first_shared
     covariance = solution.factored.covariance[first : first + len(values), first : first + len(values)]
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
+
+
+def with_breaks(problem: Problem, breaks: Iterable[tuple[int, int]]) -> Problem:
+    """A problem in which nothing is known about the motions to some steps, given as robots and steps."""
+    stds = problem.stds.copy()
+    for number, step in breaks:
+        stds[number, step - 1] = _CARRIED_STD
+    return replace(problem, stds=stds)
 
 
 def filter_labels(

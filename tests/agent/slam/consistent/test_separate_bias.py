@@ -163,7 +163,7 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again(uneven: float) -> None:
         for when in ("if_needed", "always")
     )
     restarts, errors, first = [], [], mapper.slam
-    mapper.on_restart = lambda: restarts.append(len(errors))
+    mapper.on_restart = lambda _: restarts.append(len(errors))
     for seen, true in zip(observations, poses, strict=True):
         mapper.step(seen)
         always.step(seen)

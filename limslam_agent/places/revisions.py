@@ -1,0 +1,85 @@
+"""What becomes known about earlier steps of a robot that was lost: their poses, or that their place is unknown."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_env.geometry import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Revision:
+    """Poses of a robot as they became known when it had found its place.
+
+    Attributes
+    ----------
+    begin
+        Number of the first step.
+    poses, covariances
+        Poses (m, 3), m and rad, and covariances (m, 3, 3).
+    """
+
+    begin: int
+    poses: FloatArray
+    covariances: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Unplaced:
+    """The map of a robot that was still lost at the end, in its local frame.
+
+    Attributes
+    ----------
+    begin
+        Number of the step since which the robot's place is unknown.
+    segments, landmarks
+        Walls (k, 4), m, and the lines that they lie on.
+    grid
+        Occupancy grid.
+    """
+
+    begin: int
+    segments: FloatArray
+    landmarks: list[Landmark]
+    grid: GridView
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceHistory:
+    """What happened to a robot that was lost during a run.
+
+    Attributes
+    ----------
+    revisions
+        Poses of earlier steps as they became known when the robot had found its place.
+    breaks
+        The steps before which the robot was carried away, as far as it has found its place again.
+    unplaced
+        The local map of a robot that is still lost at the end; None otherwise.
+    records
+        When the robot was lost and found, and the matches that decided it.
+    """
+
+    revisions: list[Revision] = field(default_factory=list)
+    breaks: list[int] = field(default_factory=list)
+    unplaced: Unplaced | None = None
+    records: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def placed(self) -> slice:
+        """The steps in which the robot's place is known at the end."""
+        return slice(None if self.unplaced is None else self.unplaced.begin)
+
+
+def revised(poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]) -> tuple[FloatArray, FloatArray]:
+    """The poses (t, n, 3) of a run of one robot as they are known at the end, with covariances (t, n, 3, 3).
+
+    While the robot was lost, its poses were in a local frame.
+    """
+    poses, covariances = poses.copy(), covariances.copy()
+    for revision in revisions:
+        rows = slice(revision.begin, revision.begin + len(revision.poses))
+        poses[rows, 0], covariances[rows, 0] = revision.poses, revision.covariances
+    return poses, covariances

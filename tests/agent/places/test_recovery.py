@@ -1,0 +1,182 @@
+"""A robot that is carried away in the middle of an exploration goes on in a local frame and finds its place again."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_agent import Mapper, preset
+from limslam_agent.config.presets import with_until
+from limslam_agent.output.summary import record_summary
+from limslam_agent.places.history import LoggedStep, StepLog, carried_at
+from limslam_agent.places.revisions import Revision, revised
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.results import write_episode
+from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
+from limslam_agent.slam.line_graph.smoother import with_breaks
+from limslam_env.geometry.se2 import compose, wrap_angle
+from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.worlds.world import WorldError
+
+NOISE, KIDNAPPED = 0.02, 90.0
+LOST, UNSURE = 2, 1
+
+
+@pytest.fixture(scope="module")
+def episode():
+    return run_episode(RunConfig("env3", NOISE, seed=110, kidnap_at=KIDNAPPED, max_time=130.0, until="walls"))
+
+
+def errors(poses, true):
+    return np.hypot(*(poses - true)[:, 0, :2].T)
+
+
+def test_a_kidnapped_robot_finds_its_place(episode):
+    carried, level = round(KIDNAPPED / 0.1), episode.levels[:, 0]
+    lost = np.flatnonzero(level == LOST)
+    assert carried < lost[0] < carried + 100
+    found = lost[-1] + 1
+    assert found < carried + 350
+    np.testing.assert_array_equal(level[found : found + 20], UNSURE)
+    off = errors(episode.estimated, episode.true)
+    assert off[lost[0] : found].min() > 0.5
+    assert off[found:].max() < 0.2
+    assert np.abs(wrap_angle((episode.estimated - episode.true)[found:, 0, 2])).max() < np.radians(5.0)
+
+
+def test_its_covariance_is_large_until_then(episode):
+    lost = np.flatnonzero(episode.levels[:, 0] == LOST)
+    std = np.sqrt(np.trace(episode.covariances[lost, 0, :2, :2], axis1=1, axis2=2))
+    assert std[-1] > errors(episode.estimated, episode.true)[lost[-1]]
+    assert std[-1] > 5.0 * np.sqrt(np.trace(episode.covariances[lost[-1] + 1, 0, :2, :2]))
+
+
+def test_the_step_at_which_it_was_carried_away_is_known_afterwards(episode):
+    (step,) = episode.places.breaks
+    assert abs(step - 1 - round(KIDNAPPED / 0.1)) <= 2
+
+
+def test_the_smoothed_path_is_right_on_both_sides(episode):
+    assert errors(episode.smoothed.poses, episode.true).max() < 0.2
+    assert errors(episode.estimated, episode.true).max() > 1.0
+    poses, _ = revised(episode.estimated, episode.covariances, episode.places.revisions)
+    assert np.median(errors(poses, episode.true)) < 0.1
+
+
+def test_the_folder_says_what_happened(episode, tmp_path):
+    result = write_episode(tmp_path, episode)
+    lost, found = json.loads((tmp_path / "result.json").read_text())["record"]["places"][:2]
+    assert (lost["event"], found["event"]) == ("lost", "found")
+    assert lost["reason"]
+    assert found["match"]["accepted"]
+    assert {"forward", "backward", "runner_up", "contradictions", "score"} < set(found["match"])
+    assert KIDNAPPED < lost["time_s"] < found["time_s"] < KIDNAPPED + 40.0
+    text = "\n".join(record_summary(result))
+    assert f"place       lost at {lost['time_s']:.1f} s, found at {found['time_s']:.1f} s" in text
+    assert not (tmp_path / "map_unplaced.json").exists()
+
+
+def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path):
+    settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
+    # No match is ever good enough.
+    settings = replace(settings, places=replace(settings.places, least_walls=1e3))
+    config = RunConfig("env3", NOISE, seed=110, kidnap_at=30.0, max_time=50.0, settings=settings)
+    episode = run_episode(config)
+    assert (episode.places.breaks, episode.places.revisions) == ([], [])
+    assert 0 < episode.places.unplaced.begin <= 300
+    assert episode.snapshot.status == "lost"
+    assert episode.places.records[-1]["event"] == "not found"
+    write_episode(tmp_path, episode)
+    assert json.loads((tmp_path / "map_unplaced.json").read_text())["frame"] == "local"
+    before, after = episode.places.unplaced.begin - 20, -1
+    assert errors(episode.smoothed.poses, episode.true)[:before].max() < 0.2
+    np.testing.assert_array_equal(episode.smoothed.poses[after], episode.estimated[after])
+    std = np.sqrt(np.trace(episode.snapshot.covariances[0, :2, :2]))
+    assert std > errors(episode.estimated, episode.true)[after]
+
+
+def test_settings_without_a_search_leave_a_robot_lost():
+    settings = replace(preset("graph", NominalNoise(NOISE)), places=None)
+    episode = run_episode(RunConfig("env3", NOISE, seed=110, kidnap_at=10.0, max_time=22.0, settings=settings))
+    assert (episode.places.records, episode.places.breaks) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"kidnap_at": 0.0}, "not at 0 s"),
+        ({"kidnap_at": float("nan")}, "not at nan s"),
+        ({"kidnap_at": 5.0, "robots": 2}, "one of several robots cannot be kidnapped"),
+    ],
+)
+def test_impossible_kidnappings_are_refused(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        RunConfig("env1", **wrong)
+
+
+def test_a_world_without_another_place_is_refused(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text('name = "cell"\nsize = [1, 1]\nwalls = [[0,0,1,0],[1,0,1,1],[1,1,0,1],[0,1,0,0]]\n')
+    with pytest.raises(WorldError, match="no free place"):
+        run_episode(RunConfig(path, NOISE, kidnap_at=0.1, max_time=1.0))
+
+
+def test_a_mapper_that_is_never_lost_stays_in_its_frame():
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
+    for _ in range(5):
+        mapper.step({"ranges": np.full(6, 1.0), "wheels": np.array([0.01, 0.01])})
+    mapper.finish()
+    places = mapper.places
+    assert (mapper.frame, places.breaks, places.records, places.revisions, places.unplaced) == (0, [], [], [], None)
+    assert mapper.statuses[0].level == "ok"
+
+
+def test_a_break_leaves_a_motion_free():
+    wheels, ranges = np.full((5, 1, 2), 0.1), np.full((5, 1, 6), 2.0)
+    problem = make_problem(RobotSpec(), NominalNoise(NOISE), np.zeros((1, 3)), wheels, ranges)
+    broken = with_breaks(problem, [(0, 3)])
+    assert np.all(broken.stds[0, 2] == 10.0)
+    np.testing.assert_array_equal(np.delete(broken.stds, 2, axis=1), np.delete(problem.stds, 2, axis=1))
+    poses = np.array([[0.1 * x, 0.0, 0.0] for x in range(3)] + [[2.0, 3.0, 2.9], [2.0, 3.1, 2.9]])
+    np.testing.assert_allclose(state_from_poses(broken, poses[:, None]).poses[0], poses, atol=1e-9)
+
+
+def test_the_break_lies_where_the_readings_change():
+    robot, walls = RobotSpec(), np.array([[0.0, 1.0, 10.0, 1.0], [0.0, 5.0, 10.0, 5.0]])
+    motion, jump, log = np.array([0.05, 0.0, 0.0]), np.array([0.0, 3.5, 0.0]), StepLog(100)
+    for number in range(20):
+        pose = np.array([2.0 + 0.05 * number, 0.2, 0.0])
+        y = pose[1] + (jump[1] if number >= 12 else 0.0)
+        ahead = np.full(len(robot.beams), np.nan)
+        ahead[0] = (1.0 if number < 12 else 5.0) - y - robot.radius
+        log.steps.append(LoggedStep({}, pose, motion, ahead))
+    last = log[119].pose + jump
+    placed = log.driven_back(last, 120)
+    np.testing.assert_allclose(placed, [step.pose + jump for step in log.steps], atol=1e-9)
+    limits = preset("graph").status.contradictions
+    assert carried_at(log, placed, robot, walls, NOISE, limits) == 112
+    log.forget_before(110)
+    assert (log.begin, log.end, len(log.since(115))) == (110, 120, 5)
+
+
+def test_revisions_replace_the_poses_of_a_local_frame():
+    poses, covariances = np.zeros((6, 1, 3)), np.zeros((6, 1, 3, 3))
+    found = Revision(2, np.ones((3, 3)), np.ones((3, 3, 3)))
+    new, spread = revised(poses, covariances, [found])
+    np.testing.assert_array_equal(new[:, 0, 0], [0, 0, 1, 1, 1, 0])
+    np.testing.assert_array_equal(spread[:, 0, 0, 0], [0, 0, 1, 1, 1, 0])
+    assert poses.sum() == 0.0
+
+
+def test_a_relocated_robot_is_independent_of_the_map():
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
+    for number in range(60):
+        mapper.step({"ranges": np.full(6, 1.0 + 0.001 * (number % 3)), "wheels": np.array([0.02, 0.02])})
+    segments, pose = mapper.slam.segments, compose(mapper.slam.pose, np.array([3.0, 1.0, 0.5]))
+    copied = mapper.slam.copied()
+    mapper.slam.relocate(pose, np.diag([0.01, 0.02, 0.003]))
+    np.testing.assert_allclose(mapper.slam.pose, pose)
+    np.testing.assert_allclose(mapper.slam.covariance, np.diag([0.01, 0.02, 0.003]))
+    assert np.hypot(*(copied.pose - pose)[:2]) > 2.0
+    assert len(mapper.slam.segments) >= len(segments)
