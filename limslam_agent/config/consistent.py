@@ -76,7 +76,7 @@ class SegmentationConfig(Bounded):
         with the distance of the wall, and beams that reach farther meet farther walls.
     corner_std
         For ranges with at least this standard deviation, m, readings near a known wall that crosses their line are not
-        used. With less noise, a corner shows as a kink.
+        used. By default all are used: leaving them out helps some runs and harms others.
     """
 
     kink_gate: NonNegative = 12.0
@@ -86,7 +86,7 @@ class SegmentationConfig(Bounded):
     end_gate: NonNegative = 6.0
     gap_ahead: NonNegative = 0.9
     max_hole_share: NonNegative = 0.2
-    corner_std: NonNegative = _NOISY_STD
+    corner_std: NonNegative = 1e3
 
 
 @dataclass(frozen=True)
