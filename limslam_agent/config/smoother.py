@@ -245,6 +245,6 @@ class RenewalConfig(Bounded):
         deviations of a range. It stands for errors that a wall has in each stretch again.
     """
 
-    period: NonNegative = 300.0
+    period: NonNegative = 900.0
     least: NonNegative = 30.0
     end_noise: NonNegative = 1.0
