@@ -153,7 +153,8 @@ class Mapper:
             raise ValueError(f"a start pose has the shape (3,), or (n, 3) for n robots, not {np.shape(start_pose)}")
         if not np.isfinite(starts).all():
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
-        self.slam = LineSlam(self.robot, self.config, starts)
+        self._slam_config, self._is_finished = self.config, False
+        self.slam = LineSlam(self.robot, self._slam_config, starts)
         self._grid = OccupancyGrid(self.config.grid)
         self._starts, self._early = starts, list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
@@ -200,10 +201,13 @@ class Mapper:
             self._look_up(self._lookup)
 
     def finish(self) -> None:
-        """Use the readings that are still buffered. Call this after the last step.
+        """Use the readings that are still buffered. Call this after the last step; a second call does nothing.
 
         A robot that is still lost then gets the map back that it was lost from.
         """
+        if self._is_finished:
+            return
+        self._is_finished = True
         self.slam.finish()
         if self._lookup is not None and self._lookup.is_open:
             self._look_up(self._lookup)
@@ -213,6 +217,7 @@ class Mapper:
             self._seek(self._recovery)
         if self._recovery is not None and self._recovery.is_lost:
             self._give_up(self._recovery)
+        self.slam.finish()
 
     @property
     def belief(self) -> Belief:
@@ -315,7 +320,8 @@ class Mapper:
         if self.on_restart is not None:
             self.on_restart(0)
         listener, early = self.slam.on_association, self._early
-        self.slam = LineSlam(self.robot, self_calibrating(self.config), self._starts)
+        self._slam_config = self_calibrating(self.config)
+        self.slam = LineSlam(self.robot, self._slam_config, self._starts)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
         self._watch_anew()
         self._renewal = Renewal(self.slam, self.config)
@@ -352,7 +358,7 @@ class Mapper:
         segments, grid = self.slam.segments, self.grid
         if self.on_restart is not None:
             self.on_restart(0)
-        slam = LineSlam(self.robot, self.config, start)
+        slam = LineSlam(self.robot, self._slam_config, start)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
         slam.relocate(start, covariance)
         slam.on_association = self.slam.on_association
@@ -373,6 +379,8 @@ class Mapper:
         own = self._monitors[0]
         if own.status.level == "lost":
             jump = math.sqrt(own.added_covariance[0, 0])
+            if recovery.is_placed:
+                self._revisions.pop()  # the place that was found was wrong
             recovery.lose(own.status, own.doubted, jump, self.slam, self._grid)
             self._go_on_locally(recovery)
         elif recovery.is_lost and recovery.is_due():
@@ -392,7 +400,8 @@ class Mapper:
         assert absence is not None  # noqa: S101 (the robot is lost)
         listener = self.slam.on_association
         self._listener = listener or self._listener
-        self._use(LineSlam(self.robot, self.config, log[absence.first - 1].pose), OccupancyGrid(self.config.grid))
+        slam = LineSlam(self.robot, self._slam_config, log[absence.first - 1].pose)
+        self._use(slam, OccupancyGrid(self.config.grid))
         self.slam.robots[0].step = absence.first - 1
         self._play(recovery, absence.first)
 
@@ -412,6 +421,8 @@ class Mapper:
         self.slam.robots[0].step = log.begin - 1
         poses = self._play(recovery, log.begin, found.step)
         self.slam.relocate(found.pose, found.covariance)
+        # The motion to the place that was found is no part of a stretch that can be smoothed.
+        self._renewal = Renewal(self.slam, self.config)
         # The comparisons until now have seen how the robot was carried away.
         self._watch_anew()
         poses += self._play(recovery, found.step)

@@ -46,6 +46,8 @@ class Lookup:
         """Keep a step of the robot."""
         self.steps.append(step)
         self._driven += math.hypot(*step.motion[:2].tolist())
+        if len(self.steps) > self._config.longest:
+            self.end(f"the search took more than {self._config.longest} steps")
 
     @property
     def is_due(self) -> bool:
@@ -68,8 +70,6 @@ class Lookup:
         decision = self._latest = find_place(self._place, local, self._config)
         self._refused += not decision.is_accepted
         if before is None or decision.fit is None or not agree(before, decision, local, self._config):
-            if len(self.steps) >= self._config.longest:
-                self.end("the search took too long")
             return None
         placed = compose(decision.fit.pose, start)
         self._close("found in the saved map")

@@ -145,6 +145,11 @@ class Recovery:
         """Whether the robot is in a local frame."""
         return self.absence is not None and not self.absence.is_placed
 
+    @property
+    def is_placed(self) -> bool:
+        """Whether the robot has found its place in the frame that it was lost from, without being sure of it yet."""
+        return self.absence is not None and self.absence.is_placed
+
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
         found = self.absence or self._arrival
@@ -174,8 +179,8 @@ class Recovery:
             absence.driven += math.hypot(*step.motion[:2].tolist())
         if self.absence is not None:
             self.log.forget_before(self.log.end - self._config.longest)
-        elif self.log.end % self._config.checkpoint == 0:
-            self._copies = [*self._copies[1 - self._config.checkpoints :], self._copy(slam, grid)]
+        elif not self._copies or self.log.end % self._config.checkpoint == 0:
+            self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
     def lose(self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
@@ -190,7 +195,8 @@ class Recovery:
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
             view = known.grid.view
             self.absence = Absence(known, first, status.reason, jump, place_map(known.slam.segments, view))
-            self.log.forget_before(known.step)
+            # A copy of this very step leaves no step before it to begin at.
+            self.log.forget_before(min(known.step, self.log.end - 2))
         else:
             if before.is_placed:
                 self.breaks.pop()

@@ -27,7 +27,7 @@ from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
-from limslam_agent.status.smoothed_status import smoothed_status
+from limslam_agent.status.smoothed_status import smoothed_status, unplaced_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
 
@@ -188,10 +188,13 @@ def smoothed_by_lines(
         return replay
     found, drawn = completed(found, poses, covariances), found.poses[:, 0]
     poses = found.poses[:, 0]
-    status = smoothed_status(
-        found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
-        replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
-    )  # fmt: skip
+    if places.unplaced is not None:
+        status = unplaced_status(float(log.time[min(places.unplaced.begin, len(log) - 1)] - log.time[0]))
+    else:
+        status = smoothed_status(
+            found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
+            replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
+        )  # fmt: skip
     seconds = time.process_time() - begin
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status)
     return replace(

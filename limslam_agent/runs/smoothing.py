@@ -9,7 +9,7 @@ from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.status.smoothed_status import lost_note, smoothed_status
+from limslam_agent.status.smoothed_status import lost_note, smoothed_status, unplaced_status
 from limslam_agent.status.status import LEVELS, final_status_scores, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.metrics import metrics
@@ -95,11 +95,15 @@ def final_status(episode: "Episode") -> dict[str, str]:
     online, smoothed = worst(episode.snapshot.statuses), episode.smoothed
     if smoothed is None:
         return {}
-    filtered, settings = (episode.estimated, episode.covariances), episode.config.agent.status.smoothed
-    status = smoothed_status(
-        smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances), settings,
-        while_driving=LEVELS[int(episode.levels.max())],
-    )  # fmt: skip
+    places, time = episode.places, episode.time
+    if places.unplaced is not None:
+        status = unplaced_status(float(time[min(places.unplaced.begin, len(time) - 1)] - time[0]))
+    else:
+        filtered = revised(episode.estimated, episode.covariances, places.revisions)
+        status = smoothed_status(
+            smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances),
+            episode.config.agent.status.smoothed, while_driving=LEVELS[int(episode.levels.max())],
+        )  # fmt: skip
     return final_status_scores(status, online, lost_note(episode.time, episode.levels))
 
 

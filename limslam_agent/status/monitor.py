@@ -19,6 +19,7 @@ from limslam_env.interface import RobotSpec
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
 
+_LASTING = 4  # steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor
 _MOST_SIGHTS = 100
 _FEWEST_BEAMS = 2
 
@@ -202,9 +203,9 @@ class StatusMonitor:
         Readings of neighbouring steps show nearly the same, so that only the latest ones count.
         """
         robot, last = self._robot, self._sights[-1][1]
-        # A reading that saw nothing, after one that saw a wall, may be a dropout of the sensor.
-        saw_nothing = [sight.ranges >= robot.too_far for _, sight in list(self._sights)[-2:]]
-        measured = last.measured & ~(saw_nothing[-1] & ~saw_nothing[0])
+        # A reading that saw nothing, shortly after one that saw a wall, may be a dropout of the sensor.
+        saw_nothing = np.array([sight.ranges >= robot.too_far for _, sight in list(self._sights)[-_LASTING:]])
+        measured = last.measured & ~(saw_nothing[-1] & ~saw_nothing.all(axis=0))
         if self._late_beams.found is not None:
             measured[self._late_beams.found.beam] = False
         outcome, predicted = self._compared(last, measured, covariance, known)

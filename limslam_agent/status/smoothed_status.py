@@ -52,6 +52,11 @@ def smoothed_status(
     return Status()
 
 
+def unplaced_status(since: float) -> Status:
+    """The status of a robot whose place is unknown at the end, from a time (s) after the start on."""
+    return Status("lost", f"the place of the robot is unknown from {since:.0f} s on")
+
+
 def _moved(filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
     """The largest distance between the paths, m, and the mean NEES / 3 of the filter against the smoothed path.
 

@@ -97,7 +97,7 @@ class Block:
     def add_to(self, dense: FloatArray, right: FloatArray) -> None:
         """Add what the elimination leaves to the equations of the remaining variables."""
         kept, columns = self.kept, self.columns
-        window = self.coupled[:-1].reshape(-1, len(columns))
+        window = self.coupled[:-1].reshape(POSE * (len(self.coupled) - 1), len(columns))
         dense[kept, kept] += self.lower[-1]
         dense[kept, columns] += self.coupled[-1]
         dense[columns, kept] += self.coupled[-1].T
@@ -149,6 +149,12 @@ class Factored:
     def covariance(self) -> FloatArray:
         """Joint covariance of the remaining variables."""
         return np.asarray(self.scale[:, None] * cho_solve(self.cholesky, np.eye(len(self.scale))) * self.scale)
+
+    @property
+    def last_pose(self) -> IntArray:
+        """Indices (3,) of the last pose of the last chain among the remaining variables."""
+        kept = self.blocks[-1].kept
+        return np.arange(kept.start, kept.stop)
 
     @property
     def lines(self) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
+from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
     GRAZING,
     Problem,
@@ -153,8 +154,16 @@ def solve_again(
     tolerance: float = _EXACT,
     shares: FloatArray | None = None,
 ) -> Association:
-    """The optimum for associations with the lines of a state; lines with too few readings are removed."""
+    """The optimum for associations with the lines of a state; lines with too few readings are removed.
+
+    Raises
+    ------
+    DegenerateError
+        If no line is left, or the equations cannot be solved.
+    """
     labels, kept = renumbered(labels, fewest)
+    if not len(kept):
+        raise DegenerateError("no line has enough readings")
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
     return Association(solve(problem, state, labels, iterations=iterations, tolerance=tolerance, shares=shares), labels)
 

@@ -69,7 +69,7 @@ def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState
     }
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
-    rows = np.append(np.arange(POSE), (factored.first_line + 2 * kept[:, None] + np.arange(2)).ravel())
+    rows = np.append(factored.last_pose, (factored.first_line + 2 * kept[:, None] + np.arange(2)).ravel())
     x, y, _ = start.pose.tolist()
     by_start = np.vstack((poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors)))
     size, old = len(rows) + 2 * len(start.lines), np.arange(POSE, POSE + 2 * len(start.lines))

@@ -12,6 +12,7 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
     Problem,
+    Readings,
     make_problem,
     pose_covariances,
     solve,
@@ -227,6 +228,20 @@ def needs_mending(problem: Problem, found: Association, covariances: FloatArray,
     return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
 
 
+def _contradictions(problem: Problem, found: Association) -> float:
+    """Share of the looks that pass through walls, without those that saw nothing and may be dropouts of the sensor.
+
+    A beam that saw nothing counts if it also saw nothing in the steps before and after.
+    """
+    looks, steps = problem.looks, len(problem.starts) * problem.steps
+    is_empty = np.zeros((steps + 2, len(problem.robot.beams)), dtype=bool)
+    is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
+    lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
+    counts = problem.is_hit | lasts[looks.places, looks.beams]
+    kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
+    return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
+
+
 def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
     problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
@@ -239,7 +254,7 @@ def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
         segments=segments,
         calibration=None if problem.prior is None else found.state.calibration,
         moves=best.moves,
-        contradictions=tally(problem, found).contradictions / max(len(problem.looks), 1),
+        contradictions=_contradictions(problem, found),
         range_std=problem.range_std,
         beam_width=problem.beam_width,
     )

@@ -180,3 +180,17 @@ def test_a_relocated_robot_is_independent_of_the_map():
     np.testing.assert_allclose(mapper.slam.covariance, np.diag([0.01, 0.02, 0.003]))
     assert np.hypot(*(copied.pose - pose)[:2]) > 2.0
     assert len(mapper.slam.segments) >= len(segments)
+
+
+@pytest.mark.parametrize("step", [1, 20, 49, 50])
+def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    for number in range(80):
+        wheels = episode.wheels[number, 0] + (2.0 if number == step else 0.0)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    assert "lost" in {mapper.statuses[0].level, *(event["event"] for event in mapper.places.records)}
+    mapper.finish()
+    before = mapper.places
+    mapper.finish()
+    assert mapper.places.records == before.records
+    assert np.isfinite(mapper.snapshot().poses).all()

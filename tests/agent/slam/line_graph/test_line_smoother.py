@@ -1,6 +1,7 @@
 """The line smoother: its Jacobians, its optimum, its covariances, and what it can calibrate."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.line_graph import chain_kernels, elimination
 from limslam_agent.slam.line_graph.line_smoother import (
+    Readings,
     make_problem,
     pose_covariances,
     solve,
@@ -133,6 +135,21 @@ def test_covariances_are_those_of_a_dense_solution():
     for step in (1, steps // 2, steps - 1):
         block = slice(3 * step - 3, 3 * step)
         assert covariances[0, step] == pytest.approx(dense[block, block], rel=1e-3, abs=1e-12)
+    # The joint covariance of the last pose and the lines, from which a renewal goes on.
+    factored = solution.factored
+    rows = np.append(factored.last_pose, np.arange(factored.first_line, factored.first_line + 2 * count))
+    joint = factored.covariance[np.ix_(rows, rows)]
+    assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
+
+
+def test_a_block_without_readings_is_solved(monkeypatch):
+    monkeypatch.setattr(elimination, "_BLOCK", 7)
+    problem, poses = noisy_run(4)
+    kept = problem.readings.places > 20
+    readings = Readings(*(getattr(problem.readings, name)[kept] for name in ("places", "beams", "distances")))
+    problem = replace(problem, readings=readings)
+    solution = smoothed(problem, poses)
+    assert np.isfinite(pose_covariances(solution)).all()
 
 
 def numbered_row(problem, state, line, k):
