@@ -19,12 +19,13 @@ from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import Extraction, LineSlam
 from limslam_agent.status.contradictions import KnownMap
 from limslam_agent.status.monitor import Sight, StatusMonitor
 from limslam_agent.status.status import Status
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
 
@@ -153,10 +154,10 @@ class Mapper:
             raise ValueError(f"a start pose has the shape (3,), or (n, 3) for n robots, not {np.shape(start_pose)}")
         if not np.isfinite(starts).all():
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
-        self._slam_config, self._is_finished = self.config, False
-        self.slam = LineSlam(self.robot, self._slam_config, starts)
+        self._starts, self._slam_config, self._is_finished = starts, self.config, False
+        self.slam = self._new_slam(self._slam_config)
         self._grid = OccupancyGrid(self.config.grid)
-        self._starts, self._early = starts, list[tuple[Observation, ...]]()
+        self._early = list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
         self.frame, self._revisions = 0, list[Revision]()
         self._unplaced: Unplaced | None = None
@@ -181,8 +182,7 @@ class Mapper:
             wheel travels farther than ``longest_travel``, or the map grows beyond all bounds.
         """
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
-            front.check(observation)
-            self._check_travel(observation)
+            self.check(observation, front)
         may_restart, self.slam_ms = self.slam.may_calibrate and not self.frame, 0.0
         motions = self._process(observations)
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
@@ -238,6 +238,16 @@ class Mapper:
         ]  # fmt: skip
 
     @property
+    def poses(self) -> FloatArray:
+        """Estimated pose of each robot (n, 3), m and rad."""
+        return self.slam.poses
+
+    @property
+    def dropped(self) -> list[BoolArray]:
+        """The latest beams of each robot (n_beams,) that were ignored, since they may have hit a teammate."""
+        return [front.dropped for front in self.slam.robots]
+
+    @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
         found = [monitor.status for monitor in self._monitors]
@@ -275,7 +285,12 @@ class Mapper:
     def snapshot(self) -> MapSnapshot:
         """The map and the poses now. Later steps do not change the snapshot."""
         slam = self.slam
-        return MapSnapshot(slam.poses, self.covariances, self.odometry, slam.landmarks, slam.segments, self.grid)
+        return MapSnapshot(self.poses, self.covariances, self.odometry, slam.landmarks, slam.segments, self.grid)
+
+    def check(self, observation: Observation, front: FrontEnd | None = None) -> None:
+        """Refuse an observation that :meth:`step` cannot process, of the first robot or of another one's front end."""
+        (front or self.slam.robots[0]).check(observation)
+        self._check_travel(observation)
 
     def _check_travel(self, observation: Observation) -> None:
         """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
@@ -321,7 +336,7 @@ class Mapper:
             self.on_restart(0)
         listener, early = self.slam.on_association, self._early
         self._slam_config = self_calibrating(self.config)
-        self.slam = LineSlam(self.robot, self._slam_config, self._starts)
+        self.slam = self._new_slam(self._slam_config)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
         self._watch_anew()
         self._renewal = Renewal(self.slam, self.config)
@@ -330,6 +345,10 @@ class Mapper:
             motions = self._process(observations)
             if self._recovery is not None:
                 self._follow(self._recovery, observations[0], motions[0])
+
+    def _new_slam(self, config: AgentConfig) -> LineSlam:
+        """The SLAM with an empty map, and the robots at their starts."""
+        return LineSlam(self.robot, config, self._starts)
 
     def _new_recovery(self) -> Recovery | None:
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""

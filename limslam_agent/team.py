@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.joining import JoiningMapper
 from limslam_agent.mapper import Mapper, MapSnapshot
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
@@ -64,6 +65,8 @@ class LimSlamTeam:
         among themselves. Policies that are given serve for one run.
     prior_map
         The map of an earlier run, in which one robot is at an unknown place (:class:`Mapper`).
+    unknown_starts
+        Whether the second of two robots starts at an unknown place. Its start pose is then one in a frame of its own.
 
     Attributes
     ----------
@@ -88,12 +91,19 @@ class LimSlamTeam:
         policies: Sequence[Policy] | None = None,
         *,
         prior_map: SavedMap | None = None,
+        unknown_starts: bool = False,
     ) -> None:
         if num_robots < 1:
             raise ValueError(f"a team has one robot or more, not {num_robots}")
         if policies is not None and len(policies) != num_robots:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
-        self.mapper = Mapper(robot, config, np.zeros((num_robots, 3)), prior_map=prior_map)
+        if unknown_starts and (num_robots != 2 or prior_map is not None):
+            raise ValueError("unknown starts are for two robots without the map of an earlier run")
+        self.mapper = (
+            JoiningMapper(robot, config)
+            if unknown_starts
+            else Mapper(robot, config, np.zeros((num_robots, 3)), prior_map=prior_map)
+        )
         self.robot, self.config, self.num_robots = robot, self.mapper.config, num_robots
         self.names = [f"robot_{number}" for number in range(num_robots)]
         self._given_policies = policies
@@ -140,7 +150,8 @@ class LimSlamTeam:
         """
         beliefs = self.mapper.beliefs
         self._renew_in_another_frame()
-        self._restart_stopped(beliefs[0].grid)
+        if not self._is_apart:
+            self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
             checked_action(policy, replace(beliefs[number], other_goals=self._goals_of_others(number)))
@@ -211,6 +222,12 @@ class LimSlamTeam:
                 self.policies[number] = self._new_policy(number)
                 self._known_at_stop[number] = known
 
+    @property
+    def _is_apart(self) -> bool:
+        return isinstance(self.mapper, JoiningMapper) and self.mapper.is_apart
+
     def _goals_of_others(self, number: int) -> FloatArray:
+        if self._is_apart:
+            return np.zeros((0, 2))
         goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]
         return np.array([goal for goal in goals if goal is not None]).reshape(-1, 2)

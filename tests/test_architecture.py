@@ -80,13 +80,17 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("belief", "config", "slam", "slam.core", "grid", "renewal", "status", "places"),
     },
+    "limslam_agent.joining": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("belief", "config", "grid", "mapper", "places", "slam", "slam.core", "status"),
+    },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
     "limslam_agent.policies.learned": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
     },
     "limslam_agent.team": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam", "slam.core", "grid", "mapper", "places", "policies", "status"),
+        *agent("config", "slam", "slam.core", "grid", "joining", "mapper", "places", "policies", "status"),
     },
     "limslam_agent.agent": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),

@@ -101,6 +101,15 @@ Calibration = Annotated[
     ),
 ]
 Robots = Annotated[int | None, _option(_WORLD, "Number of robots that explore together, 1 to 8.", _RUN.robots)]
+UnknownStarts = Annotated[
+    bool | None,
+    _option(
+        _AGENT,
+        "Whether the second of two robots starts at a place that the agent does not know.",
+        "no",
+        "--unknown-starts",
+    ),
+]
 Seed = Annotated[int | None, _option(_WORLD, "Random seed.", _RUN.seed)]
 MaxTime = Annotated[float | None, _option(_WORLD, "Longest simulated time, s.", f"{_RUN.max_time:g}")]
 RunPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _RUN.preset, "--preset")]

@@ -36,6 +36,7 @@ def run(
     dropout: take.Dropout = None,
     sharp: take.Sharp = None,
     kidnap_at: take.KidnapAt = None,
+    unknown_starts: take.UnknownStarts = None,
     map: take.PriorMap = None,  # noqa: A002 (the option's name)
     ablation: take.Ablation = None,
     limit: take.Limit = None,

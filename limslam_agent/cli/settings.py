@@ -49,6 +49,7 @@ class RunOptions(Bounded):
     robots: Annotated[int, Bounds(1, 8)] = 1
     ablation: str | None = None
     kidnap_at: float | None = None
+    unknown_starts: bool = False
     map: Path | None = None
     limit: bool = False
     video: Path | None = None
@@ -385,7 +386,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
             load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
             given.robot(), options.robots, options.ablation, options.policy, options.limit,
             agent, given.true_noise(NoiseConfig()), kidnap_at=options.kidnap_at,
-            prior_map=options.map,
+            prior_map=options.map, unknown_starts=options.unknown_starts,
         )  # fmt: skip
     except SettingsError:
         raise

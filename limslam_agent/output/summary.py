@@ -77,6 +77,9 @@ def _places(events: Any) -> list[str]:
 
 def _event(event: str, details: Mapping[str, Any]) -> str:
     """An event of a robot that was lost or searched for its place, in words."""
+    if event == "not joined":
+        where = "the map of the second robot is in map_unplaced.json, in its own frame"
+        return f"not joined: {details.get('reason')}; {where}"
     if not event.startswith("not found"):
         return f"{event} at {details['time_s']:.1f} s"
     own_frame = f": {details.get('reason')}; the results are in the run's own frame"

@@ -81,15 +81,23 @@ def agree(first: Decision, second: Decision, local: PlaceMap, config: PlaceConfi
 
 
 def placed_covariance(local: PlaceMap, decision: Decision, pose: FloatArray, config: PlaceConfig) -> FloatArray:
-    """Covariance (3, 3) of a pose (3,) in the known map's frame that follows from a match.
-
-    The match places the middle of the local map. An error of its turn moves poses that are far from there.
-    """
+    """Covariance (3, 3) of a pose (3,) in the known map's frame that follows from a match of a local map."""
     assert decision.fit is not None  # noqa: S101 (only accepted decisions have a covariance)
     middle = transform_points(decision.fit.pose, local.points.mean(axis=0, keepdims=True))[0]
-    lever = np.eye(3)
+    return match_covariance(middle, pose, config)
+
+
+def match_covariance(
+    middle: FloatArray, pose: FloatArray, config: PlaceConfig, drift: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Covariance (3, 3) of a pose (3,) that follows from a match, which places the middle (2,) of a map.
+
+    An error of its turn moves poses that are far from there. The variances ``drift`` of position and heading, m^2 and
+    rad^2, are those of the way from the pose to the middle.
+    """
+    place, lever = config.std**2 + drift[0], np.eye(3)
     lever[:2, 2] = middle[1] - pose[1], pose[0] - middle[0]
-    return lever @ np.diag([config.std**2, config.std**2, config.heading_std**2]) @ lever.T
+    return lever @ np.diag([place, place, config.heading_std**2 + drift[1]]) @ lever.T
 
 
 def _refusal(best: Fit, runner_up: float, config: PlaceConfig) -> str:

@@ -17,6 +17,7 @@ from limslam_agent.config.ablations import ablated
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.joining import Joined, JoiningMapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
@@ -93,6 +94,8 @@ class RunConfig:
     prior_map
         Folder of an earlier run. The robot begins in its map, at a place that the agent does not know. None begins with
         an empty map and a known start pose.
+    unknown_starts
+        Whether the second of two robots starts at a place that the agent does not know.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
 
@@ -119,6 +122,7 @@ class RunConfig:
     until: str | None = None
     kidnap_at: float | None = None
     prior_map: Path | None = None
+    unknown_starts: bool = False
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -130,6 +134,7 @@ class RunConfig:
             raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
         self._check_kidnapping()
         self._check_prior_map()
+        self._check_unknown_starts()
         if self.laps < 0:
             raise ValueError(f"laps must be 0 or more, not {self.laps}")
         check_policy(self.policy, self.laps, self.robots)
@@ -148,6 +153,14 @@ class RunConfig:
                 "a map of an earlier run is for one robot that explores with the preset graph or consistent"
             )
         OccupancyGrid.of(read_saved_map(self.prior_map).grid, self.agent.grid)
+
+    def _check_unknown_starts(self) -> None:
+        if not self.unknown_starts:
+            return
+        if self.robots != 2:
+            raise ValueError(f"unknown starts are for two robots, not {self.robots}")
+        if self.laps or self.limit or self.policy != "frontier" or self.agent.recovery is None:
+            raise ValueError("unknown starts are for the policy frontier with the preset graph or consistent")
 
     def _check_kidnapping(self) -> None:
         if self.kidnap_at is None:
@@ -224,6 +237,8 @@ class Episode:
         Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
         Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
+    joined
+        The poses in the shared frame until two robots with unknown starts were joined; None without it.
     """
 
     config: RunConfig
@@ -253,6 +268,12 @@ class Episode:
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
+    joined: Joined | None = None
+
+    @property
+    def placed_robots(self) -> int:
+        """Number of robots whose place in the map is known at the end: the first ones."""
+        return 1 if self.config.unknown_starts and self.joined is None else self.config.robots
 
     @cached_property
     def smoothed(self) -> "SmoothedRun | None":
@@ -317,7 +338,9 @@ def run_episode(
         config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
     )
     prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
-    team = LimSlamTeam(config.robot, config.agent, config.robots, policies, prior_map=prior_map)
+    team = LimSlamTeam(
+        config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
+    )
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
     def note_association(record: AssociationRecord) -> None:
@@ -328,6 +351,7 @@ def run_episode(
     team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, note_association, watch)
+    joined = team.mapper.joined if isinstance(team.mapper, JoiningMapper) else None
     return Episode(
         config=config,
         world=world,
@@ -341,7 +365,8 @@ def run_episode(
         stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
-        **_in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places),
+        joined=joined,
+        **_in_shared_frame(_in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined),
     )
 
 
@@ -393,6 +418,16 @@ def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, place
     return columns
 
 
+def _in_shared_frame(columns: dict[str, Any], joined: Joined | None) -> dict[str, Any]:
+    """The columns of a run, with the second robot in the frame of the first one if both were joined."""
+    if joined is None:
+        return columns
+    own = slice(len(joined.poses))
+    columns["estimated"][own, 1], columns["covariances"][own, 1] = joined.poses[:, 1], joined.covariances[:, 1]
+    columns["odometry"][own, 1] = joined.odometry[:, 1]
+    return columns
+
+
 def _drive(
     config: RunConfig,
     env: LimSlamParallelEnv,
@@ -402,6 +437,8 @@ def _drive(
 ) -> list[_Row]:
     observed, infos = env.reset(seed=config.seed)
     starts = np.array([infos[name]["pose"] for name in team.names])
+    if config.unknown_starts:
+        starts[1] = 0.0
     team.reset(starts if config.prior_map is None else np.zeros_like(starts), config.seed)
     team.slam.on_association = on_association
     rows: list[_Row] = []
@@ -420,9 +457,9 @@ def _drive(
         rows.append(
             _Row(
                 truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
-                team.slam.poses, team.mapper.covariances,
+                team.mapper.poses, team.mapper.covariances,
                 [LEVELS.index(status.level) for status in team.mapper.statuses], team.mapper.odometry,
-                [front.dropped for front in team.slam.robots], slam_ms, elapsed_ms - slam_ms,
+                team.mapper.dropped, slam_ms, elapsed_ms - slam_ms,
             )
         )  # fmt: skip
         if watch is not None:

@@ -57,7 +57,9 @@ def score(episode: Episode) -> dict[str, Any]:
     """Metrics of a run by their names in ``docs/metrics.md``. For several robots, means over the robots."""
     config = episode.config
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
-    trajectory = team_scores(episode.true, episode.estimated, episode.odometry, episode.covariances)
+    placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
+    columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
+    trajectory = team_scores(*(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
     is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
     has_explored = is_over and explores(config.policy, config.laps)
@@ -70,8 +72,8 @@ def score(episode: Episode) -> dict[str, Any]:
             config.robot,
             episode.coverage_grid,
             episode.final_map,
-            episode.true,
-            episode.final_map.poses,
+            episode.true[:, placed],
+            episode.final_map.poses[:, placed],
             None if episode.smoothed is None else online_map(episode),
         ),
         **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
@@ -218,6 +220,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
         "policy": short_name(config.policy), "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
         "kidnap_at": config.kidnap_at, "map": config.prior_map and str(config.prior_map),
+        "unknown_starts": config.unknown_starts,
         "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
     result = {
@@ -264,10 +267,9 @@ def title_of(config: RunConfig) -> str:
 def _draw(path: Path, episode: Episode) -> None:
     from limslam_agent.output.drawing import MapPicture, draw_map
 
-    config, title = episode.config, title_of(episode.config)
-    final = episode.final_map
+    title, final = title_of(episode.config), episode.final_map
     mapped, estimated, odometry, true = (
-        [poses[:, number, :2] for number in range(config.robots)]
+        [poses[:, number, :2] for number in range(episode.placed_robots)]
         for poses in (final.poses, episode.estimated, episode.odometry, episode.true)
     )
     picture = MapPicture(

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.joining import NOT_YET_CONFIRMED
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.status.smoothed_status import lost_note, smoothed_status, unplaced_status
 from limslam_agent.status.status import LEVELS, final_status_scores, worst
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.metrics import metrics
 
 if TYPE_CHECKING:
@@ -48,26 +50,34 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
     """
     agent, settings = episode.config.agent, episode.config.agent.run_smoothing
     # The smoother does not know the lines of an earlier map.
-    if settings is None or episode.in_prior_map:
+    if settings is None or episode.in_prior_map or episode.placed_robots < episode.config.robots:
         return None
     # The kernels of the smoother load numba, which takes time that other commands do not need.
     from limslam_agent.slam.line_graph.smoother import FilteredRun, completed, smooth_run
 
     places, known = episode.places, episode.places.placed
     poses, covariances = revised(episode.estimated, episode.covariances, places.revisions)
+    usable, unknown_start = ~episode.dropped[known], tuple[tuple[int, int], ...]()
+    if episode.joined is not None:
+        # The second robot's start is not known: it may be anywhere before its first step.
+        usable[0, 1], unknown_start = False, ((1, 1),)
     run = FilteredRun(
         robot=episode.config.robot,
         noise=agent.noise,
         wheels=episode.wheels[known],
         ranges=episode.ranges[known],
-        usable=~episode.dropped[known],
+        usable=usable,
         poses=poses[known],
         covariances=covariances[known],
         associations=episode.associations,
         closures=episode.closures,
-        breaks=tuple((0, step) for step in places.breaks),
+        breaks=(*((0, step) for step in places.breaks), *unknown_start),
     )
     found = smooth_run(run, settings)
+    if found is not None and unknown_start:
+        # What the second robot's pose was before its first step follows from the one after it.
+        motion = compose(inverse(poses[1, 1]), poses[0, 1])
+        found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
     return None if found is None else completed(found, poses, covariances)
 
 
@@ -92,7 +102,7 @@ def final_map(episode: "Episode") -> FinalMap:
 
 def final_status(episode: "Episode") -> dict[str, str]:
     """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there are none."""
-    online, smoothed = worst(episode.snapshot.statuses), episode.smoothed
+    online_statuses, smoothed = episode.snapshot.statuses, episode.smoothed
     if smoothed is None:
         return {}
     places, time = episode.places, episode.time
@@ -104,7 +114,9 @@ def final_status(episode: "Episode") -> dict[str, str]:
             smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances),
             episode.config.agent.status.smoothed, while_driving=LEVELS[int(episode.levels.max())],
         )  # fmt: skip
-    return final_status_scores(status, online, lost_note(episode.time, episode.levels))
+    if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
+        status = NOT_YET_CONFIRMED
+    return final_status_scores(status, worst(online_statuses), lost_note(episode.time, episode.levels))
 
 
 def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float | None]:

@@ -11,7 +11,7 @@ from limslam_agent.config.status import StatusConfig
 from limslam_agent.status.contradictions import Comparison, KnownMap, compare, expected_ranges
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
-from limslam_agent.status.sudden_changes import changed_at_once
+from limslam_agent.status.sudden_changes import changed_at_once, passing
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -189,12 +189,13 @@ class StatusMonitor:
         self._before = self._sights[-1]
         if len(sights) > 1:
             ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
+            measured &= ~passing(ranges >= self._robot.too_far)
             motions = np.array([each.increment for each in sights[1:]])
             motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))
             changed, count, step = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
             self._changed = (changed, count, 0, 0)
             if changed >= self._config.sudden_changes.fewest_misfits:
-                counts = self._compared(sights[step], sights[step].measured, covariance, known)[0].counts
+                counts = self._compared(sights[step], measured[step], covariance, known)[0].counts
                 self._changed = (changed, count, *counts[2:])
 
     def _compare(self, covariance: FloatArray, known: KnownMap) -> None:

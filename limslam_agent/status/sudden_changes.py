@@ -26,3 +26,15 @@ def changed_at_once(
     counts = np.where(is_still, np.count_nonzero(has_changed, axis=1), 0)
     most = int(counts.argmax())
     return int(counts[most]), int(np.count_nonzero(both[most])), most + 1
+
+
+def passing(nothing: BoolArray) -> BoolArray:
+    """Which of the readings (m, n_beams) saw nothing in one step only, as when the sensor misses what is there.
+
+    Parameters
+    ----------
+    nothing
+        Whether each beam saw nothing in each of successive steps (m, n_beams).
+    """
+    around = np.pad(nothing, ((1, 1), (0, 0)))
+    return np.asarray(nothing & ~(around[:-2] | around[2:]))

@@ -1,0 +1,233 @@
+"""JoiningMapper: two robots that do not know where they are relative to each other, until their maps fit together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from limslam_agent.belief import Belief
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.frontier import frontier_cells
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.mapper import Mapper
+from limslam_agent.places.meeting import Meeting
+from limslam_agent.places.place_map import place_map
+from limslam_agent.places.revisions import PlaceHistory, Unplaced
+from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import Status, worst
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import Observation, RobotSpec
+
+NOT_YET_JOINED = Status("unsure", "the second robot's place relative to the first one is not known yet")
+"""The status of the second robot before the maps of both robots fit together."""
+
+NOT_YET_CONFIRMED = Status("unsure", "the second robot's place relative to the first one is not confirmed yet")
+"""The status of the second robot while a part of the building that was not seen yet may look like its place."""
+
+UNKNOWN = np.diag([100.0, 100.0, np.pi**2])
+"""Covariance (3, 3) of an unknown place in a building, m and rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The steps until two robots were joined, by what was known then, in the shared frame.
+
+    Attributes
+    ----------
+    poses, covariances, odometry
+        Poses of both robots (t, 2, 3), m and rad, their covariances (t, 2, 3, 3), and poses by odometry alone.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray
+
+
+class JoiningMapper(Mapper):
+    """Maps with two robots. The pose at which the second robot starts is not known in the frame of the first one.
+
+    Each robot maps in a frame of its own, and the frame of the first robot is the world frame. When both maps fit
+    together in one place only, all observations so far are processed again by one SLAM with a shared map, and the
+    robots go on as a team.
+
+    Parameters
+    ----------
+    robot
+        Body and beams of each robot.
+    config
+        Settings of every stage. The preset ``graph`` by default.
+
+    Attributes
+    ----------
+    joined
+        The steps until the robots were joined; None before.
+
+    Raises
+    ------
+    ValueError
+        If the settings have no search for places.
+    """
+
+    def __init__(self, robot: RobotSpec, config: AgentConfig | None = None) -> None:
+        super().__init__(robot, config, np.zeros((2, 3)))
+
+    def reset(self, start_pose: FloatArray) -> None:
+        """Forget everything. The poses (2, 3): the first robot's in the world, the second one's in its own frame."""
+        self._apart: list[Mapper] | None = None
+        self._placed: tuple[FloatArray, FloatArray] | None = None
+        super().reset(start_pose)
+        places = self.config.recovery
+        if places is None or len(self._starts) != 2:
+            raise ValueError("unknown starts are for two robots with the preset graph or consistent")
+        self._apart = [Mapper(self.robot, self.config, start) for start in self._starts]
+        self._apart[0].on_restart = self._forget_associations
+        self.slam = self._apart[0].slam
+        self._meeting, self._steps = Meeting(places), list[tuple[Observation, ...]]()
+        self.joined: Joined | None = None
+
+    def step(self, *observations: Observation) -> None:
+        """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""
+        if self._apart is None:
+            super().step(*observations)
+            self._meeting.drive(self.slam.increments)
+            if self._meeting.is_to_be_confirmed and worst(super().statuses).level == "ok":
+                is_complete = not frontier_cells(self.grid, self.config.policy.min_frontier).any()
+                self._meeting.confirm(place_map(self.slam.segments, self.grid), is_complete=is_complete)
+            return
+        if len(observations) != len(self._apart):
+            raise ValueError(f"{len(observations)} observations for {len(self._apart)} robots")
+        for mapper, observation in zip(self._apart, observations, strict=True):
+            mapper.check(observation)
+        for mapper, observation in zip(self._apart, observations, strict=True):
+            mapper.step(observation)
+        self._follow_both(self._apart)
+        if self._meeting.is_open:
+            copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
+            self._steps.append(cast("tuple[Observation, ...]", tuple(copies)))
+        self._meeting.drive([mapper.slam.increments[0] for mapper in self._apart])
+        if self._meeting.is_due:
+            self._seek_other(self._apart)
+
+    def finish(self) -> None:
+        """Use the readings that are still buffered, and look once more whether the maps fit together."""
+        if self._apart is None:
+            super().finish()
+            return
+        for mapper in self._apart:
+            mapper.finish()
+        if self._meeting.is_open and self._seek_other(self._apart):
+            super().finish()
+            return
+        self._follow_both(self._apart)
+        if self._meeting.is_open:
+            self._meeting.end("no match was good and unambiguous")
+        other = self._apart[1]
+        self._unplaced = Unplaced(0, other.slam.segments, other.slam.landmarks, other.grid)
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether each robot still maps in a frame of its own."""
+        return self._apart is not None
+
+    @property
+    def poses(self) -> FloatArray:
+        """Estimated pose of each robot (2, 3), m and rad. That of the second robot is in its own frame at first."""
+        return super().poses if self._apart is None else np.array([mapper.slam.pose for mapper in self._apart])
+
+    @property
+    def dropped(self) -> list[BoolArray]:
+        """The latest beams of each robot that were ignored, since they may have hit a teammate."""
+        return super().dropped if self._apart is None else [mapper.dropped[0] for mapper in self._apart]
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariance of each robot's pose (2, 3, 3) in the first robot's frame."""
+        if self._apart is None:
+            return super().covariances
+        first, second = (mapper.covariances[0] for mapper in self._apart)
+        return np.array([first, second + UNKNOWN])
+
+    @property
+    def statuses(self) -> list[Status]:
+        """Whether the estimate of each robot can be trusted."""
+        is_doubtful, note = self._meeting.is_doubtful, NOT_YET_JOINED if self.is_apart else NOT_YET_CONFIRMED
+        first, second = super().statuses if self._apart is None else [mapper.statuses[0] for mapper in self._apart]
+        return [first, note if second.level == "ok" and (self.is_apart or is_doubtful) else second]
+
+    @property
+    def beliefs(self) -> list[Belief]:
+        """The belief of each robot, in the frame in which it maps."""
+        if self._apart is None:
+            return super().beliefs
+        statuses = self.statuses
+        return [replace(mapper.belief, status=status) for mapper, status in zip(self._apart, statuses, strict=True)]
+
+    @property
+    def grid(self) -> GridView:
+        """The grid that the robots share; at first that of the first robot."""
+        return super().grid if self._apart is None else self._apart[0].grid
+
+    @property
+    def places(self) -> PlaceHistory:
+        """How the search ended. The second robot's own map is known after :meth:`finish`, if it was not placed."""
+        return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
+
+    def _new_slam(self, config: AgentConfig) -> LineSlam:
+        slam = super()._new_slam(config)
+        if self._placed is not None:
+            slam.relocate(*self._placed, robot=1)
+        return slam
+
+    def _forget_associations(self, kept: int) -> None:
+        if self.on_restart is not None:
+            self.on_restart(kept)
+
+    def _follow_both(self, apart: Sequence[Mapper]) -> None:
+        """Take over what the robots know by themselves."""
+        self.slam, self.frame = apart[0].slam, sum(mapper.frame for mapper in apart)
+        self.slam_ms = sum(mapper.slam_ms for mapper in apart)
+        self.odometry = np.concatenate([mapper.odometry for mapper in apart])
+        self.odometry.setflags(write=False)
+
+    def _seek_other(self, apart: list[Mapper]) -> bool:
+        """Match both maps, and go on as a team if they fit together in one place only. Whether they are a team now."""
+        if self.frame:
+            self._meeting.end("a robot was lost before")
+            return False
+        first, second = (place_map(mapper.slam.segments, mapper.grid) for mapper in apart)
+        found = self._meeting.seek(first, second, self._starts[1], [mapper.slam.covariance for mapper in apart])
+        return found is not None and self._join(apart, *found)
+
+    def _join(self, apart: list[Mapper], start: FloatArray, covariance: FloatArray) -> bool:
+        """Process all steps again with a shared map; the second robot starts at a pose (3,) that a match has found.
+
+        If the readings of one robot contradict the map of the other one, both stay apart, and the result is False.
+        """
+        own, records, on_restart = self._starts, list[AssociationRecord](), self.on_restart
+        listener, self.on_restart = self.slam.on_association, lambda kept: records.__delitem__(slice(kept, None))
+        self._apart, self._placed = None, (start, covariance)
+        super().reset(np.array([own[0], start]))
+        self.slam.on_association = records.append
+        replayed, is_lost = list[tuple[FloatArray, ...]](), False
+        for observations in self._steps:
+            super().step(*observations)
+            replayed.append((self.slam.poses, self.covariances, self.odometry))
+            is_lost = is_lost or any(status.level == "lost" for status in self.statuses)
+        self.on_restart, self.slam_ms = on_restart, 0.0
+        if is_lost:
+            self._apart, self._placed, self._starts = apart, None, own
+            self._follow_both(apart)
+            self._meeting.refuse("the readings contradict the shared map")
+            return False
+        self._forget_associations(0)
+        self.slam.on_association = listener
+        if listener is not None:
+            for record in records:
+                listener(record)
+        self.joined = Joined(*(np.array(column) for column in zip(*replayed, strict=True)))
+        self.frame = 1  # both have never been lost
+        self._meeting.has_joined(start, place_map(apart[1].slam.segments, apart[1].grid))
+        self._steps = []
+        return True

@@ -1,0 +1,193 @@
+"""Two robots with unknown relative starts join when their maps fit together in one place only, and else stay apart."""
+
+import json
+
+import numpy as np
+import pytest
+from support.command_line import call
+
+from limslam_agent import preset
+from limslam_agent.cli.main import main
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
+from limslam_agent.output.summary import record_summary
+from limslam_agent.places.meeting import Meeting
+from limslam_agent.places.place_map import place_map
+from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.smoothing import final_status
+from limslam_agent.team import LimSlamTeam
+from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.interface import NominalNoise, RobotSpec
+
+NOISE = 0.02
+HERE = np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def episode():
+    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=66.0))
+
+
+@pytest.fixture(scope="module")
+def early():
+    """A run that ends before the maps overlap."""
+    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=6.0))
+
+
+def observations_of(episode, step):
+    return [{"ranges": episode.ranges[step, n], "wheels": episode.wheels[step, n]} for n in (0, 1)]
+
+
+def test_two_robots_become_a_team(episode):
+    (event,) = episode.places.records
+    assert event["event"] == "joined"
+    assert event["match"]["accepted"]
+    assert episode.placed_robots == 2
+    off = np.hypot(*(episode.estimated - episode.true)[..., :2].transpose(2, 0, 1))
+    assert off.max() < 0.5
+    assert episode.snapshot.statuses[1] == NOT_YET_CONFIRMED
+    before = slice(event["step"])
+    assert (episode.levels[before, 1] == 1).all()
+    assert episode.levels[before, 0].max() == 0
+    # The start of the second robot is uncertain in the shared frame, and its error is as large as it says.
+    start, covariance = np.array(event["start"]) - episode.true[0, 1], episode.covariances[0, 1]
+    start[2] = wrap_angle(start[2])
+    assert start @ np.linalg.solve(covariance, start) < 16.3, "the 99.9 % limit of three degrees of freedom"
+    np.testing.assert_allclose(episode.odometry[0, 1], event["start"], atol=1e-9)
+
+
+def test_a_place_is_unsure_until_the_map_has_no_other_one():
+    walls, grid = room(4, 3, [[0, 2, 1.5, 2], [1.5, 2, 1.5, 2.4], [3, 0, 3, 1.2]])
+    own, alike = place_map(walls, grid), place_map(np.concatenate((walls, walls + 10.0)), grid)
+    meeting, metre = Meeting(PlaceConfig()), [np.array([1.0, 0.0, 0.0])] * 2
+    meeting.has_joined(HERE, own)
+    for _ in range(3):
+        assert not meeting.is_to_be_confirmed
+        meeting.drive(metre)
+    assert meeting.is_to_be_confirmed
+    meeting.confirm(own, is_complete=False)
+    meeting.confirm(alike, is_complete=True)
+    assert meeting.is_doubtful
+    meeting.confirm(own, is_complete=True)
+    assert not meeting.is_doubtful
+    assert [each["event"] for each in meeting.records] == ["joined", "confirmed"]
+
+
+def test_a_joined_run_is_smoothed_with_an_unknown_start(episode):
+    smoothed = episode.smoothed
+    off = np.hypot(*(smoothed.poses - episode.true)[..., :2].transpose(2, 0, 1))
+    assert off.max() < 0.3
+    np.testing.assert_array_equal(smoothed.covariances[0, 1], smoothed.covariances[1, 1])
+    assert np.trace(smoothed.covariances[0, 1]) > 0.0
+    assert final_status(episode)["status"] == "unsure", "the joining is not confirmed"
+
+
+def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
+    assert early.joined is None
+    assert early.smoothed is None
+    assert early.placed_robots == 1
+    (event,) = early.places.records
+    assert event["event"] == "not joined"
+    assert np.sqrt(early.covariances[:, 1, 0, 0]).min() >= 10.0
+    assert early.snapshot.statuses[1] == NOT_YET_JOINED
+    result = write_episode(tmp_path, early)
+    assert result["metrics"]["ate_m"] < 0.1, "the metrics are those of the first robot"
+    assert json.loads((tmp_path / "map_unplaced.json").read_text())["frame"] == "local"
+    (line,) = [line for line in record_summary(result) if line.startswith("place ")]
+    assert "the map of the second robot is in map_unplaced.json" in line
+
+
+def test_the_second_robot_begins_in_a_frame_of_its_own(early):
+    np.testing.assert_allclose(early.estimated[0, 1], 0.0, atol=1e-6)
+    expected = compose(inverse(early.true[0, 1]), early.true[-1, 1])
+    assert np.hypot(*(early.estimated[-1, 1] - expected)[:2]) < 0.1
+
+
+def test_a_wrong_match_is_refused_by_the_readings(episode):
+    mapper = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
+    mapper.reset(np.array([episode.true[0, 0], HERE]))
+    seek, (*_, event) = mapper._meeting.seek, episode.places.records
+    wrong = np.array(event["start"]) + np.array([0.8, -0.6, 0.0])
+
+    def seek_wrongly(*arguments):
+        return seek(*arguments) and (wrong, np.diag([0.01, 0.01, 0.001]))
+
+    mapper._meeting.seek = seek_wrongly
+    for step in range(event["step"] + 1):
+        mapper.step(*observations_of(episode, step))
+    assert mapper.is_apart
+    assert [each["event"] for each in mapper.places.records] == ["match refused"]
+    assert mapper.poses.shape == (2, 3)
+
+
+def room(width, height, corner):
+    """A closed room with a short wall that stands at a corner of it, and the ground in it."""
+    walls = [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
+    segments = np.array([*walls, *corner], dtype=float)
+    values = np.full((round(10 * height), round(10 * width)), 4, dtype=np.int16)
+    return segments, GridView(np.zeros(2), 0.1, values)
+
+
+def turned(segments, pose):
+    return transform_points(pose, segments.reshape(-1, 2)).reshape(-1, 4)
+
+
+def test_a_room_that_looks_the_same_after_a_turn_joins_nobody():
+    meeting, first = Meeting(PlaceConfig()), place_map(*room(4, 3, []))
+    for _ in range(3):
+        meeting.drive([np.array([1.0, 0.0, 0.0])] * 2)
+        assert meeting.seek(first, first, HERE, [np.zeros((3, 3))] * 2) is None
+    meeting.end("over")
+    assert meeting.records[0]["refused"] == 3
+    assert meeting.records[0]["match"]["reason"].startswith("ambiguous")
+
+
+@pytest.mark.parametrize("is_second_smaller", [True, False])
+def test_either_map_may_be_the_smaller_one(is_second_smaller):
+    corner = [[0, 2, 1.5, 2], [1.5, 2, 1.5, 2.4], [3, 0, 3, 1.2]]
+    whole, grid = room(4, 3, corner)
+    pose = np.array([0.5, 0.3, 0.0])
+    part = (turned(whole[[0, 2, 3, 4, 5, 6]], inverse(pose)), GridView(-pose[:2], 0.1, grid.values))
+    maps = [place_map(whole, grid), place_map(*part)]
+    first, second = maps if is_second_smaller else maps[::-1]
+    meeting, none = Meeting(PlaceConfig()), [np.zeros((3, 3))] * 2
+    assert meeting.seek(first, second, HERE, none) is None, "one match is not enough"
+    found = meeting.seek(first, second, HERE, none)
+    assert found is not None
+    np.testing.assert_allclose(found[0], pose if is_second_smaller else inverse(pose), atol=0.03)
+    assert np.linalg.eigvalsh(found[1]).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"robots": 1}, "unknown starts are for two robots, not 1"),
+        ({"robots": 3}, "unknown starts are for two robots, not 3"),
+        ({"robots": 2, "preset": "paper"}, "unknown starts are for the policy frontier with the preset graph"),
+        ({"robots": 2, "policy": "random"}, "unknown starts are for the policy frontier with the preset graph"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(options, words):
+    with pytest.raises(ValueError, match=words):
+        RunConfig("env2", NOISE, unknown_starts=True, **options)
+
+
+def test_the_command_refuses_three_robots_in_one_line(tmp_path):
+    answer = call(main, "run", "--robots", "3", "--unknown-starts", "--out", tmp_path / "out")
+    assert answer.returncode == 2
+    assert answer.stderr == "limslam: unknown starts are for two robots, not 3\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_team_with_unknown_starts_is_two_robots():
+    with pytest.raises(ValueError, match="two robots"):
+        LimSlamTeam(RobotSpec(), num_robots=3, unknown_starts=True)
+    empty = SavedMap(np.zeros((0, 4)), [], GridView(np.zeros(2), 0.1, np.zeros((1, 1), dtype=np.int16)))
+    with pytest.raises(ValueError, match="without the map"):
+        LimSlamTeam(RobotSpec(), num_robots=2, prior_map=empty, unknown_starts=True)
+    mapper = JoiningMapper(RobotSpec())
+    with pytest.raises(ValueError, match="1 observations for 2 robots"):
+        mapper.step({"ranges": np.full(6, 1.0), "wheels": np.zeros(2)})
