@@ -20,8 +20,9 @@ class Renewal:
     """The observations of a robot since its estimate was last renewed, and the estimate at that time.
 
     The filter cannot take back a wrong association, and a wrong one is only a matter of time. The smoother can. So the
-    stretch since the last renewal is smoothed each few minutes, and at once when the robot gets lost. Then
-    only the map remains of the stretch, so that memory and time do not grow with the length of a drive.
+    stretch since the last renewal is smoothed every few minutes, and early when a robot is lost that does not go on in
+    a local frame. Then only the map remains of the stretch, so that memory and time do not grow with the length of a
+    drive.
 
     Parameters
     ----------

@@ -239,7 +239,7 @@ class RenewalConfig(Bounded):
     period
         Longest time between two renewals, s.
     least
-        Least time between two renewals, s, also if the robot gets lost.
+        Least time between two renewals, s, if the robot is lost and does not go on in a local frame.
     end_noise
         By how much the position of each end of a known wall becomes less certain at each renewal, in standard
         deviations of a range. It stands for errors that a wall has in each stretch again.

@@ -111,5 +111,5 @@ def _refusal(best: Fit, runner_up: float, config: PlaceConfig) -> str:
     if best.known < config.known:
         return f"only {best.known:.0%} of the local map's walls are known"
     if runner_up > config.runner_up:
-        return f"ambiguous: another place fits {runner_up:.0%} as well"
+        return f"ambiguous: another place has {runner_up:.0%} of the best score"
     return ""

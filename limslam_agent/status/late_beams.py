@@ -31,7 +31,7 @@ A wall that is missing in the map, or that is not there, makes many readings wro
 _COUNTER_EVIDENCE = 2.0
 """So many times the evidence that finds a late beam is needed to say that the beam is no longer late.
 
-A beam that is late draws walls by its own readings, which then seem to be in time.
+A beam that is late draws walls by its own readings, and later these readings fit those walls.
 """
 
 
