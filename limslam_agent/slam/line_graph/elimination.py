@@ -3,8 +3,8 @@
 A chain of poses is cut into blocks. The poses inside a block are eliminated one after another. They are coupled to the
 lines that were read inside the block, to the calibration, and to the two poses at the ends of the block. What remains
 are the last pose of each block, the calibration, and the lines. In a chain without blocks, each eliminated pose would
-be coupled to all lines that were read before it. The time would then grow with the length of the run times the square of
-the number of lines (A. George, "Nested dissection of a regular finite element mesh", 1973).
+be coupled to all lines that were read before it. The time would then grow with the length of the run times the square
+of the number of lines (A. George, "Nested dissection of a regular finite element mesh", 1973).
 """
 
 from dataclasses import dataclass
