@@ -14,7 +14,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
@@ -23,7 +22,7 @@ from numba.extending import intrinsic
 QUIET = "LIMSLAM_QUIET"
 """Name of the environment variable that switches off the messages about compiling, if it is not empty."""
 
-_SECONDS = {"advance": 8, "survey": 5, "step_some": 40}
+_SECONDS = {"advance": 15, "survey": 8, "step_some": 90}
 """Kernels that take long to compile, and about how long on a usual processor, s."""
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
@@ -37,117 +36,9 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
 
 
-class _Linked(list[Any]):
-    """Holds the code of a function that has no machine code; a method of it takes the place of the machine code."""
-
-
-def _is_linked(code: Any) -> bool:
-    return isinstance(getattr(code, "__self__", None), _Linked)
-
-
-_TRIED = ("0.68.",)
-_CALLED: set[Any] = set()
-"""Functions that Python calls."""
-
-
-def _linking() -> type[Any] | None:
-    """A pipeline of numba that makes machine code only of what Python calls, and not of functions inside of kernels.
-
-    numba optimises each function, makes machine code of it, and does both again for all that calls it. That is most of
-    the time that it takes. This uses parts of numba that are not public. So the result is None for versions that it was
-    not tried with, and everything is compiled as usual.
-    """
-    if not numba.__version__.startswith(_TRIED):
-        return None
-    from numba.core import codegen, compiler, compiler_machinery, cpu, typed_passes
-
-    class Library(codegen.JITCodeLibrary):
-        """Code that is handed on to callers as it is."""
-
-        def _optimize_final_module(self) -> None:
-            pass
-
-        def _finalize_final_module(self) -> None:
-            self._finalize_dynamic_globals()
-            self._finalized = True
-
-    usual = cpu.CPUContext.get_executable
-
-    def executable(context: Any, library: Any, *others: Any) -> Any:
-        return _Linked([library]).append if isinstance(library, Library) else usual(context, library, *others)
-
-    @compiler_machinery.register_pass(mutates_CFG=True, analysis_only=False)
-    class Lowering(typed_passes.NativeLowering):
-        """The step that writes the code."""
-
-        _name = "limslam_lowering"
-
-        def run_pass(self, state: Any) -> bool:
-            is_called = state.func_id.func in _CALLED
-            kind = codegen.JITCodeLibrary if is_called else Library
-            state.library = kind(state.targetctx.codegen(), state.func_id.func_qualname)
-            if is_called:
-                state.library.enable_object_caching()
-            else:
-                state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
-            return bool(super().run_pass(state))
-
-    class Pipeline(compiler.CompilerBase):
-        """numba's own, but for that step. Functions of numba that it compiles on the way are treated alike."""
-
-        def define_pipelines(self) -> list[Any]:
-            steps = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
-            steps.passes = [
-                (Lowering if step is typed_passes.NativeLowering else step, name) for step, name in steps.passes
-            ]
-            steps.finalize()
-            return [steps]
-
-        def _compile_core(self) -> Any:
-            # One thread compiles at a time. A function is compiled while its caller is.
-            target = self.state.targetctx.codegen()
-            before = target._library_class, cpu.CPUContext.get_executable  # noqa: SLF001
-            target._library_class, cpu.CPUContext.get_executable = Library, executable  # type: ignore[method-assign]  # noqa: SLF001
-            try:
-                return super()._compile_core()
-            finally:
-                target._library_class, cpu.CPUContext.get_executable = before  # type: ignore[method-assign]  # noqa: SLF001
-
-    return Pipeline
-
-
-_PIPELINE = _linking()
-
-
-def _inner(kernel: Callable[..., object], options: dict[str, Any]) -> Any:
-    """Compile a function for other kernels; it has machine code of its own as soon as Python calls it."""
-    if _PIPELINE is None:
-        return njit(**options)(kernel)
-    function = njit(pipeline_class=_PIPELINE, **options)(kernel)
-    # Where functions with machine code are looked up.
-    insert, compile_for = function._insert, function._compile_for_args  # noqa: SLF001
-
-    def insert_executable(signature: Any, code: Any, *others: Any) -> None:
-        if not _is_linked(code):
-            insert(signature, code, *others)
-
-    def compile_for_python(*arguments: Any, **named: Any) -> Any:
-        overloads = function.overloads
-        for signature in [key for key, made in overloads.items() if _is_linked(made.entry_point)]:
-            del overloads[signature]
-        _CALLED.add(kernel)
-        try:
-            return compile_for(*arguments, **named)
-        finally:
-            _CALLED.discard(kernel)
-
-    function._insert, function._compile_for_args = insert_executable, compile_for_python  # noqa: SLF001
-    return function
-
-
 def compiled(kernel: Kernel) -> Kernel:
-    """Compile a function that other kernels call. It is compiled together with each kernel that Python calls."""
-    return cast(Kernel, _inner(kernel, _OPTIONS))
+    """Compile a function that other kernels call. numba also copies it into short callers."""
+    return cast(Kernel, njit(**_OPTIONS)(kernel))
 
 
 def inlined(kernel: Kernel) -> Kernel:
@@ -157,12 +48,12 @@ def inlined(kernel: Kernel) -> Kernel:
 
 def merged(kernel: Kernel) -> Kernel:
     """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy into its callers."""
-    return cast(Kernel, _inner(kernel, {"forceinline": True, **_LEAN}))
+    return cast(Kernel, njit(forceinline=True, **_LEAN)(kernel))
 
 
 def algebra(kernel: Kernel) -> Kernel:
     """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded once, together."""
-    return cast(Kernel, _inner(kernel, {"fastmath": {"contract"}, **_OPTIONS}))
+    return cast(Kernel, njit(fastmath={"contract"}, **_OPTIONS)(kernel))
 
 
 def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
@@ -206,11 +97,8 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
         references to arrays, so that arrays can be handed from function to function at no cost.
     """
     options = _OPTIONS if allocates else _LEAN
-    if _PIPELINE is not None:
-        options = {**options, "pipeline_class": _PIPELINE}
 
     def entry(kernel: Kernel) -> Kernel:
-        _CALLED.add(kernel)
         kept = njit(cache=True, **options)(kernel)
         # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)

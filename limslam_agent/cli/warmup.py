@@ -73,9 +73,9 @@ def _smoothers() -> None:
 
 
 STEPS: dict[str, tuple[int, Callable[[], None]]] = {
-    "simulator": (5, _single),
-    "batch": (15, _batch),
-    "BatchSlam": (40, _batch_slam),
+    "simulator": (15, _single),
+    "batch": (30, _batch),
+    "BatchSlam": (90, _batch_slam),
     "smoothers": (90, _smoothers),
 }
 """What is compiled, by names: about how long that takes, s, and a function that uses it."""

@@ -5,7 +5,6 @@ import sys
 
 import pytest
 
-from limslam_env import compilation
 from limslam_env.compilation import ENV_SOURCES, source_stamp
 from limslam_env.kernels import batch_step, coverage, observation, random_numbers, rays, wall_cells
 
@@ -107,24 +106,18 @@ def doubled_largest(numbers):
 """
 
 
-@pytest.mark.parametrize("version", ["", "0.1.0"], ids=["this numba", "an unknown numba"])
-def test_a_function_inside_a_kernel_has_machine_code_only_when_python_calls_it(tmp_path, version):
+def test_functions_inside_a_kernel_can_be_called_by_themselves(tmp_path):
     (tmp_path / "inner_kernels.py").write_text(INNER, encoding="utf-8")
     code = f"""
 import sys
-import numba, numpy as np
-numba.__version__ = {version!r} or numba.__version__
+import numpy as np
 sys.path.insert(0, {str(tmp_path)!r})
 from inner_kernels import doubled_largest, largest
 numbers = np.array([1.0, 5.0, 3.0])
-results = [doubled_largest(numbers)]
-code = [type(made.entry_point.__self__).__name__ for made in largest.overloads.values()]
-results += [largest(numbers), doubled_largest(numbers + 1)]
+results = [doubled_largest(numbers), largest(numbers), doubled_largest(numbers + 1)]
 results += [largest(np.array([7, 8])), doubled_largest(np.array([4, 2]))]
-print(*results, *code)
+print(*results)
 """
     command = [sys.executable, "-B", "-c", code]
     words = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path).stdout.split()
-    assert [float(word) for word in words[:5]] == [10.0, 5.0, 12.0, 8.0, 8.0]
-    is_known = not version and compilation._PIPELINE is not None
-    assert words[5:] == ["_Linked" if is_known else "_Closure"]
+    assert [float(word) for word in words] == [10.0, 5.0, 12.0, 8.0, 8.0]
