@@ -1,6 +1,5 @@
 """Settings of the documentation site: ``sphinx-build -W docs docs/_build``."""
 
-import os
 import re
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -58,10 +57,11 @@ PAGES_ELSEWHERE = {
     "README.md": "/index.md",
 }
 FOLDER = Path(__file__).parent
+OUTSIDE = "outside-of-the-site"
 
 
-def rewrite_links(text: str, folder: Path, page: Path) -> str:
-    """The links of a text in ``folder``, which the site shows on a page in the folder ``page``."""
+def rewrite_links(text: str, folder: Path) -> str:
+    """The links of a text in ``folder`` as they are seen in the site."""
 
     def rewritten(match: re.Match[str]) -> str:
         target, _, anchor = match[1].partition("#")
@@ -77,9 +77,11 @@ def rewrite_links(text: str, folder: Path, page: Path) -> str:
             return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
         if path.is_relative_to(FOLDER):
             return f"](/{path.relative_to(FOLDER).as_posix()})"
-        return f"]({os.path.relpath(path, page)})"  # offered for download
+        return f"]({OUTSIDE})"
 
-    return re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
+    text = re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
+    # Files and folders outside of the site, such as the examples, are named and not linked.
+    return re.sub(rf"\[([^\[\]]*)\]\({OUTSIDE}\)", r"\1", text)
 
 
 def tables_of_docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
@@ -105,11 +107,10 @@ def setup(app: Sphinx) -> None:
     """Connect what changes links."""
 
     def on_source(app: Sphinx, name: str, content: list[str]) -> None:
-        folder = Path(app.env.doc2path(name)).parent
-        content[0] = rewrite_links(content[0], folder, folder)
+        content[0] = rewrite_links(content[0], Path(app.env.doc2path(name)).parent)
 
-    def on_include(app: Sphinx, path: Path, parent: str, content: list[str]) -> None:
-        content[0] = rewrite_links(content[0], FOLDER / path.parent, Path(app.env.doc2path(parent)).parent)
+    def on_include(_app: Sphinx, path: Path, _parent: str, content: list[str]) -> None:
+        content[0] = rewrite_links(content[0], FOLDER / path.parent)
 
     app.connect("source-read", on_source)
     app.connect("include-read", on_include)
