@@ -96,7 +96,7 @@ def test_a_symmetrical_building_is_ambiguous():
     path = [[1.5, 1.0], [3.0, 1.2], [5.3, 1.2], [1.6, 2.4], [1.5, 4.0]]
     whole = seen(both, [*path, *(np.array([12.0, 9.0]) - np.array(path))], (6.0, 4.5, 0.0), reach=3.0)
     decision = find_place(whole, seen(HALL, PART), CONFIG)
-    assert decision.refusal.startswith("ambiguous: another place fits")
+    assert decision.refusal.startswith("ambiguous: another place has")
     assert decision.runner_up > 0.9
 
 
