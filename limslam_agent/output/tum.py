@@ -35,7 +35,28 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     TrajectoryError
         If the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
     """
+    numbers, table = read_rows(path, "t x y z qx qy qz qw")
+    if not len(table):
+        raise TrajectoryError(f"{path}: is empty")
+    is_turn = table[:, 4:].any(axis=1)
+    if not is_turn.all():
+        raise TrajectoryError(f"{path}: line {numbers[int(np.argmin(is_turn))]} has a quaternion of length 0")
+    return table[:, 0], np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
+
+
+def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
+    """Numbers of the lines (n,), counted from 1, and a table (n, k) of the finite numbers in them.
+
+    ``form`` names the k numbers of a line. Comments begin with ``#``.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file cannot be read, or a line has other fields.
+    """
+    numbers: list[int] = []
     rows: list[list[float]] = []
+    width = len(form.split())
     try:
         lines = read_limited(path).decode("utf-8").splitlines()
     except (OSError, ValueError) as error:
@@ -45,15 +66,11 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
         if not text.strip():
             continue
         row = _numbers(text)
-        if len(row) != 8 or not all(map(math.isfinite, row)):
-            raise TrajectoryError(f"{path}: line {number} is not t x y z qx qy qz qw")
-        if not any(row[4:]):
-            raise TrajectoryError(f"{path}: line {number} has a quaternion of length 0")
+        if len(row) != width or not all(map(math.isfinite, row)):
+            raise TrajectoryError(f"{path}: line {number} is not {form}")
+        numbers.append(number)
         rows.append(row)
-    if not rows:
-        raise TrajectoryError(f"{path}: is empty")
-    table = np.array(rows)
-    return table[:, 0], np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
+    return numbers, np.array(rows).reshape(-1, width)
 
 
 def _numbers(text: str) -> list[float]:

@@ -9,8 +9,8 @@ import numpy as np
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.output.export import finite
 from limslam_agent.output.finished_run import read_walls
-from limslam_agent.output.tum import TrajectoryError, read_tum
-from limslam_agent.safe_files import load_arrays, read_limited
+from limslam_agent.output.tum import TrajectoryError, read_rows, read_tum
+from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.interface import RobotSpec
@@ -257,23 +257,7 @@ def _stored(path: Path, trajectory: Path) -> FloatArray:
 
 
 def _written(path: Path) -> FloatArray:
-    rows: list[list[float]] = []
-    try:
-        lines = read_limited(path).decode("utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise TrajectoryError(f"{path}: cannot be read: {error}") from error
-    for number, line in enumerate(lines, start=1):
-        text = line.partition("#")[0].split()
-        if not text:
-            continue
-        try:
-            row = [float(word) for word in text]
-        except ValueError:
-            row = []
-        if len(row) != 1 + len(_UPPER):
-            raise TrajectoryError(f"{path}: line {number} is not t xx xy xh yy yh hh")
-        rows.append(row)
-    table = np.array(rows).reshape(-1, 1 + len(_UPPER))
+    _, table = read_rows(path, "t xx xy xh yy yh hh")
     found = np.empty((len(table), 3, 3))
     for column, (row_index, other) in enumerate(_UPPER, start=1):
         found[:, row_index, other] = found[:, other, row_index] = table[:, column]
