@@ -162,8 +162,7 @@ class Mapper:
         self.frame, self._revisions = 0, list[Revision]()
         self._unplaced: Unplaced | None = None
         self._listener: Callable[[AssociationRecord], None] | None = None
-        self._watch_anew()
-        self._renewal = Renewal(self.slam, self.config)
+        self._begin_anew()
         self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
@@ -338,8 +337,7 @@ class Mapper:
         self._slam_config = self_calibrating(self.config)
         self.slam = self._new_slam(self._slam_config)
         self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
-        self._watch_anew()
-        self._renewal = Renewal(self.slam, self.config)
+        self._begin_anew()
         self._recovery = self._new_recovery()
         for observations in early:
             motions = self._process(observations)
@@ -440,10 +438,9 @@ class Mapper:
         self.slam.robots[0].step = log.begin - 1
         poses = self._play(recovery, log.begin, found.step)
         self.slam.relocate(found.pose, found.covariance)
-        # The motion to the place that was found is no part of a stretch that can be smoothed.
-        self._renewal = Renewal(self.slam, self.config)
-        # The comparisons until now have seen how the robot was carried away.
-        self._watch_anew()
+        # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
+        # smoothed.
+        self._begin_anew()
         poses += self._play(recovery, found.step)
         self._revisions.append(
             Revision(log.begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses]))
@@ -468,8 +465,7 @@ class Mapper:
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame."""
         self.slam, self._grid, self.frame = slam, grid, self.frame + 1
-        self._renewal = Renewal(self.slam, self.config)
-        self._watch_anew()
+        self._begin_anew()
 
     def _play(self, recovery: Recovery, begin: int, end: int | None = None) -> list[tuple[FloatArray, FloatArray]]:
         """Process the steps from ``begin`` to before ``end`` again; the pose and its covariance after each of them."""
@@ -481,10 +477,11 @@ class Mapper:
             played.append((self.slam.pose, self.slam.covariance))
         return played
 
-    def _watch_anew(self) -> None:
-        """Begin to monitor the estimate of each robot."""
+    def _begin_anew(self) -> None:
+        """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
         self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
         self._extraction = None
+        self._renewal = Renewal(self.slam, self.config)
 
     def _watch(self, number: int, pose: FloatArray, motion: FloatArray, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
