@@ -21,7 +21,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
 ]
-exclude_patterns = ["_build", "images/*.py"]
+exclude_patterns = ["_build", "images/*.py", "paper"]
 html_theme = "furo"
 html_title = "LimSLAM"
 html_static_path = ["_static"]
