@@ -21,11 +21,16 @@ def frames_of(video: Path) -> list[Image.Image]:
     """Frames of the run, evenly spread, without the stretches in which the video is paused."""
     with VideoFileClip(str(video)) as clip:
         frames = [frame[:TOP] for frame in clip.iter_frames()]
-    moving = [frame for last, frame in pairwise(frames) if np.abs(frame[CLOCK].astype(int) - last[CLOCK]).max() > CHANGE] + frames[-1:]
+    moving = [
+        frame for last, frame in pairwise(frames) if np.abs(frame[CLOCK].astype(int) - last[CLOCK]).max() > CHANGE
+    ] + frames[-1:]
     kept = [moving[index].copy() for index in np.linspace(0, len(moving) - 1, FRAMES).astype(int)]
     for frame in kept:
         frame[SPEED] = frame[0, 0]
-    return [Image.fromarray(frame).resize((WIDTH, TOP * WIDTH // frame.shape[1]), Image.Resampling.LANCZOS) for frame in kept]
+    return [
+        Image.fromarray(frame).resize((WIDTH, TOP * WIDTH // frame.shape[1]), Image.Resampling.LANCZOS)
+        for frame in kept
+    ]
 
 
 def main(video: Path) -> None:
@@ -33,7 +38,15 @@ def main(video: Path) -> None:
     first, *others = frames_of(video)
     each = int(1000 * SECONDS / FRAMES)
     durations = [each] * len(others) + [2000]  # the finished map stays for a moment
-    first.save(Path(__file__).with_suffix(".webp"), save_all=True, append_images=others, duration=durations, loop=0, quality=70, method=6)
+    first.save(
+        Path(__file__).with_suffix(".webp"),
+        save_all=True,
+        append_images=others,
+        duration=durations,
+        loop=0,
+        quality=70,
+        method=6,
+    )
 
 
 if __name__ == "__main__":
