@@ -33,7 +33,7 @@ def table(text: str, heading: str) -> list[Row]:
 
 def number(cell: str) -> float:
     """The first number of a cell."""
-    return float(cell.split()[0])
+    return float(cell.split(maxsplit=1)[0])
 
 
 def draw_runs(axes: Axes, rows: list[Row]) -> None:
