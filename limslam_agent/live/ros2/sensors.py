@@ -1,0 +1,173 @@
+"""Readings of a robot's beams from LaserScan messages, or from Range messages of several topics."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from limslam_agent.live.protocol import NOTHING_SEEN
+from limslam_agent.live.ros2.odometer import CLOCK_SET
+from limslam_agent.logs.pose_log import nearest_beams
+from limslam_agent.logs.ros_messages import beam_on_body, rotation_of, scan_angles, scan_readings, sensor_limits
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec, SensorSpec
+
+Ranges = tuple[int | None, ...]
+"""The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN`` where nothing is."""
+
+
+class Reading(NamedTuple):
+    """The readings of all beams, and the time of the measurement, s."""
+
+    time: float
+    ranges: Ranges
+
+
+class Sensors(Protocol):
+    """What turns messages into the readings of a robot's beams.
+
+    Attributes
+    ----------
+    robot
+        The robot, with the beams as the messages describe them. None until each topic has had a message.
+    late, doubled
+        Numbers of messages that came after a later one, and that came twice. They are not used.
+    """
+
+    robot: RobotSpec | None
+    late: int
+    doubled: int
+
+    def add(self, number: int, time: float, message: Any) -> Reading | None:
+        """Take the message of a topic, by its number. The readings that are complete now.
+
+        Raises
+        ------
+        ValueError
+            If the message cannot be used.
+        """
+        ...
+
+
+class ScanSensors:
+    """Picks the beams of a robot from LaserScans, by their directions.
+
+    Parameters
+    ----------
+    robot
+        The robot, whose beams say which directions are wanted, and how far to look.
+    mount
+        Pose (3,) of the laser on the robot, m, m, rad. The beams begin there.
+    """
+
+    def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
+        self.robot: RobotSpec | None = None
+        self.late = self.doubled = 0  # those of scans are found where they meet the odometry
+        self._wanted, self._mount = robot, mount
+        self._angles: FloatArray = np.zeros(0)
+        self._columns: IntArray = np.zeros(0, dtype=np.int64)
+
+    def add(self, number: int, time: float, message: Any) -> Reading:
+        """The readings of a scan.
+
+        Raises
+        ------
+        ValueError
+            If the scan has no beam in a wanted direction.
+        """
+        del number
+        if self.robot is None:
+            self.robot = self._chosen(message)
+        readings = scan_readings(message, self._angles)
+        # The beams of a turning laser are measured one after the other.
+        late = float(message.time_increment) * float(self._columns.mean())
+        limits = float(message.range_min), float(message.range_max)
+        return Reading(time + (late if math.isfinite(late) else 0.0), in_mm(readings, *limits))
+
+    def _chosen(self, message: Any) -> RobotSpec:
+        angles = scan_angles(message)
+        on_body = np.degrees(wrap_angle(angles + self._mount[2]))
+        wanted = np.degrees(self._wanted.beam_angles)
+        self._columns = np.array(nearest_beams(on_body, wanted.tolist()))
+        self._angles = angles[self._columns]
+        half = 0.5 * float(self._mount[2])
+        place = np.array([*self._mount[:2], 0.0])
+        turned = rotation_of((0.0, 0.0, math.sin(half), math.cos(half)))
+        beams = []
+        for angle, beam in zip(self._angles.tolist(), self._wanted.beams, strict=True):
+            limits = _limits(message.range_min, message.range_max, beam)
+            found = beam_on_body((turned, place), angle, limits)
+            assert found is not None  # noqa: S101 (the laser lies flat)
+            beams.append(replace(found, side=beam.side))
+        return replace(self._wanted, beams=tuple(beams))
+
+
+class RangeSensors:
+    """Collects the Range messages of several topics, one for each beam of a robot.
+
+    The readings are complete when all topics have had a message, or when a topic has had its next one. Beams without a
+    message then have no reading. Their time is the median time of the messages.
+
+    Parameters
+    ----------
+    robot
+        The robot. Its beams are in the order of the topics.
+    """
+
+    def __init__(self, robot: RobotSpec) -> None:
+        self.robot: RobotSpec | None = None
+        self.late = self.doubled = 0
+        self._wanted, self._beams = robot, dict[int, SensorSpec]()
+        self._times, self._ranges = dict[int, float](), dict[int, int | None]()
+
+    def add(self, number: int, time: float, message: Any) -> Reading | None:
+        """Take the message of the topic with a number. The readings that are complete now, if there are any."""
+        limits = float(message.min_range), float(message.max_range)
+        if self.robot is None:
+            wanted = self._wanted.beams[number]
+            low, high = _limits(*limits, wanted)
+            self._beams[number] = replace(wanted, min_range=low, max_range=high)
+            if len(self._beams) == len(self._wanted.beams):
+                self.robot = replace(self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams)))
+        before = self._times.get(number, -math.inf)
+        if -CLOCK_SET <= time - before <= 0.0:
+            self.doubled, self.late = self.doubled + (time == before), self.late + (time < before)
+            return None
+        done = self._taken() if number in self._ranges else None
+        self._times[number], (self._ranges[number],) = time, in_mm([float(message.range)], *limits)
+        return done or (self._taken() if len(self._ranges) == len(self._wanted.beams) else None)
+
+    def _taken(self) -> Reading:
+        time = float(np.median([self._times[number] for number in self._ranges]))
+        ranges = tuple(self._ranges.get(number) for number in range(len(self._wanted.beams)))
+        self._ranges = {}
+        return Reading(time, ranges)
+
+
+def in_mm(readings: Sequence[float] | FloatArray, least: float, largest: float) -> Ranges:
+    """Readings, m, of a sensor with a shortest and a longest range, m, as telemetry has them.
+
+    As in REP 117, infinity means that nothing was seen, minus infinity that something is too near, and NaN that there
+    is no reading. Readings outside of the sensor's limits mean the same as the infinities. Limits that are not set do
+    not count.
+    """
+    top = largest if largest > max(least, 0.0) else math.inf
+    return tuple(_in_mm(float(each), least, top) for each in readings)
+
+
+def _in_mm(reading: float, least: float, top: float) -> int | None:
+    if math.isnan(reading) or -math.inf < reading < 0.0:
+        return None
+    if reading >= top:
+        return NOTHING_SEEN
+    # The longest reading has its own number, whatever the unit of the sensor.
+    return 0 if reading < least else min(round(1e3 * reading), NOTHING_SEEN - 1)
+
+
+def _limits(least: float, largest: float, wanted: SensorSpec) -> tuple[float, float]:
+    """Shortest and longest range of a beam, m: as wanted, within the limits of the sensor."""
+    low, high = sensor_limits(float(least), float(largest), wanted.max_range)
+    return max(low, wanted.min_range), high
