@@ -8,7 +8,7 @@ import threading
 import time
 from pathlib import Path
 
-PACE = 10.0
+PACE = 5.0
 """How much faster than real time a bag is played."""
 
 
@@ -74,8 +74,20 @@ def wait_for(condition, process=None, seconds=60.0):
         time.sleep(0.02)
 
 
+def converted(content, kind):
+    """A message of a bag as one of rclpy, whose types may have more fields than those that the bag was written with."""
+    message = kind()
+    for name in kind.get_fields_and_field_types():
+        value = getattr(content, name, None)
+        if hasattr(value, "__msgtype__"):
+            value = converted(value, type(getattr(message, name)))
+        if value is not None:
+            setattr(message, name, value)
+    return message
+
+
 def play(bag, pace):
-    """Publish the messages of a bag as they are, as soon as somebody listens to them."""
+    """Publish the ranges and the odometry of a bag, as soon as somebody listens to all of them."""
     import rclpy
     from rosbags.highlevel import AnyReader
 
@@ -90,11 +102,13 @@ def play(bag, pace):
             publishers[each.topic] = node.create_publisher(message_type(each.msgtype), each.topic, 10)
         while not all(publisher.get_subscription_count() for publisher in publishers.values()):
             time.sleep(0.05)
+        time.sleep(0.5)  # the subscribers find the publishers, too
         begin, first = time.monotonic(), None
         for connection, nanoseconds, raw in reader.messages(connections):
             first = nanoseconds if first is None else first
             time.sleep(max(0.0, 1e-9 * (nanoseconds - first) / pace - (time.monotonic() - begin)))
-            publishers[connection.topic].publish(raw)
+            content = reader.deserialize(raw, connection.msgtype)
+            publishers[connection.topic].publish(converted(content, message_type(connection.msgtype)))
     time.sleep(0.5)  # what has been published leaves the process
     rclpy.shutdown()
 

@@ -195,12 +195,12 @@ class RosLink:
             if event.number == ODOMETRY:
                 self.frames = (event.message.header.frame_id or "odom", event.message.child_frame_id or "base_link")
                 return self._synchroniser.add_odometry(event.time, np.array(pose_of(event.message)))
-            reading = self._sensors.add(event.number, event.time, event.message)
+            readings = self._sensors.add(event.number, event.time, event.message)
         except ValueError as error:
             self.bad_lines += 1
             self._trouble = str(error)
             return []
-        return [] if reading is None else self._synchroniser.add_reading(reading)
+        return [each for reading in readings for each in self._synchroniser.add_reading(reading)]
 
     def _telemetry(self, measurement: Measurement) -> Telemetry:
         sample = self.newest = measurement.sample

@@ -1,6 +1,7 @@
 """Readings of a robot's beams from LaserScan messages, or from Range messages of several topics."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
@@ -17,6 +18,11 @@ from limslam_env.interface import RobotSpec, SensorSpec
 
 Ranges = tuple[int | None, ...]
 """The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN`` where nothing is."""
+
+
+_TOGETHER = 0.75  # share of the time between two messages of a topic
+_SPACINGS = 50  # number of latest times between messages whose median counts
+_SILENT = 3.0  # times between messages after which a topic is not waited for
 
 
 class Reading(NamedTuple):
@@ -41,7 +47,7 @@ class Sensors(Protocol):
     late: int
     doubled: int
 
-    def add(self, number: int, time: float, message: Any) -> Reading | None:
+    def add(self, number: int, time: float, message: Any) -> list[Reading]:
         """Take the message of a topic, by its number. The readings that are complete now.
 
         Raises
@@ -70,7 +76,7 @@ class ScanSensors:
         self._angles: FloatArray = np.zeros(0)
         self._columns: IntArray = np.zeros(0, dtype=np.int64)
 
-    def add(self, number: int, time: float, message: Any) -> Reading:
+    def add(self, number: int, time: float, message: Any) -> list[Reading]:
         """The readings of a scan.
 
         Raises
@@ -85,7 +91,7 @@ class ScanSensors:
         # The beams of a turning laser are measured one after the other.
         late = float(message.time_increment) * float(self._columns.mean())
         limits = float(message.range_min), float(message.range_max)
-        return Reading(time + (late if math.isfinite(late) else 0.0), in_mm(readings, *limits))
+        return [Reading(time + (late if math.isfinite(late) else 0.0), in_mm(readings, *limits))]
 
     def _chosen(self, message: Any) -> RobotSpec:
         angles = scan_angles(message)
@@ -105,11 +111,35 @@ class ScanSensors:
         return replace(self._wanted, beams=tuple(beams))
 
 
+class _Moment:
+    """Ranges of several topics that are collected, with their times."""
+
+    def __init__(self) -> None:
+        self.times, self.ranges = dict[int, float](), dict[int, int | None]()
+
+    @property
+    def time(self) -> float:
+        """Median of the times, s."""
+        return float(np.median([*self.times.values()]))
+
+    @property
+    def newest(self) -> float:
+        """Latest of the times, s."""
+        return max(self.times.values())
+
+    def takes(self, number: int, time: float, window: float) -> bool:
+        """Whether a message of the topic with a number belongs here: all times lie within ``window`` s."""
+        times = [*self.times.values(), time]
+        return number not in self.times and max(times) - min(times) < window
+
+
 class RangeSensors:
     """Collects the Range messages of several topics, one for each beam of a robot.
 
-    The readings are complete when all topics have had a message, or when a topic has had its next one. Beams without a
-    message then have no reading. Their time is the median time of the messages.
+    Messages belong together if their times lie within three quarters of the time between two messages of a topic.
+    Topics may overtake each other. So readings are complete when each topic has had its message or a later one, which
+    says that its message is lost. A topic that has been silent for a while is not waited for. Beams without a message
+    have no reading. The time of the readings is the median of those of the messages.
 
     Parameters
     ----------
@@ -121,30 +151,74 @@ class RangeSensors:
         self.robot: RobotSpec | None = None
         self.late = self.doubled = 0
         self._wanted, self._beams = robot, dict[int, SensorSpec]()
-        self._times, self._ranges = dict[int, float](), dict[int, int | None]()
+        self._latest, self._last = dict[int, float](), -math.inf
+        self._spacings: deque[float] = deque(maxlen=_SPACINGS)
+        self._open = list[_Moment]()
 
-    def add(self, number: int, time: float, message: Any) -> Reading | None:
-        """Take the message of the topic with a number. The readings that are complete now, if there are any."""
+    def add(self, number: int, time: float, message: Any) -> list[Reading]:
+        """Take the message of the topic with a number. The readings that are complete now."""
         limits = float(message.min_range), float(message.max_range)
-        if self.robot is None:
-            wanted = self._wanted.beams[number]
-            low, high = _limits(*limits, wanted)
-            self._beams[number] = replace(wanted, min_range=low, max_range=high)
-            if len(self._beams) == len(self._wanted.beams):
-                self.robot = replace(self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams)))
-        before = self._times.get(number, -math.inf)
-        if -CLOCK_SET <= time - before <= 0.0:
+        self._describe(number, limits)
+        before = self._latest.get(number, time)
+        if number in self._latest and -CLOCK_SET <= time - before <= 0.0:
             self.doubled, self.late = self.doubled + (time == before), self.late + (time < before)
-            return None
-        done = self._taken() if number in self._ranges else None
-        self._times[number], (self._ranges[number],) = time, in_mm([float(message.range)], *limits)
-        return done or (self._taken() if len(self._ranges) == len(self._wanted.beams) else None)
+            return []
+        self._latest[number] = time
+        if time < before:  # the clock was set
+            self._open, self._last = [], -math.inf
+        if time > before:
+            self._spacings.append(time - before)
+        if self._spacings:
+            (reading,) = in_mm([float(message.range)], *limits)
+            self._collect(number, time, reading)
+        return self._complete()
 
-    def _taken(self) -> Reading:
-        time = float(np.median([self._times[number] for number in self._ranges]))
-        ranges = tuple(self._ranges.get(number) for number in range(len(self._wanted.beams)))
-        self._ranges = {}
-        return Reading(time, ranges)
+    def _describe(self, number: int, limits: tuple[float, float]) -> None:
+        """Learn from the first message of each topic how far its beam sees."""
+        if self.robot is not None or number in self._beams:
+            return
+        wanted = self._wanted.beams[number]
+        low, high = _limits(*limits, wanted)
+        self._beams[number] = replace(wanted, min_range=low, max_range=high)
+        if len(self._beams) == len(self._wanted.beams):
+            self.robot = replace(self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams)))
+
+    def _collect(self, number: int, time: float, reading: int | None) -> None:
+        """Put a reading to those of its moment."""
+        window = _TOGETHER * self._spacing
+        moment = next((each for each in self._open if each.takes(number, time, window)), None)
+        if moment is None and time <= self._last:
+            self.late += 1
+            return
+        if moment is None:
+            moment = _Moment()
+            self._open.append(moment)
+        moment.times[number], moment.ranges[number] = time, reading
+
+    @property
+    def _spacing(self) -> float:
+        """Time between two messages of a topic, s."""
+        return float(np.median(self._spacings))
+
+    def _complete(self) -> list[Reading]:
+        done = []
+        self._open.sort(key=lambda each: each.time)
+        while self._open and not any(self._is_awaited(number, self._open[0]) for number in self._numbers):
+            moment = self._open.pop(0)
+            self._last = moment.newest
+            done.append(Reading(moment.time, tuple(moment.ranges.get(number) for number in self._numbers)))
+        return done
+
+    @property
+    def _numbers(self) -> range:
+        return range(len(self._wanted.beams))
+
+    def _is_awaited(self, number: int, moment: _Moment) -> bool:
+        """Whether the message of a topic may still come."""
+        latest = self._latest.get(number, -math.inf)
+        if number in moment.times or latest > moment.newest:
+            return False
+        return max(self._latest.values()) - latest < _SILENT * self._spacing
 
 
 def in_mm(readings: Sequence[float] | FloatArray, least: float, largest: float) -> Ranges:

@@ -149,7 +149,7 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
     ranges = np.full(360, math.inf)
     # The laser looks back: its -90 deg is the left of the robot.
     ranges[90], ranges[180 + 165] = 0.7, 0.4
-    reading = sensors.add(0, 5.0, scan(ranges.tolist()))
+    (reading,) = sensors.add(0, 5.0, scan(ranges.tolist()))
     assert reading.ranges == (700, NOTHING_SEEN, NOTHING_SEEN, 400, NOTHING_SEEN, NOTHING_SEEN)
     assert reading.time == 5.0
     np.testing.assert_allclose(np.degrees(sensors.robot.beam_angles), np.degrees(ROBOT.beam_angles), atol=1e-9)
@@ -161,7 +161,7 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
 def test_a_laser_that_sees_less_far_shortens_the_beams_and_its_turn_takes_time():
     sensors = ScanSensors(ROBOT, np.zeros(3))
     message = scan([0.5] * 360, largest=1.0, time_increment=0.1 / 360)
-    assert sensors.add(0, 1.0, message).time == pytest.approx(1.05, abs=1e-3)
+    assert sensors.add(0, 1.0, message)[0].time == pytest.approx(1.05, abs=1e-3)
     assert set(sensors.robot.max_ranges) == {1.0}
 
 
@@ -174,22 +174,62 @@ def test_a_scan_without_a_wanted_beam_is_refused_with_the_beam():
         sensors.add(0, 0.1, scan([1.0] * 91, first=-45.0))
 
 
-def test_ranges_of_several_topics_are_collected_and_a_silent_one_has_no_reading():
-    robot = RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1))
-    sensors = RangeSensors(robot)
-    assert sensors.add(0, 1.00, distance(0.5)) is None
-    assert sensors.add(2, 1.02, distance(0.7)) is None
-    assert sensors.robot is None
-    assert sensors.add(1, 1.01, distance(math.inf)) == (1.01, (500, NOTHING_SEEN, 700))
+def collected(sensors, *messages):
+    """What sensors make of messages, each a number, a time and a range."""
+    found = [each for number, time, reading in messages for each in sensors.add(number, time, distance(reading))]
+    return [(round(each.time, 3), each.ranges) for each in found]
+
+
+def three_ranges():
+    """Sensors for three beams, whose topics have had two messages each at a spacing of 0.1 s."""
+    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)))
+    first = [(number, 0.8 + 0.1 * step, 1.0) for step in range(2) for number in range(3)]
+    # The time between two messages is known with the second one of the first topic.
+    assert collected(sensors, *first) == [(0.9, (1000, 1000, 1000))]
     np.testing.assert_allclose(sensors.robot.max_ranges, 1.2)
-    # The second topic is silent, and the first one speaks again.
-    sensors.add(0, 1.10, distance(0.4))
-    sensors.add(2, 1.12, distance(0.6))
-    time, ranges = sensors.add(0, 1.20, distance(0.3))
-    assert (time, ranges) == (pytest.approx(1.11), (400, None, 600))
-    assert sensors.add(0, 1.20, distance(0.3)) is None
-    assert sensors.add(2, 1.05, distance(0.3)) is None
+    return sensors
+
+
+def test_ranges_of_several_topics_that_are_near_in_time_belong_together():
+    sensors = three_ranges()
+    assert collected(sensors, (0, 1.00, 0.5), (2, 1.02, 0.7), (1, 1.01, math.inf)) == [
+        (1.01, (500, NOTHING_SEEN, 700))
+    ]  # fmt: skip
+
+
+def test_a_lost_message_is_no_reading_and_moments_are_not_mixed():
+    sensors = three_ranges()
+    # The message of the second topic at 1.0 s is lost, and its next one arrives before those of the others.
+    messages = [(0, 1.0, 0.5), (2, 1.0, 0.7), (1, 1.1, 0.6), (0, 1.1, 0.4), (2, 1.1, 0.3)]
+    assert collected(sensors, *messages) == [(1.0, (500, None, 700)), (1.1, (400, 600, 300))]
+
+
+def test_topics_may_overtake_each_other():
+    sensors = three_ranges()
+    messages = [(0, 1.0, 0.1), (1, 1.0, 0.2), (0, 1.1, 0.4), (1, 1.1, 0.5), (2, 1.0, 0.3), (2, 1.1, 0.6)]
+    assert collected(sensors, *messages) == [(1.0, (100, 200, 300)), (1.1, (400, 500, 600))]
+
+
+def test_a_topic_that_has_ended_is_not_waited_for_any_more():
+    sensors = three_ranges()
+    messages = [(number, 1.0 + 0.1 * step, 0.5) for step in range(6) for number in range(2)]
+    found = collected(sensors, *messages)
+    assert [ranges for _, ranges in found] == [(500, 500, None)] * 6
+    # All come at the third one: the topic was waited for until then.
+    assert collected(sensors, (0, 1.6, 0.5), (1, 1.6, 0.5)) == [(1.6, (500, 500, None))]
+
+
+def test_ranges_that_are_late_or_doubled_are_left_out():
+    sensors = three_ranges()
+    messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
+    assert collected(sensors, *messages) == [(1.1, (500, 400, 300))]
     assert (sensors.doubled, sensors.late) == (1, 1)
+
+
+def test_topics_that_are_found_later_than_others_are_not_waited_for():
+    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)))
+    messages = [(0, 1.0, 0.5), (1, 1.0, 0.5), (0, 1.1, 0.5), (1, 1.1, 0.5), (2, 1.2, 0.4), (0, 1.2, 0.5), (1, 1.2, 0.5)]
+    assert collected(sensors, *messages) == [(1.1, (500, 500, None)), (1.2, (500, 500, 400))]
 
 
 # Readings and odometry together.
@@ -241,7 +281,7 @@ def link_of(*moments, **parameters):
 
 
 def test_messages_become_the_telemetry_of_a_session():
-    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.02 * step) for step in range(8)))
+    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.02 * step) for step in range(-1, 8)))
     hello = link.first_hello(10.0)
     assert (hello.beams, hello.period_ms, hello.watchdog_ms) == (6, 100, 500)
     recording = Recording(link.robot, hello)
@@ -259,7 +299,7 @@ def test_messages_become_the_telemetry_of_a_session():
 
 
 def test_a_command_is_acknowledged_by_the_first_measurement_after_it():
-    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(8)))
+    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(-1, 8)))
     link.first_hello(10.0)
     assert {packet.ack for packet in link.receive(0.02)} == {0}
     ports.time = 5.65
@@ -309,7 +349,7 @@ def test_messages_that_cannot_be_used_are_counted_and_named():
         ([], "there was no message on beam_0, beam_1, beam_2, beam_3, beam_4, beam_5, odom"),
         ([moment(1.0, 0.0)[:4]], "there was no message on beam_3, beam_4, beam_5"),
         ([moment(1.0, 0.0)[1:]], "there was no message on odom"),
-        ([moment(1.0, 0.0)], "gave 1 measurements: are both stamped by the same clock"),
+        ([moment(1.0, 0.0), moment(1.1, 0.0)], "gave 1 measurements: are both stamped by the same clock"),
     ],
 )
 def test_what_is_silent_is_named(moments, words):
