@@ -24,6 +24,7 @@ PACKAGES = ("rclpy", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msg
 BEGIN = "--ros-args"
 """What arguments for ROS begin with."""
 
+_OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 _DEPTH = 50  # number of messages that wait for a busy host
 
 
@@ -49,8 +50,8 @@ class RosNode:
 
     Parameters
     ----------
-    arguments
-        Arguments for ROS, which begin with ``--ros-args``; or none.
+    node
+        The node of rclpy.
 
     Attributes
     ----------
@@ -66,7 +67,7 @@ class RosNode:
 
     def __init__(self, node: Any) -> None:
         self._node, self.build = node, MessageBuilder(make)
-        self.parameters = Parameters.of(_declared(node))
+        self.parameters = Parameters.of(_given(node))
         self.orders = Orders(is_paused=not self.parameters.explore)
         self.watchdog_stops = 0
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
@@ -178,19 +179,22 @@ def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
     if arguments and arguments[0] != BEGIN:
         raise ValueError(f"what follows -- is for ROS 2 and begins with {BEGIN}, not with {arguments[0]}")
     check_installed()
-    import rclpy
-    from rclpy.exceptions import ParameterException
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
-
-    context = rclpy.Context()
     try:
+        import rclpy
+        from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        context = rclpy.Context()
         # Ctrl-C stops the wheels first, as for every robot.
         rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
-        node = RosNode(handle := rclpy.create_node("limslam", context=context))
-    except (RuntimeError, ParameterException) as error:
+    except (ImportError, RuntimeError) as error:
+        raise ValueError(f"ROS 2 cannot be started: {error}") from error
+    handle = rclpy.create_node("limslam", context=context, automatically_declare_parameters_from_overrides=True)
+    try:
+        node = RosNode(handle)
+    except BaseException:
         context.try_shutdown()
-        raise ValueError(f"ROS 2: {error}") from error
+        raise
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(handle)
 
@@ -250,20 +254,11 @@ def _plain(value: Any) -> Any:
     return array("b" if value.dtype == np.int8 else "B", value.tobytes()) if is_bytes else value
 
 
-def _declared(node: Any) -> dict[str, Any]:
-    """Declare the parameters, and read what was set."""
-    from rclpy.parameter import Parameter
-
-    kinds = {
-        "range_topics": Parameter.Type.STRING_ARRAY,
-        "scan_mount": Parameter.Type.DOUBLE_ARRAY,
-        "beams_deg": Parameter.Type.DOUBLE_ARRAY,
-    }
-    found = {}
+def _given(node: Any) -> dict[str, Any]:
+    """The parameters that were set, without those of rclpy itself. The others are declared with their defaults."""
+    found = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
     for field in fields(Parameters):
-        # An empty list has no type of its own.
-        node.declare_parameter(field.name, kinds.get(field.name, field.default))
-        value = node.get_parameter_or(field.name, Parameter(field.name, value=None)).value
-        if value is not None:
-            found[field.name] = value
-    return found
+        default: Any = field.default
+        if field.name not in found and default != ():  # an empty list has no type
+            node.declare_parameter(field.name, list(default) if isinstance(default, tuple) else default)
+    return {name: value for name, value in found.items() if not name.startswith(_OF_RCLPY)}

@@ -34,7 +34,7 @@ class Outputs:
 
     def __init__(self, node: RosNode, link: RosLink, policy: WayHome) -> None:
         self._node, self._link, self._policy = node, link, policy
-        self._next_map = 0.0
+        self._next_map, self._told = 0.0, ("", "")
         self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
         self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
         self._map = node.publisher("nav_msgs/msg/OccupancyGrid", "map", depth=1, is_kept=True)
@@ -46,8 +46,9 @@ class Outputs:
     def watch(self, session: Session) -> None:
         """Publish what the session believes after a decision, and pass orders on."""
         self._publish_pose(session)
-        if time.monotonic() >= self._next_map:
-            self._next_map = time.monotonic() + self._node.parameters.map_period
+        told = state_of(session, self._policy), session.agent.status
+        if time.monotonic() >= self._next_map or told != self._told:
+            self._told, self._next_map = told, time.monotonic() + self._node.parameters.map_period
             self._publish_map(session)
         orders = self._node.orders
         session.is_paused = orders.is_paused

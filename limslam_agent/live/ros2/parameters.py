@@ -1,7 +1,7 @@
 """The parameters of the node, as users of ROS set them: ``-p NAME:=VALUE``."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -79,12 +79,13 @@ class Parameters:
         Raises
         ------
         ValueError
-            If a value cannot be used.
+            If there is no such parameter, or a value cannot be used.
         """
-        known = {field.name for field in fields(cls)}
-        found: dict[str, Any] = {
-            name: tuple(value) if _is_list(value) else value for name, value in values.items() if name in known
-        }
+        defaults = {field.name: field.default for field in fields(cls)}
+        unknown = sorted(set(values) - set(defaults))
+        if unknown:
+            raise ValueError(f"there is no parameter {unknown[0]}; there are {', '.join(defaults)}")
+        found: dict[str, Any] = {name: _checked(name, value, defaults[name]) for name, value in values.items()}
         return cls(**found)
 
     @property
@@ -112,5 +113,13 @@ class Parameters:
         return replace(described, beams=beams)
 
 
-def _is_list(value: Any) -> bool:
-    return not isinstance(value, str | bool | int | float)
+def _checked(name: str, value: Any, default: Any) -> Any:
+    """A value of the type that a parameter has."""
+    if isinstance(default, tuple) and not isinstance(value, str) and isinstance(value, Sequence):
+        kind: type[str | float] = str if name == "range_topics" else float
+        return tuple(_checked(name, each, kind()) for each in value)
+    is_number = isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool)
+    if is_number or type(value) is type(default):
+        return type(default)(value)
+    words = {bool: "true or false", float: "a number", str: "a text", tuple: "a list"}[type(default)]
+    raise ValueError(f"the parameter {name} must be {words}, not {value!r}")

@@ -365,9 +365,9 @@ def test_parameters_change_the_beams():
     robot = Parameters(beams_deg=(0.0, 90.0), max_range=3.0).robot(ROBOT)
     np.testing.assert_allclose(np.degrees(robot.beam_angles), (0.0, 90.0))
     assert set(robot.max_ranges) == {3.0}
-    assert Parameters.of({"range_topics": ["a"], "period": 0.2, "use_sim_time": True}) == Parameters(
-        range_topics=("a",), period=0.2
-    )
+    given = {"range_topics": ["a"], "period": 1, "scan_mount": [0, 0.5, 180], "explore": False}
+    expected = Parameters(range_topics=("a",), period=1.0, scan_mount=(0.0, 0.5, 180.0), explore=False)
+    assert Parameters.of(given) == expected
 
 
 @pytest.mark.parametrize(
@@ -382,6 +382,22 @@ def test_parameters_change_the_beams():
 def test_impossible_parameters_are_refused(values, words):
     with pytest.raises(ValueError, match=words):
         Parameters(**values)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"range_topic": ["a"]}, "there is no parameter range_topic; there are range_topics, scan_mount, "),
+        ({"period": "fast"}, "the parameter period must be a number, not 'fast'"),
+        ({"period": True}, "the parameter period must be a number, not True"),
+        ({"explore": 1}, "the parameter explore must be true or false, not 1"),
+        ({"range_topics": "a"}, "the parameter range_topics must be a list, not 'a'"),
+        ({"beams_deg": ["left"]}, "the parameter beams_deg must be a number, not 'left'"),
+    ],
+)
+def test_parameters_of_another_name_or_type_are_refused(values, words):
+    with pytest.raises(ValueError, match=words):
+        Parameters.of(values)
 
 
 def test_there_is_a_topic_for_each_beam():
