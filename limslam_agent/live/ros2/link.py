@@ -1,8 +1,9 @@
 """The connection of a session to a robot of ROS 2: messages of topics in, speeds out."""
 
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
@@ -24,6 +25,7 @@ ODOMETRY = -1
 
 _MICROMETRE = 1e-6
 _FIRST = 5  # number of measurements that show the period
+_MOST_SENT = 200  # number of commands that may wait to be acknowledged
 _POLL = 0.02  # s
 
 
@@ -67,13 +69,13 @@ class Ports(Protocol):
 class _Acknowledgement:
     """When the newest commands were sent, by the time of ROS."""
 
-    sent: list[tuple[float, int]]
     newest: int = 0
+    sent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MOST_SENT))
 
     def at(self, time: float) -> int:
         """Sequence number of the newest command that was sent before a measurement at ``time``."""
         while self.sent and self.sent[0][0] < time:
-            self.newest = self.sent.pop(0)[1]
+            self.newest = self.sent.popleft()[1]
         return self.newest
 
 
@@ -112,7 +114,7 @@ class RosLink:
         topics = parameters.range_topics
         self._sensors: Sensors = RangeSensors(robot) if topics else ScanSensors(robot, parameters.mount)
         self._synchroniser = Synchroniser(robot, parameters.period)
-        self._acknowledgement = _Acknowledgement([])
+        self._acknowledgement = _Acknowledgement()
         self._seq = self._row = self._stops = 0
         self._hello: Hello | None = None
         self._ready = list[Message]()
@@ -165,7 +167,7 @@ class RosLink:
             begun = self._synchroniser.begun
             measurements = self._taken(event)
             if self._synchroniser.begun > begun and self._hello is not None:
-                self._acknowledgement = _Acknowledgement([], self._seq)
+                self._acknowledgement = _Acknowledgement(self._seq)
                 messages.append(replace(self._hello, boot=self._synchroniser.begun))
             messages += [self._telemetry(each) for each in measurements]
         return messages

@@ -96,7 +96,9 @@ class RosNode:
         return 1e-9 * float(self._node.get_clock().now().nanoseconds)
 
     def drive(self, speed: float, turn_rate: float) -> None:
-        """Publish speeds, m/s and rad/s."""
+        """Publish speeds, m/s and rad/s. While paused they are zero."""
+        if self.orders.is_paused:
+            speed = turn_rate = 0.0
         with self._lock:
             self._decided, self._is_moving = time.monotonic(), bool(speed or turn_rate)
             self._publish_speeds(self.build.twist(speed, 0.0, turn_rate))
@@ -144,7 +146,8 @@ class RosNode:
         self.orders.stop |= message.data
 
     def _return_home(self, message: Any) -> None:
-        self.orders.go_home |= message.data
+        if message.data:
+            self.orders.go_home, self.orders.is_paused = True, False
 
     def _publish_speeds(self, twist: Any) -> None:
         self._latest = twist
