@@ -105,6 +105,9 @@ AGENT = {
         *agent("status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
+    "limslam_agent.live.ros2": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
+    },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.

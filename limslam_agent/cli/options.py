@@ -243,11 +243,19 @@ RelationsFile = Annotated[
 Serial = Annotated[str | None, _option(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")]
 Baud = Annotated[int | None, _option(_CONNECTION, "Bits per second of the serial port.", _LIVE.baud)]
 Udp = Annotated[int | None, _option(_CONNECTION, "UDP port on which to wait for the robot.")]
+Ros2 = Annotated[
+    bool | None,
+    _option(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.", None, "--ros2"),
+]
+RosArguments = Annotated[
+    list[str] | None,
+    typer.Argument(help="Arguments for ROS 2, after --: -- --ros-args -p NAME:=VALUE -r FROM:=TO.", show_default=False),
+]
 LiveRobot = Annotated[
     str | None,
     _option(
         _CONNECTION,
-        "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.",
+        "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings. --ros2 needs it.",
         "what the robot calls itself",
         "--robot",
     ),

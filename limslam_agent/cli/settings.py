@@ -97,6 +97,7 @@ class LiveOptions(Bounded):
     serial: str | None = None
     baud: Annotated[int, Bounds(300, 10**7)] = 115200
     udp: int | None = None
+    ros2: bool = False
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     policy: str = "frontier"

@@ -32,6 +32,17 @@ def steer(
     return wheel_speeds(speed, _turn_rate(error, config), robot)
 
 
+def point_ahead(path: FloatArray, away: FloatArray, lookahead: float) -> tuple[int, FloatArray]:
+    """Which point of a path (k, 2), m, is nearest, and the point (2,) to steer for.
+
+    The latter is the first point after the nearest one that is farther away than ``lookahead`` (m), or the last one.
+    ``away`` (k,) has the distances of the points from the robot, m.
+    """
+    nearest = int(np.argmin(away))
+    ahead = np.flatnonzero(away[nearest:] > lookahead)
+    return nearest, path[nearest + ahead[0]] if ahead.size else path[-1]
+
+
 def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
     """Wheel speeds (2,) that turn the robot on the spot by ``error`` (rad), positive counter-clockwise."""
     return wheel_speeds(0.0, _turn_rate(error, config), robot)

@@ -11,7 +11,7 @@ from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import back_off, nearest_beam, point_ahead, steer, turn_by, wheel_speeds
 from limslam_agent.policies.excursion import Excursion
 from limslam_agent.policies.goal_memory import GoalMemory
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED
@@ -206,9 +206,7 @@ class FrontierPolicy:
         away = np.linalg.norm(self.plan - belief.pose[:2], axis=1)
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
-        nearest = int(np.argmin(away))
-        ahead = np.flatnonzero(away[nearest:] > self._config.lookahead)
-        aim = self.plan[nearest + ahead[0]] if ahead.size else self.plan[-1]
+        nearest, aim = point_ahead(self.plan, away, self._config.lookahead)
         action = steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
         left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
         if self._is_stuck(belief.grid, pursuit, left, action):

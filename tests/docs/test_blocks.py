@@ -46,6 +46,8 @@ OTHERS = {
     "mypy": "the project's checks, run before each change lands",
     "python3": "sets up a virtual environment; test_readme looks at it",
     ".": "enters a virtual environment",
+    "export": "sets a variable of the environment",
+    "ros2": "ROS 2's own command line, which its wheels do not have",
 }
 # How the project's quick commands are cut short. All others are parsed, not run: they take minutes or recorded data.
 SHORT = {
