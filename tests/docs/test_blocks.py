@@ -95,8 +95,9 @@ def parsed(app: typer.Typer, words: list[str]) -> None:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder of its own, with the world that the page about environments describes."""
-    worlds = [block for block in blocks(ROOT / "docs" / "environments.md") if block.language == "toml" and "walls" in block.text]
-    (tmp_path / "bedroom.toml").write_text(worlds[0].text, encoding="utf-8")
+    page = blocks(ROOT / "docs" / "environments.md")
+    world = next(block for block in page if block.language == "toml" and "walls" in block.text)
+    (tmp_path / "bedroom.toml").write_text(world.text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
