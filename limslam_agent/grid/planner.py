@@ -12,13 +12,12 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _TIGHT = 20.0
 # A step where no wall is in sight costs this many times as much.
 _OPEN = 3.0
-# A step in each of these directions, its length in cells; the slots 7 to 4 hold the same steps backwards.
-_STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 # No path is this long. SciPy ignores steps of infinite cost only if a search has a limit.
 _ANYWHERE = 1e15
 _WIDER = 2.5
@@ -111,20 +110,13 @@ def wall_distance(grid: GridView) -> FloatArray:
     return np.asarray((cells.astype(float) - 0.5) * grid.cell)
 
 
-def _graph(open_cells: BoolArray, factor: FloatArray) -> "sparse.csr_array[Any, Any]":
+def _graph(open_cells: BoolArray, price: FloatArray) -> "sparse.csr_array[Any, Any]":
     """Costs of the steps from each cell to its eight neighbours; infinite for steps that are not possible."""
+    from limslam_agent.kernels.paths import price_steps
+
     rows, columns = open_cells.shape
-    price = np.where(open_cells, factor, np.inf)
-    weights = np.full((rows, columns, 8), np.inf)
-    for slot, (down, right, length) in enumerate(_STEPS):
-        here = (slice(0, rows - down), slice(max(-right, 0), columns - max(right, 0)))
-        there = (slice(down, rows), slice(max(right, 0), columns - max(-right, 0)))
-        step = 0.5 * length * (price[here] + price[there])
-        if down and right:
-            # A diagonal step must not pass between two occupied cells: they may be one wall.
-            step[~(open_cells[here[0], there[1]] & open_cells[there[0], here[1]])] = np.inf
-        weights[(*here, slot)] = step
-        weights[(*there, 7 - slot)] = step
+    weights = np.empty((rows, columns, 2 * len(STEPS)))
+    price_steps(open_cells, price, weights)
     indices, pointers = _neighbours(rows, columns)
     return sparse.csr_array((weights.reshape(-1), indices, pointers), shape=(rows * columns, rows * columns))
 
@@ -132,7 +124,7 @@ def _graph(open_cells: BoolArray, factor: FloatArray) -> "sparse.csr_array[Any, 
 @functools.lru_cache(maxsize=4)
 def _neighbours(rows: int, columns: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Columns and row pointers of the graph of a grid. Neighbours beyond the edge are replaced by any cell."""
-    ahead = np.array([down * columns + right for down, right, _ in _STEPS])
+    ahead = np.array([down * columns + right for down, right, _ in STEPS])
     offsets = np.concatenate((ahead, -ahead[::-1]))
     size = rows * columns
     indices = np.clip(np.arange(size)[:, None] + offsets, 0, size - 1).astype(np.int32).reshape(-1)
