@@ -140,22 +140,20 @@ def count_on_walls(pose: FloatArray, ranges: FloatArray, beams: FloatArray, segm
 
 @lean_entry
 def aim_beams(
-    pose: FloatArray, variance: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray, std: float,
-    origins: FloatArray, towards: FloatArray, reaches: FloatArray, stds: FloatArray,
+    pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray,
+    origins: FloatArray, towards: FloatArray, reaches: FloatArray,
 ) -> int:  # fmt: skip
     """Take the new beams that went farther than the shortest reading into the world; their number n.
 
     Parameters
     ----------
-    pose, variance
-        Pose (3,), m and rad, and the variances of its parts (3,).
+    pose
+        Pose (3,), m and rad.
     ranges, measured, beams
         Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
-    std
-        Standard deviation of a range, m.
-    origins, towards, reaches, stds
-        The first n rows are set to where the beams begin (b, 2), m, their directions (b, 2), how far they went (b,), m,
-        and the standard deviation of that (b,), m.
+    origins, towards, reaches
+        The first n rows are set to where the beams begin (b, 2), m, their directions (b, 2), and how far they went
+        (b,), m.
     """
     cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
     for beam in range(len(ranges)):
@@ -164,7 +162,6 @@ def aim_beams(
             origins[count, 0], origins[count, 1] = beam_end(pose, cos, sin, beams, beam, 0.0)
             towards[count, 0], towards[count, 1] = math.cos(heading), math.sin(heading)
             reaches[count] = ranges[beam]
-            stds[count] = math.sqrt(std**2 + (variance[0] + variance[1]) + variance[2] * ranges[beam] ** 2)
             count += 1
     return count
 

@@ -376,12 +376,9 @@ class CloneEKF(LineEKF):
 
     def _error_transport(self) -> FloatArray:
         """Derivative (n, 3) of the state by the first robot's pose when robot and world move together rigidly."""
-        moved = np.zeros((len(self.x), POSE))
-        x, y, _ = self.x[:POSE]
-        for part in (slice(0, self._poses_end), slice(self._clones_from, None)):
-            moved[part] = poses_moved_with((x, y), self.x[part].reshape(-1, POSE))
-        moved[self._first : self._clones_from] = lines_moved_with((x, y), self.anchored, self._anchors)
-        return moved
+        from limslam_agent.kernels.measurement import error_transport
+
+        return error_transport(self.x, self._poses_end, self._first, self._clones_from, self._anchors)
 
     def _transport(self, moved: FloatArray) -> None:
         """Transform P, in place, when the derivative of :meth:`_error_transport` has changed by ``moved`` (n, 3)."""

@@ -188,14 +188,12 @@ class ConsistentEstimator(Estimator):
         """Count the places of landmarks that a robot's new beams have passed through."""
         from limslam_agent.kernels.nearness import aim_beams
 
-        variance = np.diag(self._filter.P)[POSE * number : POSE * number + POSE].copy()
-        size = len(front.ranges)
-        rays = np.empty((size, 2)), np.empty((size, 2)), np.empty(size), np.empty(size)
-        count = aim_beams(
-            self._filter.poses[number], variance, front.ranges, front.measured, self.robot.beam_table, self._std, *rays
-        )
-        origins, towards, reaches, stds = (each[:count] for each in rays)
-        self._map.clear_along_beams(origins, towards, reaches, stds)
+        rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
+        count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
+        origins, towards, ranges = (each[:count] for each in rays)
+        variance = np.diag(self._filter.P)[POSE * number : POSE * number + POSE]
+        stds = np.sqrt(self._std**2 + variance[:2].sum() + variance[2] * ranges**2)
+        self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:
         """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""

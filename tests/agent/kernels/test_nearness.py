@@ -93,22 +93,21 @@ def test_room_ahead() -> None:
 def test_lines_that_beams_pass_through(seed: int) -> None:
     generator, pose, ranges = drawn(seed)
     lines, anchors = generator.uniform(-2.0, 2.0, (9, 2)), generator.normal(0.0, 1.0, (9, 2))
-    variance, measured = np.array([1e-4, 2e-4, 3e-4]), generator.random(BEAMS) < 0.8
-    rays = np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS), np.empty(BEAMS)
-    count = aim_beams(pose, variance, ranges, measured, ROBOT.beam_table, 0.02, *rays)
+    measured, rays = generator.random(BEAMS) < 0.8, (np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS))
+    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, *rays)
     beams = np.flatnonzero(measured & (ranges > ROBOT.too_near))
-    origins, towards, reaches, stds = (each[:count] for each in rays)
+    origins, towards, reaches = (each[:count] for each in rays)
+    margins = generator.uniform(0.0, 0.1, count)
     headings = pose[2] + ROBOT.beam_angles[beams]
     np.testing.assert_allclose(origins, transform_points(pose, ROBOT.beam_origins[beams]), atol=1e-12)
     np.testing.assert_allclose(towards, np.column_stack((np.cos(headings), np.sin(headings))), atol=1e-12)
     np.testing.assert_array_equal(reaches, ranges[beams])
-    np.testing.assert_allclose(stds, np.sqrt(0.02**2 + 3e-4 + 3e-4 * ranges[beams] ** 2))
 
     numbers, places = np.empty(9 * count, dtype=np.int64), np.empty(9 * count)
-    found = passed_lines(origins, towards, reaches, 2.0 * stds, lines, anchors, 0.05, 0.2, numbers, places)
+    found = passed_lines(origins, towards, reaches, margins, lines, anchors, 0.05, 0.2, numbers, places)
     cosines = towards @ normal(lines).T
     ahead = (lines[:, 0] + np.sum(anchors * normal(lines), axis=1) - origins @ normal(lines).T) / cosines
-    least = ahead + 2.0 * stds[:, None] / np.maximum(np.abs(cosines), 0.2) + 0.05
+    least = ahead + margins[:, None] / np.maximum(np.abs(cosines), 0.2) + 0.05
     rows, indices = np.nonzero((np.abs(cosines) > 0.2) & (ahead > 0.0) & (least < reaches[:, None]))
     assert numbers[:found].tolist() == indices.tolist()
     points = origins[rows] + ahead[rows, indices, None] * towards[rows]
