@@ -88,6 +88,7 @@ class CloneEKF(LineEKF):
         self._memory = [np.empty(0), np.empty(0)]
         self._clones: list[int] = []
         self._next_clone = 0
+        self._clone_numbers = ((0, 0), np.zeros(0, dtype=np.int64))
 
     @property
     def num_lines(self) -> int:
@@ -424,7 +425,11 @@ class CloneEKF(LineEKF):
 
     def _columns(self, clones: IntArray) -> IntArray:
         """Indices (n, 3) of clones (n,) in the state."""
-        places = np.searchsorted(self._clones, clones)
+        # Numbers of clones only grow, so the last one and the number of clones tell whether any has come or gone.
+        key = len(self._clones), self._next_clone
+        if self._clone_numbers[0] != key:
+            self._clone_numbers = key, np.array(self._clones, dtype=np.int64)
+        places = self._clone_numbers[1].searchsorted(clones)
         return np.asarray(self._clones_from + POSE * places[:, None] + np.arange(POSE))
 
     def _involved(self, readings: Readings, index: int) -> tuple[IntArray, IntArray]:

@@ -191,8 +191,8 @@ class ConsistentEstimator(Estimator):
         rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
         count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
         origins, towards, ranges = (each[:count] for each in rays)
-        variance = np.diag(self._filter.P)[POSE * number : POSE * number + POSE]
-        stds = np.sqrt(self._std**2 + variance[:2].sum() + variance[2] * ranges**2)
+        x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
+        stds = np.sqrt(self._std**2 + (x + y) + heading * ranges**2)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:

@@ -70,8 +70,8 @@ def test_costs_of_steps() -> None:
     open_cells = random_values(2) > 0
     rows, columns = open_cells.shape
     prices = np.random.default_rng(2).uniform(0.05, 1.0, open_cells.shape)
-    found = np.empty((rows, columns, 8))
-    price_steps(open_cells, prices, found)
+    found, leads_to = np.empty((rows, columns, 8)), np.empty((rows, columns, 8), dtype=np.int32)
+    price_steps(open_cells, prices, found, leads_to)
     for row in range(rows):
         for column in range(columns):
             for slot in range(8):
@@ -83,3 +83,5 @@ def test_costs_of_steps() -> None:
                 is_open = is_inside and all(open_cells[place] for place in around)
                 price = 0.5 * length * (prices[row, column] + prices[to_row, to_column]) if is_open else np.inf
                 assert found[row, column, slot] == price
+                assert not is_inside or leads_to[row, column, slot] == to_row * columns + to_column
+    assert 0 <= leads_to.min() <= leads_to.max() < open_cells.size
