@@ -87,7 +87,7 @@ def times_faster(
     """Simulated time over the time of the run, after a first run that loads what is needed: the median of runs."""
     period, found = RunConfig(world).robot.control_period, []
     for seed in range(runs + 1):
-        used, steps = measured(RunConfig(world, 0.02, seed=seed, max_time=max_time), clock)
+        used, steps = measured(RunConfig(world, 0.02, seed=seed, max_time=max_time, until="walls"), clock)
         found.append(steps * period / used)
     return float(np.median(found[1:]))
 
@@ -95,7 +95,7 @@ def times_faster(
 def parts_of_step(world: str, max_time: float = 1800.0) -> dict[str, float]:
     """Processor time of each part, us a step, in one run; and of all of it."""
     with timed_parts() as spent:
-        used, steps = measured(RunConfig(world, 0.02, max_time=max_time))
+        used, steps = measured(RunConfig(world, 0.02, max_time=max_time, until="walls"))
     return {name: 1e6 * seconds / steps for name, seconds in (spent | {"all": used}).items()}
 
 
