@@ -30,11 +30,17 @@ def frontier_cells(
     pocket
         Least number of cells of an unknown region that makes frontiers.
     """
-    from limslam_agent.kernels.regions import frontier
+    from limslam_agent.kernels.regions import mark_frontier
 
-    nothing = np.zeros((0, 0), dtype=bool)
     # One kind of array, or the kernel would be compiled for each kind: views are read-only and not contiguous.
-    return frontier(np.array(grid.values), nothing if ignored is None else ignored, min_size, pocket, close_gaps)
+    values = np.array(grid.values)
+    if ignored is None:
+        ignored = np.zeros((0, 0), dtype=bool)
+    unknown = np.ones((values.shape[0] + 2, values.shape[1] + 2), dtype=bool)
+    beside, chosen = np.empty(values.shape, dtype=bool), np.empty(values.shape, dtype=bool)
+    found = np.empty((max(min_size, pocket, 1), 2), dtype=np.int64)
+    mark_frontier(values, ignored, min_size, pocket, close_gaps, unknown, beside, chosen, found)
+    return chosen
 
 
 def group_of(frontier: BoolArray, cell: IntArray) -> IntArray:

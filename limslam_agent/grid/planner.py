@@ -116,7 +116,8 @@ def _graph(open_cells: BoolArray, price: FloatArray) -> "sparse.csr_array[Any, A
     rows, columns = open_cells.shape
     weights = np.empty((rows, columns, 2 * len(STEPS)))
     neighbours = np.empty(weights.shape, dtype=np.int32)
-    price_steps(open_cells, price, weights, neighbours)
+    # One kind of array, or the kernel would be compiled for each kind.
+    price_steps(np.ascontiguousarray(open_cells), np.ascontiguousarray(price), weights, neighbours)
     pointers = np.arange(0, weights.size + 1, 2 * len(STEPS), dtype=np.int32)
     return sparse.csr_array((weights.ravel(), neighbours.ravel(), pointers), shape=(rows * columns, rows * columns))
 

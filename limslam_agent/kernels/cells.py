@@ -113,6 +113,13 @@ def change_cells(
         values[row, column] = value or (1 if amount > 0 else -1)
 
 
+@compiled
+def include(touched: IntArray, column: int, row: int) -> None:
+    """Extend the first column and row that are touched, and those after the last ones (2, 2), to one more cell."""
+    touched[0, 0], touched[0, 1] = min(touched[0, 0], column), min(touched[0, 1], row)
+    touched[1, 0], touched[1, 1] = max(touched[1, 0], column + 1), max(touched[1, 1], row + 1)
+
+
 @entry
 def update_grid(
     pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray, radius: float, cell: float,
@@ -137,16 +144,17 @@ def update_grid(
     cells = touched_cells(pose, ranges, measured, beams, radius, cell)
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     for axis in range(2):
-        touched[0, axis], touched[1, axis] = cells[:, 1 - axis].min(), cells[:, 1 - axis].max() + 1
+        touched[0, axis], touched[1, axis] = cells[0, 1 - axis], cells[0, 1 - axis] + 1
+    for i in range(len(cells)):
+        include(touched, cells[i, 1], cells[i, 0])
     for beam in range(len(ranges)):
         # The cells of beams that saw nothing end a little before the beam.
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
             px = beams[beam, FROM_X] + ranges[beam] * beams[beam, TOWARDS_X]
             py = beams[beam, FROM_Y] + ranges[beam] * beams[beam, TOWARDS_Y]
-            end = math.floor((px * cos - py * sin + x) / cell), math.floor((px * sin + py * cos + y) / cell)
-            for axis in range(2):
-                touched[0, axis] = min(touched[0, axis], end[axis])
-                touched[1, axis] = max(touched[1, axis], end[axis] + 1)
+            include(
+                touched, math.floor((px * cos - py * sin + x) / cell), math.floor((px * sin + py * cos + y) / cell)
+            )  # fmt: skip
     for axis in range(2):
         if touched[0, axis] < corner[axis] or touched[1, axis] > corner[axis] + values.shape[1 - axis]:
             return False

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import compiled, entry
+from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -13,6 +13,8 @@ LEAST_COSINE = 0.2
 """A beam that meets a wall at a smaller cosine to its normal grazes the wall."""
 
 _START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)
+WALL_COLUMNS = 5
+"""Number of columns of a table of walls."""
 
 
 class Predicted(NamedTuple):
@@ -38,18 +40,25 @@ class Predicted(NamedTuple):
     stds: FloatArray
     misfit: FloatArray
 
+    @classmethod
+    def of(cls, ranges: FloatArray, usable: BoolArray) -> "Predicted":
+        """The readings, with room for what a map predicts."""
+        shape = ranges.shape
+        return cls(
+            ranges, usable, np.empty(shape, dtype=np.bool_), np.empty(shape), np.empty(shape, dtype=np.bool_),
+            np.empty(shape), np.empty(shape),
+        )  # fmt: skip
+
 
 @compiled
-def wall_table(segments: FloatArray) -> FloatArray:
-    """Walls (k, 4), m, as rows (k, 5): start, m, unit vector along the wall, and length, m."""
-    table = np.empty((len(segments), 5))
+def fill_table(segments: FloatArray, table: FloatArray) -> None:
+    """Set rows (k, 5) to walls (k, 4), m: start, m, unit vector along the wall, and length, m."""
     for wall in range(len(segments)):
         x, y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
         length = math.hypot(x, y)
         table[wall, _START_X], table[wall, _START_Y] = segments[wall, 0], segments[wall, 1]
         table[wall, _LENGTH] = length
         table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = x / max(length, 1e-9), y / max(length, 1e-9)
-    return table
 
 
 @compiled
@@ -92,12 +101,12 @@ def first_wall(ray: tuple[float, float, float, float], walls: FloatArray, inset:
     return nearest, steepness
 
 
-@entry
+@lean_entry
 def predict_ranges(
     poses: FloatArray, covariance: FloatArray, segments: FloatArray, beams: FloatArray, std: float, inset: float,
-    least_cosine: float,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """The ranges (m, b) that walls predict, and their standard deviations (m, b), m.
+    least_cosine: float, walls: FloatArray, ranges: FloatArray, stds: FloatArray,
+) -> None:  # fmt: skip
+    """Find the ranges that walls predict.
 
     Parameters
     ----------
@@ -112,8 +121,12 @@ def predict_ranges(
     least_cosine
         A beam that meets the wall at a smaller cosine nearly grazes it. Its range is infinite, as that of a beam that
         meets no wall.
+    walls
+        Scratch (k, 5).
+    ranges, stds
+        Set to the ranges (m, b), and to their standard deviations (m, b), m.
     """
-    walls, ranges, stds = wall_table(segments), np.empty((len(poses), len(beams))), np.empty((len(poses), len(beams)))
+    fill_table(segments, walls)
     for i in range(len(poses)):
         for beam in range(len(beams)):
             distance, cosine = first_wall(beam_ray(poses[i], beams, beam), walls, inset)
@@ -122,34 +135,35 @@ def predict_ranges(
             variance = std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
             ranges[i, beam] = distance if is_met else math.inf
             stds[i, beam] = math.sqrt(variance) / max(cosine, LEAST_COSINE)
-    return ranges, stds
 
 
-@entry
+@lean_entry
 def compare_steps(
-    poses: FloatArray, variances: FloatArray, ranges: FloatArray, usable: BoolArray, segments: FloatArray,
-    beams: FloatArray, std: float, rules: FloatArray,
-) -> Predicted:  # fmt: skip
-    """The readings of some steps beside a map.
+    poses: FloatArray, variances: FloatArray, segments: FloatArray, beams: FloatArray, std: float, rules: FloatArray,
+    walls: FloatArray, seen: Predicted,
+) -> None:  # fmt: skip
+    """Compare the readings of some steps with a map.
 
     Parameters
     ----------
     poses, variances
         Poses (n, 3), m and rad, and the variances of position and heading (n, 2).
-    ranges, usable
-        Readings (n, b), m, and those that count.
-    segments, beams, std
+    segments, beams, std, walls
         As of :func:`predict_ranges`.
     rules
         Inset and least cosine of :func:`predict_ranges`; number of standard deviations within which a reading fits;
         clip, the largest squared residual that counts; and how far walls may go on beyond their known ends, m; (5,).
+    seen
+        The readings, of which all that the map predicts is set.
     """
-    inset, least_cosine, sigmas, clip, beyond_end = rules
-    walls, shape = wall_table(segments), ranges.shape
-    ended, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
-    predicted, stds, misfit = np.zeros(shape), np.ones(shape), np.zeros(shape)
-    for i in range(shape[0]):
-        for beam in range(shape[1]):
+    inset, least_cosine, sigmas, clip, beyond_end = rules[0], rules[1], rules[2], rules[3], rules[4]
+    ranges, ended, predicted, known, stds, misfit = (
+        seen.ranges, seen.ended, seen.predicted, seen.known, seen.stds, seen.misfit
+    )  # fmt: skip
+    fill_table(segments, walls)
+    for i in range(ranges.shape[0]):
+        for beam in range(ranges.shape[1]):
+            predicted[i, beam], stds[i, beam], misfit[i, beam] = 0.0, 1.0, 0.0
             ray, reading = beam_ray(poses[i], beams, beam), ranges[i, beam]
             distance, cosine = first_wall(ray, walls, inset)
             is_wall, is_steep = distance < beams[beam, FARTHEST], cosine > least_cosine
@@ -170,7 +184,6 @@ def compare_steps(
                     variance = std**2 + variances[i, 0] + variances[i, 1] * distance**2
                     residual = (reading - distance) * max(cosine, LEAST_COSINE)
                     misfit[i, beam] = min(misfit[i, beam], residual**2 / variance)
-    return Predicted(ranges, usable, ended, predicted, known, stds, misfit)
 
 
 @compiled
@@ -189,7 +202,7 @@ def gain(seen: Predicted, step: int, beam: int, lag: int, sigmas: float, clip: f
     return misfit if excess < sigmas * std else misfit - clip
 
 
-@entry
+@lean_entry
 def sum_gains(seen: Predicted, beam: int, lag: int, last: int, sigmas: float, clip: float) -> float:
     """The sum of the gains of the ``last`` readings of a beam, or of all of them if there are fewer."""
     total = 0.0
@@ -198,16 +211,16 @@ def sum_gains(seen: Predicted, beam: int, lag: int, last: int, sigmas: float, cl
     return total
 
 
-@entry
+@lean_entry
 def evidence_of_delays(
-    seen: Predicted, lags: IntArray, sigmas: float, clip: float, both_signs: float
-) -> FloatArray:  # fmt: skip
-    """The evidence (k, b) that each beam has been late by each of k lags since some moment (Page's cumulative sum).
+    seen: Predicted, lags: IntArray, sigmas: float, clip: float, both_signs: float, evidence: FloatArray
+) -> None:  # fmt: skip
+    """Find the evidence (k, b) that each beam has been late by each of k lags since some moment.
 
-    It counts at most ``both_signs`` times as much as its smaller part, by readings that are too long, or too short.
+    It is Page's cumulative sum of the gains. It counts at most ``both_signs`` times as much as its smaller part, by
+    readings that are too long, or too short.
     """
     count, beams = seen.ranges.shape
-    evidence = np.zeros((len(lags), beams))
     for row in range(len(lags)):
         lag = lags[row]
         for beam in range(beams):
@@ -221,4 +234,3 @@ def evidence_of_delays(
                     # The sum has not been smaller, so the beam may be late from the next step on.
                     least, long, short = total, 0.0, 0.0
             evidence[row, beam] = min(long + short, both_signs * min(long, short))
-    return evidence

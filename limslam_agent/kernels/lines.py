@@ -90,11 +90,14 @@ def refine_lines(
     lines, ends
         Set to the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m.
     """
-    owner[:] = -1
-    total, size, done = len(points), 0, 0
+    total, size, done, middle_x, middle_y = len(points), 0, 0, 0.0, 0.0
+    for i in range(total):
+        owner[i] = -1
+        middle_x += points[i, 0]
+        middle_y += points[i, 1]
     if total < votes:
         return 0
-    middle_x, middle_y = points[:, 0].sum() / total, points[:, 1].sum() / total
+    middle_x, middle_y = middle_x / total, middle_y / total
     free, left = np.ones(total, dtype=np.bool_), total
     for number in range(len(candidates)):
         theta = candidates[number, 1]
@@ -122,20 +125,9 @@ def refine_lines(
 
 
 @entry
-def points_of_lines(
+def find_lines(
     points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
-    only_best: bool,
-) -> tuple[IntArray, IntArray]:  # fmt: skip
-    """The points of all lines (m,), line by line, and the number of points of each line (k,).
-
-    The parameters are those of :func:`refine_lines`.
-    """
-    total, most = len(points), len(points) // max(votes, 1) + 1
-    owner, listed = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
-    lines, ends = np.empty((most, 2)), np.empty((most, 2, 2))
-    size = refine_lines(points, candidates, limits, votes, gap, least, only_best, owner, listed, lines, ends)
-    counts = np.zeros(size, dtype=np.int64)
-    for line in owner:
-        if line >= 0:
-            counts[line] += 1
-    return listed[: counts.sum()], counts
+    only_best: bool, owner: IntArray, listed: IntArray, lines: FloatArray, ends: FloatArray,
+) -> int:  # fmt: skip
+    """:func:`refine_lines`, as Python calls it."""
+    return refine_lines(points, candidates, limits, votes, gap, least, only_best, owner, listed, lines, ends)

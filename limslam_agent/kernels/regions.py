@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.compilation import compiled, entry
+from limslam_agent.kernels.compilation import compiled, entry, lean_entry
 from limslam_env.geometry import BoolArray, IntArray
 
 
@@ -47,11 +47,12 @@ def is_between_walls(values: NDArray[np.int16], row: int, column: int) -> bool:
     return False
 
 
-@entry
-def frontier(
-    values: NDArray[np.int16], ignored: BoolArray, least: int, pocket: int, close_gaps: bool
-) -> BoolArray:  # fmt: skip
-    """Free cells (rows, columns) beside unknown ones, in groups.
+@lean_entry
+def mark_frontier(
+    values: NDArray[np.int16], ignored: BoolArray, least: int, pocket: int, close_gaps: bool,
+    unknown: BoolArray, beside: BoolArray, chosen: BoolArray, found: IntArray,
+) -> None:  # fmt: skip
+    """Mark free cells (rows, columns) beside unknown ones, in groups.
 
     Parameters
     ----------
@@ -63,17 +64,20 @@ def frontier(
         Least number of cells of a group, and of an unknown region that makes frontiers.
     close_gaps
         Whether an unknown cell between two occupied ones counts as wall.
+    unknown, beside, found
+        Scratch: (rows + 2, columns + 2), all of them set; (rows, columns); and (n, 2), where n is ``least`` and
+        ``pocket`` at least.
+    chosen
+        Set to the frontier cells (rows, columns).
     """
     rows, columns = values.shape
-    found = np.empty((max(least, pocket, 1), 2), dtype=np.int64)
-    unknown = np.ones((rows + 2, columns + 2), dtype=np.bool_)
     for row in range(rows):
         for column in range(columns):
             is_closed = close_gaps and values[row, column] == 0 and is_between_walls(values, row, column)
             unknown[row + 1, column + 1] = values[row, column] == 0 and not is_closed
-    beside = np.zeros((rows, columns), dtype=np.bool_)
     for row in range(rows):
         for column in range(columns):
+            beside[row, column] = False
             if values[row, column] <= 0 or (ignored.size and ignored[row, column]):
                 continue
             for down, right in ((0, 1), (1, 0), (2, 1), (1, 2)):
@@ -82,11 +86,9 @@ def frontier(
                 ):
                     beside[row, column] = True
                     break
-    chosen = np.zeros((rows, columns), dtype=np.bool_)
     for row in range(rows):
         for column in range(columns):
             chosen[row, column] = beside[row, column] and has_group(beside, row, column, least, found)
-    return chosen
 
 
 @entry

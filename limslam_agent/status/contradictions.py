@@ -100,10 +100,12 @@ def expected_ranges(
     range_std
         Standard deviation of a range, m.
     """
-    from limslam_agent.kernels.crossings import predict_ranges
+    from limslam_agent.kernels.crossings import WALL_COLUMNS, predict_ranges
 
-    rules = float(config.inset), float(config.least_cosine)
-    return ExpectedRanges(*predict_ranges(poses, covariance, segments, robot.beam_table, range_std, *rules))
+    rules, shape = (float(config.inset), float(config.least_cosine)), (len(poses), len(robot.beams))
+    walls, ranges, stds = np.empty((len(segments), WALL_COLUMNS)), np.empty(shape), np.empty(shape)
+    predict_ranges(poses, covariance, segments, robot.beam_table, range_std, *rules, walls, ranges, stds)
+    return ExpectedRanges(ranges, stds)
 
 
 def compare(

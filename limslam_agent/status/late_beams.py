@@ -138,7 +138,8 @@ class LateBeams:
         self._first_beam = (self._first_beam + _MOST_BEAMS) % count
         seen = self._compared(segments, beams)
         delays = self._delays[self._delays < len(self._looks) - 2]
-        evidence = evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS)
+        evidence = np.empty((len(delays), len(beams)))
+        evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS, evidence)
         if evidence.size and evidence.max() > self._config.evidence:
             row, column = np.unravel_index(evidence.argmax(), evidence.shape)
             self._lag, self._since = int(delays[row]), 0
@@ -153,13 +154,17 @@ class LateBeams:
 
     def _compared(self, segments: FloatArray, beams: IntArray) -> "Predicted":
         """The last steps beside the map, for some beams."""
-        from limslam_agent.kernels.crossings import compare_steps
+        from limslam_agent.kernels.crossings import WALL_COLUMNS, Predicted, compare_steps
 
         poses, ranges, usable, variances = (np.array([look[part] for look in self._looks]) for part in (0, 2, 3, 4))
         walls, table = self._walls, np.array(self._robot.beam_table[beams])
         ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
         rules = np.array([walls.inset, walls.least_cosine, *self._limits, self._config.beyond_end])
-        return compare_steps(poses, variances, ranges, usable, segments, table, self._std, rules)
+        seen = Predicted.of(ranges, usable)
+        compare_steps(
+            poses, variances, segments, table, self._std, rules, np.empty((len(segments), WALL_COLUMNS)), seen
+        )
+        return seen
 
     @property
     def _limits(self) -> tuple[float, float]:

@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import dot, leave_beside, orthonormalise, quantile, sort_with, whiten, wrapped
+from limslam_agent.kernels.algebra import sort_with, wrapped
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray, IntArray
 
-__all__ = ["dot", "leave_beside", "orthonormalise", "quantile", "sort_with", "whiten", "wrapped"]
+__all__ = ["sort_with", "wrapped"]
 
 
 @algebra
@@ -32,6 +32,19 @@ def factorise(matrix: FloatArray, size: int) -> None:
 
 
 @algebra
+def whiten(factor: FloatArray, values: FloatArray, size: int, width: int) -> None:
+    """Replace the first ``size`` rows and ``width`` columns of V by L^-1 V, with the Cholesky factor L."""
+    for i in range(size):
+        for k in range(i):
+            share = factor[i, k]
+            for j in range(width):
+                values[i, j] -= share * values[k, j]
+        inverse = 1.0 / factor[i, i]
+        for j in range(width):
+            values[i, j] *= inverse
+
+
+@algebra
 def solve_factored(factor: FloatArray, values: FloatArray, size: int) -> None:
     """Replace v (size,) by the solution y of L L^T y = v."""
     for i in range(size):
@@ -47,6 +60,42 @@ def solve_factored(factor: FloatArray, values: FloatArray, size: int) -> None:
 
 
 @algebra
+def dot(values: FloatArray, first: int, second: int, size: int) -> float:
+    """Scalar product of two columns of ``values``."""
+    total = 0.0
+    for i in range(size):
+        total += values[i, first] * values[i, second]
+    return total
+
+
+@algebra
+def orthonormalise(values: FloatArray, first: int, last: int, size: int) -> None:
+    """Make the columns from ``first`` up to ``last`` orthonormal, in place (Gram-Schmidt, twice)."""
+    for column in range(first, last):
+        for _ in range(2):
+            for other in range(first, column):
+                share = dot(values, column, other, size)
+                for i in range(size):
+                    values[i, column] -= share * values[i, other]
+        length = math.sqrt(dot(values, column, column, size))
+        if length > 0.0:
+            for i in range(size):
+                values[i, column] /= length
+
+
+@algebra
+def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, size: int) -> None:
+    """Subtract from the columns from ``first`` up to ``last`` their projections on two orthonormal columns."""
+    for column in range(first, last):
+        a, b = 0.0, 0.0
+        for i in range(size):
+            a += values[i, column] * basis[i, 0]
+            b += values[i, column] * basis[i, 1]
+        for i in range(size):
+            values[i, column] -= a * basis[i, 0] + b * basis[i, 1]
+
+
+@algebra
 def add_products(rest: FloatArray, left: FloatArray, right: FloatArray, rank: int, first: int, size: int) -> None:
     """Add left^T right, both (rank, size), to a packed lower triangle; ``rank`` is a multiple of four."""
     for i in range(first, size):
@@ -56,6 +105,16 @@ def add_products(rest: FloatArray, left: FloatArray, right: FloatArray, rank: in
             a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
             for j in range(i + 1):
                 row[j] += a * right[k, j] + b * right[k + 1, j] + c * right[k + 2, j] + d * right[k + 3, j]
+
+
+@algebra
+def quantile(ordered: FloatArray, size: int, share: float) -> float:
+    """Quantile of sorted numbers, with numpy's linear interpolation."""
+    place = share * (size - 1)
+    low = math.floor(place)
+    high, part = min(low + 1, size - 1), place - low
+    step = ordered[high] - ordered[low]
+    return ordered[high] - step * (1.0 - part) if part >= 0.5 else ordered[low] + step * part
 
 
 @algebra

@@ -7,9 +7,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import dot, leave_beside, orthonormalise, whiten
-from limslam_agent.kernels.shapes import bend, mark_loose_ends
-from limslam_agent.slam.batch.algebra import block_of, factorise
+from limslam_agent.slam.batch.algebra import block_of, dot, factorise, leave_beside, orthonormalise, quantile, whiten
 from limslam_agent.slam.batch.beam_model import expected_ranges, hit_points
 from limslam_agent.slam.batch.clone_ekf import clones_from, covariance_of, involved
 from limslam_agent.slam.batch.compilation import algebra
@@ -19,6 +17,9 @@ from limslam_agent.slam.consistent.segmentation import (
     AROUND_KINK,
     DEEPEST,
     FEWEST,
+    FEWEST_FOR_SHAPE,
+    KINKS_AT,
+    LEAST_GAIN,
     LEAST_SPREAD,
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -122,14 +123,9 @@ def fit_segment(
     segment[EXTENT] = ordered[number - 2] - ordered[1]
     segment[ANGLE_STD] = settings.std / max(math.sqrt((spread * spread).sum()), LEAST_SPREAD)
     segment[_R] = segment[MIDDLE_X] * cos + segment[MIDDLE_Y] * sin
-    is_bent, segment[_BEND_AT] = bend(
-        own, cosines, left, basis, factor, settings.kink_gate, settings.min_kink, settings.curve_gate
-    )
-    segment[_BENT] = 1.0 if is_bent else 0.0
+    segment[_BENT] = bend(own, cosines, left, basis, factor, settings, segment)
     loose[:number] = False
-    is_loose = np.zeros(count, dtype=np.bool_)
-    mark_loose_ends(own, cosines, left, basis, factor, settings.end_zone, settings.end_gate, is_loose)
-    loose[clear] = is_loose
+    loose_ends(own, cosines, left, basis, factor, settings, clear, loose)
     return True
 
 
@@ -156,6 +152,81 @@ def anchor_of(points: FloatArray, members: IntArray, r: float, theta: float) -> 
         along += -sin * points[members[i], 0] + cos * points[members[i], 1]
     along /= len(members)
     return np.array([r * cos - along * sin, r * sin + along * cos])
+
+
+@algebra
+def bend(
+    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
+    settings: Settings, segment: FloatArray,
+) -> float:  # fmt: skip
+    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
+    count = len(along)
+    ordered = np.sort(along)
+    reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
+    if count < FEWEST_FOR_SHAPE or reach <= 0.0:
+        return 0.0
+    shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
+    for k in range(kinks):
+        places[k] = quantile(ordered, count, KINKS_AT[k])
+    for i in range(count):
+        for k in range(kinks):
+            shapes[i, k] = max(along[i] - places[k], 0.0) / cosines[i]
+        scaled = 2.0 * (along[i] - ordered[0]) / reach - 1.0
+        for k in range(3):
+            shapes[i, kinks + k] = scaled ** (2 + k) / cosines[i]
+    whiten(factor, shapes, count, kinks + 3)
+    leave_beside(shapes, 0, kinks + 3, basis, count)
+    most, best, angle = strongest_kink(shapes, left, kinks)
+    orthonormalise(shapes, kinks, kinks + 3, count)
+    curved = 0.0
+    for k in range(3):
+        product = 0.0
+        for i in range(count):
+            product += left[i] * shapes[i, kinks + k]
+        curved += product * product
+    segment[_BEND_AT] = places[best]
+    is_kinked = most > settings.kink_gate and abs(angle) > settings.min_kink
+    return 1.0 if is_kinked or curved > settings.curve_gate else 0.0
+
+
+@algebra
+def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
+    """Largest chi-square that a kink gains, the index of that kink, and its angle, rad."""
+    most, best, angle = -1.0, 0, 0.0
+    for k in range(kinks):
+        square, product = 0.0, 0.0
+        for i in range(len(left)):
+            square += shapes[i, k] * shapes[i, k]
+            product += left[i] * shapes[i, k]
+        square = max(square, LEAST_GAIN)
+        gain = (product / square) ** 2 * square
+        if gain > most:
+            most, best, angle = gain, k, product / square
+    return most, best, angle
+
+
+@algebra
+def loose_ends(
+    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
+    settings: Settings, clear: IntArray, loose: BoolArray,
+) -> None:  # fmt: skip
+    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
+    count, shape = len(along), np.empty((len(along), 1))
+    for end in (along.min(), along.max()):
+        inside = 0
+        for i in range(count):
+            is_in = abs(along[i] - end) < settings.end_zone
+            inside += is_in
+            shape[i, 0] = (1.0 if is_in else 0.0) / cosines[i]
+        whiten(factor, shape, count, 1)
+        leave_beside(shape, 0, 1, basis, count)
+        square, product = dot(shape, 0, 0, count), 0.0
+        for i in range(count):
+            product += left[i] * shape[i, 0]
+        if inside < count and square > LEAST_GAIN and product * product > settings.end_gate * square:
+            for i in range(count):
+                if abs(along[i] - end) < settings.end_zone:
+                    loose[clear[i]] = True
 
 
 @algebra

@@ -87,12 +87,18 @@ def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[E
     """
     if len(points) < config.min_votes:
         return []
-    from limslam_agent.kernels.lines import points_of_lines
+    from limslam_agent.kernels.lines import find_lines
 
     # Votes are counted relative to the points' centre, where r and theta are nearly independent.
     candidates = np.ascontiguousarray(hough_votes(points - points.mean(axis=0), config, std)[:, 1:])
     limits = bin_size(config, std), max_distance(config, std)
     gap, least = float(config.max_gap), float(config.min_length)
-    members, counts = points_of_lines(points, candidates, limits, config.min_votes, gap, least, config.only_best)
-    parts = np.split(members, np.cumsum(counts)[:-1]) if len(counts) else []
+    owner, listed = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.int64)
+    most = len(points) // config.min_votes + 1
+    scratch = np.empty((most, 2)), np.empty((most, 2, 2))
+    number = find_lines(
+        points, candidates, limits, config.min_votes, gap, least, config.only_best, owner, listed, *scratch
+    )
+    ends = np.cumsum(np.bincount(owner + 1, minlength=number + 1)[1:]).tolist()
+    parts = [listed[first:last] for first, last in zip([0, *ends[:-1]], ends, strict=True)] if number else []
     return [ExtractedLine(fit_line(points[part], std), part) for part in parts]

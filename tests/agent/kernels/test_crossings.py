@@ -7,6 +7,7 @@ import pytest
 
 from limslam_agent.kernels.crossings import (
     LEAST_COSINE,
+    WALL_COLUMNS,
     Predicted,
     compare_steps,
     evidence_of_delays,
@@ -72,7 +73,9 @@ def drawn(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, Flo
 def test_predicted_ranges(seed: int) -> None:
     poses, segments, _, _, _ = drawn(seed)
     covariance = np.diag([1e-4, 2e-4, 3e-4])
-    ranges, stds = predict_ranges(poses, covariance, segments, ROBOT.beam_table, STD, INSET, LEAST)
+    ranges, stds = np.empty((len(poses), BEAMS)), np.empty((len(poses), BEAMS))
+    walls = np.empty((len(segments), WALL_COLUMNS))
+    predict_ranges(poses, covariance, segments, ROBOT.beam_table, STD, INSET, LEAST, walls, ranges, stds)
     nearest, cosines = first_walls(crossed(poses, segments))
     expected = np.where((cosines > LEAST) & (nearest < ROBOT.max_ranges), nearest, np.inf)
     np.testing.assert_allclose(ranges, expected)
@@ -85,7 +88,7 @@ def test_predicted_ranges(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_steps_beside_a_map(seed: int) -> None:
     poses, segments, ranges, usable, variances = drawn(seed)
-    seen = compare_steps(poses, variances, ranges, usable, segments, ROBOT.beam_table, STD, RULES)
+    seen = compared(poses, variances, ranges, usable, segments)
     met = crossed(poses, segments)
     nearest, cosines = first_walls(met)
     is_wall, ended = nearest < ROBOT.max_ranges, ranges < ROBOT.too_far
@@ -105,6 +108,14 @@ def test_steps_beside_a_map(seed: int) -> None:
     np.testing.assert_allclose(seen.misfit, np.minimum(misfit, CLIP), atol=1e-9)
 
 
+def compared(
+    poses: FloatArray, variances: FloatArray, ranges: FloatArray, usable: BoolArray, segments: FloatArray
+) -> Predicted:
+    seen, walls = Predicted.of(ranges, usable), np.empty((len(segments), WALL_COLUMNS))
+    compare_steps(poses, variances, segments, ROBOT.beam_table, STD, RULES, walls, seen)
+    return seen
+
+
 def plain_gains(seen: Predicted, lag: int) -> FloatArray:
     ranges, ended, misfit = seen.ranges[lag:], seen.ended[lag:], seen.misfit[lag:]
     known, std, excess = seen.known[:-lag], seen.stds[:-lag], ranges - seen.predicted[:-lag]
@@ -118,9 +129,10 @@ def plain_gains(seen: Predicted, lag: int) -> FloatArray:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_evidence_of_delays(seed: int) -> None:
     poses, segments, ranges, usable, variances = drawn(seed)
-    seen = compare_steps(poses, variances, ranges, usable, segments, ROBOT.beam_table, STD, RULES)
+    seen = compared(poses, variances, ranges, usable, segments)
     lags = np.array([2, 6, 11, 40])
-    found = evidence_of_delays(seen, lags, SIGMAS, CLIP, 6.0)
+    found = np.empty((len(lags), BEAMS))
+    evidence_of_delays(seen, lags, SIGMAS, CLIP, 6.0, found)
     for row, lag in enumerate(lags.tolist()):
         gains = plain_gains(seen, lag)
         sums = np.cumsum(np.vstack((np.zeros(BEAMS), gains)), axis=0)

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from limslam_agent.grid.frontier import frontier_cells
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.paths import price_steps
-from limslam_agent.kernels.regions import frontier, group_around
+from limslam_agent.kernels.regions import group_around
 from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray
 
-NOTHING = np.zeros((0, 0), dtype=bool)
 ALL_AROUND = np.ones((3, 3), dtype=int)
 
 
@@ -48,13 +49,12 @@ def random_values(seed: int) -> FloatArray:
 @pytest.mark.parametrize(("least", "pocket", "close_gaps"), [(1, 1, False), (3, 3, True), (12, 7, True)])
 def test_frontiers(seed: int, least: int, pocket: int, close_gaps: bool) -> None:
     values = random_values(seed)
-    expected = plain_frontier(values, None, least, pocket, close_gaps)
-    np.testing.assert_array_equal(frontier(values, NOTHING, least, pocket, close_gaps), expected)
-    assert expected.any()
-    ignored = np.random.default_rng(seed).random(values.shape) < 0.2
-    np.testing.assert_array_equal(
-        frontier(values, ignored, least, pocket, close_gaps), plain_frontier(values, ignored, least, pocket, close_gaps)
-    )
+    grid, ignored = GridView(np.zeros(2), 0.1, values), np.random.default_rng(seed).random(values.shape) < 0.2
+    for left_out in (None, ignored):
+        expected = plain_frontier(values, left_out, least, pocket, close_gaps)
+        found = frontier_cells(grid, least, left_out, close_gaps=close_gaps, pocket=pocket)
+        np.testing.assert_array_equal(found, expected)
+        assert expected.any()
 
 
 @pytest.mark.parametrize("corners", [True, False])
