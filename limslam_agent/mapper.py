@@ -230,8 +230,8 @@ class Mapper:
         poses, covariances, segments, statuses = slam.poses, self.covariances, slam.segments, self.statuses
         return [
             Belief(
-                poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0),
-                status=statuses[number],
+                poses[number], covariances[number], front.ranges, segments, grid,
+                np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0], status=statuses[number],
             )
             for number, front in enumerate(slam.robots)
         ]  # fmt: skip

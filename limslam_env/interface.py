@@ -206,6 +206,16 @@ class RobotSpec:
         return _read_only(list(self.max_ranges * (1.0 - _ROUNDING)))
 
     @cached_property
+    def beam_table(self) -> FloatArray:
+        """The beams as compiled functions read them, (n_beams, 8).
+
+        The columns are the origin's x and y, m, the direction's x and y, ``too_near``, ``too_far``, the angle, rad, and
+        the longest reading, m.
+        """
+        columns = self.beam_origins, self.beam_directions, self.too_near, self.too_far, self.beam_angles
+        return _read_only(list(np.column_stack((*columns, self.max_ranges))))
+
+    @cached_property
     def reach(self) -> float:
         """Farthest that a beam sees from the robot's centre, m."""
         return float((np.linalg.norm(self.beam_origins, axis=1) + self.max_ranges).max())

@@ -54,20 +54,21 @@ AGENT = {
     "limslam_agent.readings": {GEOMETRY},
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
-    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "readings")},
+    "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
+    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
-    "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
+    "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "slam.core")},
     "limslam_agent.slam.batch": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
-        *agent("config", "readings", "slam.core", "slam.consistent", "grid"),
+        *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
-    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
-    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
+    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels")},
+    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status", "safe_files"),
@@ -84,7 +85,7 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("belief", "config", "grid", "mapper", "places", "slam", "slam.core", "status"),
     },
-    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
+    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "kernels")},
     "limslam_agent.policies.learned": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
     },
@@ -131,6 +132,7 @@ BENCHMARKS = {
 RULES = ENV | AGENT | BENCHMARKS
 COMPILED = {
     "limslam_env.kernels",
+    "limslam_agent.kernels",
     "limslam_agent.slam.batch",
     "limslam_agent.slam.graph",
     "limslam_agent.slam.line_graph",

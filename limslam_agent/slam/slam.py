@@ -99,7 +99,8 @@ class LineSlam:
         kept = estimator.on_association, estimator.recent_associations
         estimator.on_association = estimator.recent_associations = None
         try:
-            return copy.deepcopy(self)
+            # The robot and the settings never change, so that copies can share them.
+            return copy.deepcopy(self, {id(shared): shared for shared in (self.robot, self.config)})
         finally:
             estimator.on_association, estimator.recent_associations = kept
 

@@ -79,31 +79,13 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
     line, anchor
         (d, theta), m and rad, and the anchor (2,), m.
     """
-    (offset_x, offset_y), origin, direction = _offsets(poses, readings)
-    nx, ny = np.cos(line[1]), np.sin(line[1])
-    ux, uy = direction.T
-    cosines = nx * ux + ny * uy
-    divisors = np.copysign(np.maximum(np.abs(cosines), LEAST_COSINE), cosines)
-    ranges = (line[0] - nx * (origin[:, 0] - anchor[0]) - ny * (origin[:, 1] - anchor[1])) / divisors
-    hit_x, hit_y = origin[:, 0] + ranges * ux - anchor[0], origin[:, 1] + ranges * uy - anchor[1]
-    turning = (-offset_y * nx + offset_x * ny) + ranges * (-uy * nx + ux * ny)
-    by_pose, by_line = np.empty((len(ranges), 3)), np.empty((len(ranges), 2))
-    by_pose[:, 0], by_pose[:, 1], by_pose[:, 2] = -nx, -ny, -turning
-    by_line[:, 0], by_line[:, 1] = 1.0, hit_x * ny - hit_y * nx
-    return Expected(ranges, by_pose / divisors[:, None], by_line / divisors[:, None], cosines)
+    from limslam_agent.kernels.measurement import ranges_to_line
+
+    return Expected(*ranges_to_line(poses, readings.origins, readings.angles, line, anchor, LEAST_COSINE))
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
     """End points of readings in the world (n, 2), m, for readings taken from poses (n, 3)."""
-    _, origin, direction = _offsets(poses, readings)
-    return np.asarray(origin + readings.ranges[:, None] * direction)
+    from limslam_agent.kernels.measurement import ends_of_beams
 
-
-def _offsets(poses: FloatArray, readings: Readings) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
-    """Vectors from body to beam in the world's axes, the beams' origins (n, 2), and their directions (n, 2)."""
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    offset_x = cos * readings.origins[:, 0] - sin * readings.origins[:, 1]
-    offset_y = sin * readings.origins[:, 0] + cos * readings.origins[:, 1]
-    heading = poses[:, 2] + readings.angles
-    origin = poses[:, :2] + np.column_stack((offset_x, offset_y))
-    return (offset_x, offset_y), origin, np.column_stack((np.cos(heading), np.sin(heading)))
+    return ends_of_beams(poses, readings.origins, readings.angles, np.ascontiguousarray(readings.ranges))

@@ -88,6 +88,7 @@ class CloneEKF(LineEKF):
         self._memory = [np.empty(0), np.empty(0)]
         self._clones: list[int] = []
         self._next_clone = 0
+        self._clone_numbers = ((0, 0), np.zeros(0, dtype=np.int64))
 
     @property
     def num_lines(self) -> int:
@@ -376,12 +377,9 @@ class CloneEKF(LineEKF):
 
     def _error_transport(self) -> FloatArray:
         """Derivative (n, 3) of the state by the first robot's pose when robot and world move together rigidly."""
-        moved = np.zeros((len(self.x), POSE))
-        x, y, _ = self.x[:POSE]
-        for part in (slice(0, self._poses_end), slice(self._clones_from, None)):
-            moved[part] = poses_moved_with((x, y), self.x[part].reshape(-1, POSE))
-        moved[self._first : self._clones_from] = lines_moved_with((x, y), self.anchored, self._anchors)
-        return moved
+        from limslam_agent.kernels.measurement import error_transport
+
+        return error_transport(self.x, self._poses_end, self._first, self._clones_from, self._anchors)
 
     def _transport(self, moved: FloatArray) -> None:
         """Transform P, in place, when the derivative of :meth:`_error_transport` has changed by ``moved`` (n, 3)."""
@@ -427,7 +425,11 @@ class CloneEKF(LineEKF):
 
     def _columns(self, clones: IntArray) -> IntArray:
         """Indices (n, 3) of clones (n,) in the state."""
-        places = np.searchsorted(self._clones, clones)
+        # Numbers of clones only grow, so the last one and the number of clones tell whether any has come or gone.
+        key = len(self._clones), self._next_clone
+        if self._clone_numbers[0] != key:
+            self._clone_numbers = key, np.array(self._clones, dtype=np.int64)
+        places = self._clone_numbers[1].searchsorted(clones)
         return np.asarray(self._clones_from + POSE * places[:, None] + np.arange(POSE))
 
     def _involved(self, readings: Readings, index: int) -> tuple[IntArray, IntArray]:

@@ -20,6 +20,7 @@ from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, Pending
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
+from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
@@ -185,17 +186,14 @@ class ConsistentEstimator(Estimator):
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""
-        beams = np.nonzero(front.measured & (front.ranges > self.robot.too_near))[0]
-        pose = self._filter.poses[number]
-        variance = np.diag(self._filter.joint_pose_covariance)[3 * number : 3 * number + 3]
-        ranges = front.ranges[beams]
-        headings = pose[2] + self.robot.beam_angles[beams]
-        self._map.clear_along_beams(
-            transform_points(pose, self.robot.beam_origins[beams]),
-            np.column_stack((np.cos(headings), np.sin(headings))),
-            ranges,
-            np.sqrt(self._std**2 + variance[:2].sum() + variance[2] * ranges**2),
-        )
+        from limslam_agent.kernels.nearness import aim_beams
+
+        rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
+        count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
+        origins, towards, ranges = (each[:count] for each in rays)
+        x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
+        stds = np.sqrt(self._std**2 + (x + y) + heading * ranges**2)
+        self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:
         """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""

@@ -53,6 +53,7 @@ class WallMap:
         self.walls: list[Wall] = []
         self._numbers = 0
         self._drawn: list[FloatArray] | None = None
+        self._shown: tuple[list[FloatArray], FloatArray, IntArray] | None = None
 
     def __len__(self) -> int:
         return len(self.walls)
@@ -119,8 +120,8 @@ class WallMap:
 
     @property
     def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m: where beams ended, and none passed."""
-        return self._shown_segments[0]
+        """The walls of the map (N, 4), m: where beams ended, and none passed. A copy."""
+        return self._shown_segments[0].copy()
 
     @property
     def landmarks(self) -> list[Landmark]:
@@ -155,22 +156,17 @@ class WallMap:
         ranges, stds
             How far the beams went (n,), and the standard deviations of that (n,), m.
         """
+        from limslam_agent.kernels.nearness import passed_lines
+
         if not self.walls:
             return
-        lines, anchors = self._belief.anchored, self._belief.anchors
-        normals = normal(lines)
-        cosines = towards @ normals.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ahead = (lines[:, 0] + np.sum(anchors * normals, axis=1) - origins @ normals.T) / cosines
-        margin = self._config.through_sigmas * stds[:, None] / np.maximum(np.abs(cosines), GRAZING)
-        is_clear = (np.abs(cosines) > GRAZING) & (ahead > 0.0)
-        passed = is_clear & (ahead + margin + self._config.through_slack < ranges[:, None])
-        beams, indices = np.nonzero(passed)
-        if not len(beams):
-            return
-        points = origins[beams] + ahead[beams, indices, None] * towards[beams]
-        places = np.einsum("ij,ij->i", points - anchors[indices], direction(lines)[indices])
-        for index, place in zip(indices.tolist(), places.tolist(), strict=True):
+        most = len(ranges) * len(self.walls)
+        numbers, places = np.empty(most, dtype=np.int64), np.empty(most)
+        count = passed_lines(
+            origins, towards, ranges, self._config.through_sigmas * stds, self._belief.anchored, self._belief.anchors,
+            self._config.through_slack, GRAZING, numbers, places,
+        )  # fmt: skip
+        for index, place in zip(numbers[:count].tolist(), places[:count].tolist(), strict=True):
             if self.walls[index].extent.pass_at(place):
                 self._drawn = None
 
@@ -192,13 +188,20 @@ class WallMap:
 
     @property
     def _shown_segments(self) -> tuple[FloatArray, IntArray]:
-        """The walls of the map (N, 4), m, and the index of the landmark that each of them lies on (N,)."""
-        drawn = [
-            each if self._is_shown(wall) else each[:0] for wall, each in zip(self.walls, self._segments, strict=True)
-        ]
-        every = np.concatenate((np.zeros((0, 4)), *drawn))
-        is_long = lengths(every) >= self._config.min_length
-        return every[is_long], np.repeat(np.arange(len(drawn)), [len(each) for each in drawn])[is_long]
+        """The walls of the map (N, 4), m, and the index of the landmark that each of them lies on (N,).
+
+        They are kept as long as :attr:`_segments` are.
+        """
+        segments = self._segments
+        if self._shown is None or self._shown[0] is not segments:
+            drawn = [
+                each if self._is_shown(wall) else each[:0] for wall, each in zip(self.walls, segments, strict=True)
+            ]
+            every = np.concatenate((np.zeros((0, 4)), *drawn))
+            is_long = lengths(every) >= self._config.min_length
+            owners = np.repeat(np.arange(len(drawn)), [len(each) for each in drawn])[is_long]
+            self._shown = segments, every[is_long], owners
+        return self._shown[1:]
 
     def _points(self, index: int, along: FloatArray) -> FloatArray:
         """Points (..., 2) of the world, m, at positions (...) along a landmark."""
