@@ -106,6 +106,10 @@ AGENT = {
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
+    "limslam_agent.inspect": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "grid", "joining", "mapper", "output", "policies", "slam", "slam.core", "status", "video"),
+    },
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {

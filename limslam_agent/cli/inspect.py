@@ -19,7 +19,8 @@ NAME = "inspect.html"
 
 def inspect(
     source: Annotated[
-        Path, typer.Argument(metavar="RUN_OR_LOG", help="The folder of a finished run, replay or live session, or a log.")
+        Path,
+        typer.Argument(metavar="RUN_OR_LOG", help="The folder of a finished run, replay or live session, or a log."),
     ],
     out: Annotated[
         Path | None, typer.Option(help="Write this file (.html).", show_default="RUN/inspect.html or LOG.html")

@@ -58,8 +58,8 @@ def quantised(lengths: FloatArray, quantum: float) -> NDArray[np.int16]:
 def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
     """Arrays and a table that JSON can hold as text in base64.
 
-    It is a gzip file of the length of a header (4 bytes, little endian), the header, and the arrays. The header is JSON:
-    ``meta``, and for each array its type, shape and place.
+    It is a gzip file of the length of a header (4 bytes, little endian), the header, and the arrays. The header is
+    JSON: ``meta``, and for each array its type, shape and place.
     """
     listed, blocks, place = {}, [], 0
     for name, array in arrays.items():

@@ -33,9 +33,7 @@ class Frontier:
     costs: list[float | None]
 
 
-def frontiers_of(
-    grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, config: PolicyConfig
-) -> list[Frontier]:
+def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, config: PolicyConfig) -> list[Frontier]:
     """All frontiers of a grid, the largest first, with the costs for robots at poses (3,).
 
     Frontiers that the policy ignores, because it could not see anything new there, are among them.

@@ -45,7 +45,7 @@ def _on_common_cells(new: _Placed, old: _Placed) -> tuple[IntArray, IntArray, In
         old = (new[0], np.zeros_like(new[1]))
     lows = np.array([new[0], old[0]])
     low = lows.min(axis=0)
-    high = (lows + [new[1].shape, old[1].shape]).max(axis=0)
+    high = (lows + np.array([new[1].shape, old[1].shape])).max(axis=0)
     spread = []
     for at, kinds in (old, new):
         every = np.zeros(high - low, dtype=np.int64)

@@ -30,6 +30,12 @@ EXPLANATIONS = {
 }
 """Headline and explanation of the events that no film explains."""
 
+MERGED = (
+    "Close the loop: two walls of the map are the same wall.",
+    "Both become one wall, which corrects map and pose.",
+)
+"""What a loop is for an estimator that merges walls."""
+
 
 @cache
 def _part(folder: str, name: str) -> str:
@@ -47,6 +53,7 @@ def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
         The recording, as in ``page/data.js``.
     """
     lessons = {kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()} | EXPLANATIONS
+    lessons |= {"loop": MERGED} if meta["merges"] else {}
     content = packed(arrays, {**meta, "title": title, "lessons": lessons})
     script = "\n".join(_part("page", name) for name in SCRIPTS)
     parts = {

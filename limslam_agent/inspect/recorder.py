@@ -29,6 +29,7 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import Side
 
 MOST_FRAMES = 6000
 """Longer runs are kept at every second step, every third, and so on."""
@@ -36,7 +37,7 @@ MOST_FRAMES = 6000
 MOST_BEAMS = 72
 """Of more beams, only so many are kept, evenly spread."""
 
-SIDES = ("left", "right", "none")
+SIDES: tuple[Side, ...] = ("left", "right", "none")
 """Scan buffers in their order; ``none`` is that of the beams ahead and behind."""
 
 _FRONTIERS_EVERY = 20
@@ -84,8 +85,7 @@ class Recorder:
         self._extraction: Extraction | None = None
         self._closures, self._frame, self._places = 0, mapper.frame, 0
         self._last_map, self._last_plans = b"", b""
-        self._last_goals: list[FloatArray | None] = [None] * len(mapper.poses)
-        self._goals_noted: list[FloatArray | None] = [None] * len(mapper.poses)
+        self._last_goals, self._goals_noted = np.full((2, len(mapper.poses), 2), np.nan)
         self._last_levels = [0] * len(mapper.poses)
         self._frontiers_at = -_FRONTIERS_EVERY
         mapper.on_restart = self._on_restart
@@ -106,7 +106,7 @@ class Recorder:
         self._look_at(self._mapper.slam)
         self._note_changes()
         self._listen()
-        goals = [getattr(policy, "goal", None) for policy in policies or [None] * len(self._last_goals)]
+        goals = _goals_of(policies, len(self._last_goals))
         self._note_goals(goals)
         is_kept = self._row % self._stride == 0 or self._row == len(self._time) - 1
         if is_kept:
@@ -211,7 +211,7 @@ class Recorder:
         del self._associations[kept:]
         self._close()
         if not self._mapper.frame:
-            self._add({"kind": "restart", "words": "All observations so far are processed again, with what is known now"})
+            self._add({"kind": "restart", "words": "all observations are processed again, with what is known now"})
 
     def _close(self) -> None:
         """Finish the event of a line that was compared but not associated."""
@@ -260,16 +260,14 @@ class Recorder:
                 self._add({"kind": "status", "robot": number, "level": level, "words": status.words})
                 self._last_levels[number] = level
 
-    def _note_goals(self, goals: list[FloatArray | None]) -> None:
+    def _note_goals(self, goals: FloatArray) -> None:
         for number, goal in enumerate(goals):
-            before = self._goals_noted[number]
-            if goal is not None and (before is None or np.hypot(*(goal - before)) > _MOVED_GOAL):
+            is_near = np.hypot(*(goal - self._goals_noted[number])) <= _MOVED_GOAL
+            if not (np.isnan(goal).any() or is_near):
                 self._goals_noted[number] = goal
                 self._add({"kind": "goal", "robot": number, "goal": rounded(goal, 2)})
 
-    def _keep(
-        self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: list[FloatArray | None]
-    ) -> None:
+    def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
         mapper, columns = self._mapper, self._columns
         self._frame_rows.append(self._row)
         statuses, covariances = mapper.statuses, mapper.covariances
@@ -285,7 +283,7 @@ class Recorder:
         grid = mapper.grid
         self._grid.add(self._changes.since_last(grid))
         self._keep_plans([] if policies is None else [checked_plan(policy) for policy in policies])
-        columns["goal"].append([np.full(2, np.nan) if goal is None else goal for goal in goals])
+        columns["goal"].append(goals)
         if policies is not None:
             self._keep_frontiers(goals)
         columns["frontier_index"].append(len(self._frontiers) - 1)
@@ -347,11 +345,11 @@ class Recorder:
                 self._plans.add(plans[number] if number < len(plans) else np.zeros((0, 2)))
         self._columns["plan_index"].append(len(self._plans) // len(self._mapper.poses) - 1)
 
-    def _keep_frontiers(self, goals: list[FloatArray | None]) -> None:
-        has_moved = any(not np.array_equal(a, b) for a, b in zip(goals, self._last_goals, strict=True))
+    def _keep_frontiers(self, goals: FloatArray) -> None:
+        has_moved = not np.array_equal(goals, self._last_goals, equal_nan=True)
         if not has_moved and self._row - self._frontiers_at < _FRONTIERS_EVERY:
             return
-        self._last_goals, self._frontiers_at = [None if goal is None else goal.copy() for goal in goals], self._row
+        self._last_goals, self._frontiers_at = goals, self._row
         mapper, found = self._mapper, []
         shown = slice(1) if isinstance(mapper, JoiningMapper) and mapper.is_apart else slice(None)
         for frontier in frontiers_of(mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy):
@@ -381,6 +379,12 @@ class Recorder:
         solved = np.linalg.solve(covariances[is_known], error[is_known][..., None])[..., 0]
         found[is_known] = np.einsum("ni,ni->n", error[is_known], solved) / 3.0
         return found.astype(np.float32)
+
+
+def _goals_of(policies: Sequence[Policy] | None, robots: int) -> FloatArray:
+    """The goal (n, 2), m, of each robot; NaN for a robot without a goal."""
+    goals = [getattr(policy, "goal", None) for policy in policies or ()]
+    return np.array([(np.nan, np.nan) if goal is None else goal for goal in goals or [None] * robots], dtype=float)
 
 
 _LEAST_DETERMINANT = 1e-30

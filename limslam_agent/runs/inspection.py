@@ -142,9 +142,7 @@ def _new(robot: RobotSpec, ranges: FloatArray, row: int) -> FloatArray:
     return np.where(robot.measures(row), ranges, np.nan)
 
 
-def _inspection(
-    recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edges: FloatArray | None
-) -> Inspection:
+def _inspection(recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edges: FloatArray | None) -> Inspection:
     arrays, rows = recorder.arrays(), np.array(recorder.frame_rows)
     meta = recorder.meta()
     if edges is not None:

@@ -6,13 +6,16 @@ import os
 import select
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
+CHROMIUM = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
+)
 """The browser; empty where there is none."""
 
 PATIENCE = 60.0
@@ -22,6 +25,15 @@ _OPTIONS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--no-first-run", "--disable-extensions",
     "--disable-background-networking", "--disable-dev-shm-usage", "--remote-debugging-pipe",
 )  # fmt: skip
+
+# Chromium reads from descriptor 3 and writes to descriptor 4, which the pipes may have in the other order.
+_MOVE = """
+import os, sys
+reads, writes = (os.dup(os.dup(os.dup(int(each)))) for each in sys.argv[1:3])
+os.dup2(reads, 3)
+os.dup2(writes, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 class Browser:
@@ -84,12 +96,12 @@ class Browser:
 
     def click(self, selector: str) -> None:
         """Click into the middle of an element, with the mouse, as a user does."""
-        place = self.run(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: 'center'}});"
-            " const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; })()"
-        )
+        found = f"document.querySelector({json.dumps(selector)})"
+        self.run(f"{found}.scrollIntoView({{block: 'center'}})")
+        box = self.run(f"{found}.getBoundingClientRect().toJSON()")
+        x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
         for kind in ("mousePressed", "mouseReleased"):
-            self.send("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def press(self, key: str, *, shift: bool = False) -> None:
         """Press a key."""
@@ -131,9 +143,8 @@ def browser(profile: Path) -> Iterator[Browser]:
     """A browser with an empty profile in a folder. It ends with the context."""
     their_input, our_output = os.pipe()
     our_input, their_output = os.pipe()
-    # Chromium reads from descriptor 3 and writes to descriptor 4.
-    shell = f'exec "$0" "$@" 3<&{their_input} 4>&{their_output}'
-    command = ["sh", "-c", shell, CHROMIUM, *_OPTIONS, f"--user-data-dir={profile}", "about:blank"]
+    command = [sys.executable, "-c", _MOVE, str(their_input), str(their_output), CHROMIUM, *_OPTIONS]
+    command += [f"--user-data-dir={profile}", "about:blank"]
     with subprocess.Popen(
         command, pass_fds=(their_input, their_output), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as process:

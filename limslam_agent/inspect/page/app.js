@@ -13,6 +13,11 @@ function readColours() {
   return colours;
 }
 
+const ICONS = {
+  first: 'M3 3h2v10H3zM13 3v10L6 8z', previous: 'M8 3v10L2 8zM14 3v10L8 8z', back: 'M11 3v10L4 8z', play: 'M4 2v12l10-6z',
+  pause: 'M4 3h3v10H4zM9 3h3v10H9z', forward: 'M5 3v10l7-5z', next: 'M2 3v10l6-5zM8 3v10l6-5z', last: 'M11 3h2v10h-2zM3 3v10l7-5z',
+};
+
 class Player {
   constructor(recording) {
     this.recording = recording;
@@ -27,7 +32,8 @@ class Player {
     this.plots = new Plots(recording, this.colours, seek);
     this.prepare();
     this.connect();
-    this.readHash() || this.goTo(0);
+    this.readHash();
+    this.show(true);
   }
 
   prepare() {
@@ -38,6 +44,7 @@ class Player {
       byId('truth-figure').remove();
       document.querySelector('.switch').remove();
       this.scene.canvases.truth = document.createElement('canvas');
+      this.scene.measure();
       byId('views').classList.add('alone');
     }
     const [x0, y0, x1, y1] = this.scene.bounds;
@@ -50,8 +57,11 @@ class Player {
       return element('label', [box, ` ${words}`]);
     });
     byId('layers').replaceChildren(...layers);
+    for (const [id, path] of Object.entries(ICONS)) if (byId(id)) this.draw(id, path);
     this.legend();
   }
+
+  draw(id, path) { byId(id).querySelector('path').setAttribute('d', path); }
 
   hasLayer(name) {
     const {recording} = this;
@@ -158,7 +168,7 @@ class Player {
   showPicture(name) {
     byId('views').dataset.shown = name;
     for (const each of ['truth', 'belief']) byId(`show-${each}`).setAttribute('aria-pressed', String(each === name));
-    this.show();
+    this.show(true);
   }
 
   setTheme(theme) {
@@ -218,7 +228,7 @@ class Player {
 
   buttonOfPlay() {
     const button = byId('play');
-    button.textContent = this.isPlaying ? '\u23F8\uFE0E' : '\u25B6\uFE0E';
+    this.draw('play', this.isPlaying ? ICONS.pause : ICONS.play);
     button.setAttribute('aria-label', this.isPlaying ? 'Pause' : 'Play');
     byId('caption').setAttribute('aria-live', this.isPlaying ? 'off' : 'polite');
   }
@@ -246,6 +256,7 @@ class Player {
 
   show(isForced = false) {
     const {recording, frame} = this, seconds = recording.seconds[frame];
+    if (isForced) this.scene.measure();
     this.scene.draw(frame);
     this.plots.show(frame);
     byId('slider').value = frame;

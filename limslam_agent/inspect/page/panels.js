@@ -74,10 +74,11 @@ function captionOf(recording, frame, window) {
   }
   const [lesson, explanation] = lessons[best.kind];
   const topic = lesson.split(':')[0];
-  const isWaiting = best.kind === 'waits' || best.kind === 'ambiguous';
+  const isWaiting = best.kind === 'waits' || best.kind === 'ambiguous', words = wordsOf(best, recording.robots);
+  const headline = {loop: `Close the loop: ${words.split(': ')[1]}.`, waits: lesson, ambiguous: lesson}[best.kind];
   return {
     stages: KINDS[best.kind].stages,
-    headline: `${topic}: ${wordsOf(best, recording.robots)}.`,
+    headline: headline || `${topic}: ${words}.`,
     explanation: isWaiting ? `${sentence(best.why)} ${explanation}` : explanation,
   };
 }
@@ -104,7 +105,7 @@ function showMoment(recording, frame) {
   }
   rows.push({cells: ['walls in the map', String(recording.landmarks[frame])]});
   rows.push({cells: ['status', recording.reasonWords(frame)]});
-  byId('moment').replaceChildren(table('Pose, error and status', ['', 'now'], rows));
+  byId('moment').replaceChildren(table('Pose, error and status', ['quantity', 'now'], rows));
 }
 
 function showDecision(recording, frame) {
@@ -150,7 +151,7 @@ function correction({before, after}) {
   const rows = ['x, cm', 'y, cm', 'heading, deg'].map((name, i) => ({
     cells: [name, `\u00b1${was[i].toFixed(2)}`, `\u00b1${is[i].toFixed(2)}`, `${moved[i] >= 0 ? '+' : ''}${moved[i].toFixed(2)}`],
   }));
-  return table('Correction (1\u03c3)', ['', 'before', 'after', 'moved by'], rows);
+  return table('Correction (1\u03c3)', ['of the pose', 'before', 'after', 'moved by'], rows);
 }
 
 function showBuffers(recording, frame, colours) {
@@ -184,7 +185,7 @@ function votesOf({points, r_step: step}) {
 function showHough(recording, frame, colours, isForced) {
   const event = recording.latest(frame, ({kind}) => kind === 'hough');
   const canvas = byId('hough');
-  const key = `${event ? event.index : -1} ${canvas.clientWidth}`;
+  const key = String(event ? event.index : -1);
   if (!isForced && canvas.dataset.key === key) return;
   canvas.dataset.key = key;
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
@@ -352,7 +353,7 @@ class EventList {
     if (this.current !== null && list.children[this.current]) list.children[this.current].firstChild.removeAttribute('aria-current');
     this.current = at;
     const item = list.children[at];
-    if (!item) return;
+    if (!item || !byId('panel-events').open) return;
     item.firstChild.setAttribute('aria-current', 'true');
     list.scrollTop = item.offsetTop - list.clientHeight / 2;
   }

@@ -39,7 +39,7 @@ class Plots {
     this.add('Error of position, cm', [columns.position2, zero, columns.position], [band(c.robot1), hidden, error(c.wall)], [{series: [1, 2], fill: `${c.robot1}33`}]);
     this.add('Error of heading, deg', [columns.headingUp, columns.headingDown, columns.heading], [band(c.robot1), band(c.robot1), error(c.wall)], [{series: [1, 2], fill: `${c.robot1}33`}]);
     if (recording.nees) {
-      this.add('NEES / 3 (1 is right, more is overconfident)', [columns.nees, columns.walls.map(() => 1)],
+      this.add('NEES / 3 (1 is right)', [columns.nees, columns.walls.map(() => 1)],
         [{...error(c.wall), label: 'NEES / 3'}, {stroke: c.text, width: 1, dash: [6, 4], points: {show: false}}], [], true);
     }
     this.add('Walls in the map', [columns.walls], [{stroke: c.robot1, width: 1.8, points: {show: false}, paths: uPlot.paths.stepped({align: 1})}]);
@@ -48,14 +48,14 @@ class Plots {
 
   add(title, data, series, bands = [], isLog = false) {
     const {recording, colours} = this;
-    const box = element('figure', [element('figcaption', title)], {class: 'plot', role: 'img', 'aria-label': `${title}, over time`});
+    const box = element('figure', [element('figcaption', title)], {class: 'plot'});
     byId('plots').append(box);
     const axis = {stroke: colours.text, grid: {stroke: colours.rule, width: 1}, ticks: {stroke: colours.rule, width: 1}, font: '11px system-ui, sans-serif'};
     const options = {
       width: Math.max(box.clientWidth, 200), height: 150, legend: {show: false},
       cursor: {sync: {key: 'time', setSeries: false}, drag: {x: true, y: false}, points: {show: false}},
       scales: {x: {time: false}, y: isLog ? {distr: 3, log: 10} : {range: (plot, low, high) => padded(low, high)}},
-      axes: [{...axis, size: 26, values: (plot, values) => values.map((value) => `${value} s`)}, {...axis, size: 44}],
+      axes: [{...axis, size: 26, values: (plot, values) => values.map((value) => `${value} s`)}, {...axis, size: 44, ...(isLog ? {splits: decades} : {})}],
       series: [{}, ...series], bands,
       hooks: {
         drawClear: [(plot) => this.statusBand(plot)],
@@ -64,6 +64,8 @@ class Plots {
       },
     };
     const plot = new uPlot(options, [recording.seconds, ...data], box);
+    plot.root.setAttribute('role', 'img');
+    plot.root.setAttribute('aria-label', `${title}, over time`);
     plot.now = element('div', '', {class: 'now'});
     plot.over.append(plot.now);
     this.plots.push(plot);
@@ -104,9 +106,9 @@ class Plots {
   show(frame) {
     this.frame = frame;
     for (const plot of this.plots) {
-      const at = plot.valToPos(this.recording.seconds[frame], 'x');
+      const at = plot.valToPos(this.recording.seconds[frame], 'x'), isInside = at >= 0 && at <= plot.bbox.width / uPlot.pxRatio;
       plot.now.style.transform = `translateX(${at}px)`;
-      plot.now.hidden = !(at >= 0 && at <= plot.over.clientWidth);
+      plot.now.hidden = !isInside;
     }
   }
 
@@ -122,6 +124,13 @@ class Plots {
     for (const plot of this.plots) plot.destroy();
     this.plots = [];
   }
+}
+
+// Powers of ten within the range of a logarithmic axis.
+function decades(plot, axis, low, high) {
+  const found = [];
+  for (let power = Math.ceil(Math.log10(low) - 1e-9); power <= Math.log10(high) + 1e-9; power++) found.push(10 ** power);
+  return found;
 }
 
 function padded(low, high) {

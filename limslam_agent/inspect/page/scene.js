@@ -18,7 +18,14 @@ class Scene {
     this.bounds = boundsOf(recording);
     this.follows = false;
     this.gridImage = document.createElement('canvas');
+    this.sizes = new Map();
+    this.measure();
     this.fit();
+  }
+
+  // The sizes of the pictures are asked for only when they may have changed: asking makes the browser lay the page out.
+  measure() {
+    for (const canvas of Object.values(this.canvases)) this.sizes.set(canvas, [canvas.clientWidth, canvas.clientHeight]);
   }
 
   fit() {
@@ -35,25 +42,27 @@ class Scene {
 
   scaleOf(canvas) {
     const [x0, y0, x1, y1] = this.bounds;
-    const fitting = Math.min(canvas.clientWidth / (x1 - x0), canvas.clientHeight / (y1 - y0));
+    const [width, height] = this.sizes.get(canvas);
+    const fitting = Math.min(width / (x1 - x0), height / (y1 - y0));
     return fitting * this.zoom;
   }
 
   // From pixels of a canvas to the plane, m.
   toWorld(canvas, x, y) {
-    const scale = this.scaleOf(canvas);
-    return [this.centre[0] + (x - canvas.clientWidth / 2) / scale, this.centre[1] - (y - canvas.clientHeight / 2) / scale];
+    const scale = this.scaleOf(canvas), [width, height] = this.sizes.get(canvas);
+    return [this.centre[0] + (x - width / 2) / scale, this.centre[1] - (y - height / 2) / scale];
   }
 
   draw(frame) {
     if (this.follows) this.centre = this.recording.poseOf('pose', frame, 0).slice(0, 2);
     this.event = this.recording.latest(frame, (event) => DECISIONS.has(event.kind) || event.kind === 'loop');
-    if (this.canvases.truth.offsetParent !== null) this.drawTruth(this.begin(this.canvases.truth), frame);
-    if (this.canvases.belief.offsetParent !== null) this.drawBelief(this.begin(this.canvases.belief), frame);
+    const isShown = (canvas) => this.sizes.get(canvas)[0] > 0;
+    if (isShown(this.canvases.truth)) this.drawTruth(this.begin(this.canvases.truth), frame);
+    if (isShown(this.canvases.belief)) this.drawBelief(this.begin(this.canvases.belief), frame);
   }
 
   begin(canvas) {
-    const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+    const ratio = window.devicePixelRatio || 1, [width, height] = this.sizes.get(canvas);
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
@@ -71,7 +80,7 @@ class Scene {
 
   drawTruth(pen, frame) {
     const {recording, colours} = this;
-    this.paper(pen);
+    this.paper(pen, colours.paper);
     if (recording.edges) this.segments(pen, recording.edges, 4, colours.ink, 2.5);
     if (!recording.hasTruth) return;
     for (let robot = 0; robot < recording.robots; robot++) {
@@ -84,18 +93,18 @@ class Scene {
 
   drawBelief(pen, frame) {
     const {recording, colours} = this;
-    this.paper(pen);
+    this.paper(pen, this.on.grid ? colours.unknown : colours.paper);
     if (this.on.grid) this.grid(pen, frame);
     if (this.on.over && recording.edges) this.segments(pen, recording.edges, 4, colours.ghost, 1.5);
     if (this.on.frontiers) this.frontierCells(pen, frame);
     if (this.on.smoothed && recording.final_walls) this.segments(pen, recording.final_walls, 4, colours.smoothed, 1.5);
     const marks = recording.marksOf(frame), walls = recording.wallsOf(frame);
-    if (this.on.bands) for (const mark of marks) this.band(pen, mark);
+    if (this.on.bands) this.bands(pen, marks);
     const shown = new Set(walls.map(({wall}) => wall));
     for (const mark of marks) if (!shown.has(mark.wall)) this.line(pen, mark.ends, colours.wall, 1, [3, 3]);
     const touched = this.touchedWalls(frame);
     for (const {ends, wall} of walls) {
-      if (touched.has(wall)) this.line(pen, ends, colours.glow, 9);
+      if (touched.has(wall)) this.line(pen, ends, `${colours.glow}aa`, 8);
       this.line(pen, ends, colours.wall, 2.6);
     }
     for (let robot = 0; robot < recording.robots; robot++) {
@@ -119,9 +128,9 @@ class Scene {
     if (this.on.frontiers) this.costs(pen, frame);
   }
 
-  paper(pen) {
+  paper(pen, colour) {
     const [x0, y0, x1, y1] = this.bounds;
-    pen.fillStyle = this.colours.paper;
+    pen.fillStyle = colour;
     pen.fillRect(x0, y0, x1 - x0, y1 - y0);
   }
 
@@ -184,13 +193,16 @@ class Scene {
     const [xx, xy, , yy, , tt] = cov;
     const half = (xx + yy) / 2, root = Math.hypot((xx - yy) / 2, xy);
     const angle = 0.5 * Math.atan2(2 * xy, xx - yy);
-    const width = 2 * Math.sqrt(Math.max(tt, 0)), reach = this.recording.meta.radius + 28 * this.pixel;
+    const width = Math.min(2 * Math.sqrt(Math.max(tt, 0)), Math.PI), reach = this.recording.meta.radius + 28 * this.pixel;
     pen.fillStyle = colour;
     pen.globalAlpha = 0.22;
     pen.beginPath();
     pen.moveTo(x, y);
     pen.arc(x, y, reach, heading - width, heading + width);
     pen.fill();
+    pen.globalAlpha = 1;
+    if (CHI * Math.sqrt(half + root) > 2 * (this.bounds[2] - this.bounds[0])) return;  // the place is not known at all
+    pen.globalAlpha = 0.22;
     pen.beginPath();
     pen.ellipse(x, y, CHI * Math.sqrt(Math.max(half + root, 0)), CHI * Math.sqrt(Math.max(half - root, 0)), angle, 0, 2 * Math.PI);
     pen.fill();
@@ -251,22 +263,29 @@ class Scene {
     pen.restore();
   }
 
-  // The region that holds a wall with 2 sigma: wider where the wall was not seen.
-  band(pen, {theta, rr, rt, tt, ends}) {
-    const [x0, y0, x1, y1] = ends, along = [-Math.sin(theta), Math.cos(theta)], across = [Math.cos(theta), Math.sin(theta)];
-    const left = [], right = [];
-    for (let i = 0; i <= 8; i++) {
-      const x = x0 + (i / 8) * (x1 - x0), y = y0 + (i / 8) * (y1 - y0), s = x * along[0] + y * along[1];
-      const half = 2 * Math.sqrt(Math.max(rr - 2 * s * rt + s * s * tt, 0));
-      left.push([x + half * across[0], y + half * across[1]]);
-      right.unshift([x - half * across[0], y - half * across[1]]);
-    }
+  // The regions that hold the walls with 2 sigma: wider where a wall was not seen. One fill for all of them is faster.
+  bands(pen, marks) {
     pen.fillStyle = this.colours.wall;
     pen.globalAlpha = 0.18;
     pen.beginPath();
-    for (const [x, y] of left.concat(right)) pen.lineTo(x, y);
+    for (const mark of marks) this.band(pen, mark);
     pen.fill();
     pen.globalAlpha = 1;
+  }
+
+  band(pen, {theta, rr, rt, tt, ends: [x0, y0, x1, y1]}) {
+    const cos = Math.cos(theta), sin = Math.sin(theta), left = [], right = [];
+    for (let i = 0; i <= 8; i++) {
+      const x = x0 + (i / 8) * (x1 - x0), y = y0 + (i / 8) * (y1 - y0), s = y * cos - x * sin;
+      const half = 2 * Math.sqrt(Math.max(rr - 2 * s * rt + s * s * tt, 0));
+      left.push([x + half * cos, y + half * sin]);
+      right.unshift([x - half * cos, y - half * sin]);
+    }
+    // All in one direction of turning, so that regions that overlap do not cancel.
+    const outline = left.concat(right), isTurned = (x1 - x0) * sin - (y1 - y0) * cos > 0;
+    if (isTurned) outline.reverse();
+    outline.forEach(([x, y], place) => { if (place) pen.lineTo(x, y); else pen.moveTo(x, y); });
+    pen.closePath();
   }
 
   frontierCells(pen, frame) {
@@ -313,9 +332,8 @@ class Scene {
   }
 
   numbers(pen, marks, touched) {
-    for (const {wall, ends, r, theta} of marks) {
+    for (const {wall, ends, theta} of marks) {
       const middle = [(ends[0] + ends[2]) / 2, (ends[1] + ends[3]) / 2], off = 10 * this.pixel;
-      void r;
       this.words(pen, String(wall), [middle[0] + off * Math.cos(theta), middle[1] + off * Math.sin(theta)], this.colours.wallInk, touched.has(wall));
     }
   }
