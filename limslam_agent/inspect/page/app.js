@@ -47,6 +47,9 @@ class Player {
       this.scene.measure();
       byId('views').classList.add('alone');
     }
+    const robots = Array.from({length: recording.robots}, (_, robot) => element('option', String(robot + 1), {value: robot}));
+    byId('robot').replaceChildren(...robots);
+    byId('whose').hidden = recording.robots === 1;
     const [x0, y0, x1, y1] = this.scene.bounds;
     byId('views').style.setProperty('--aspect', Math.min(Math.max((x1 - x0) / (y1 - y0), 0.75), 1.9));
     byId('stages').replaceChildren(...STAGES.map((name) => element('li', name)));
@@ -99,6 +102,7 @@ class Player {
     for (const name of ['truth', 'belief']) if (byId(`show-${name}`)) on(`show-${name}`, () => this.showPicture(name));
     byId('slider').addEventListener('input', () => this.stopAt(Number(byId('slider').value)));
     byId('speed').addEventListener('change', () => { this.speed = Number(byId('speed').value); });
+    byId('robot').addEventListener('change', () => this.plots.of(Number(byId('robot').value)));
     document.addEventListener('keydown', (press) => this.onKey(press));
     window.addEventListener('hashchange', () => this.readHash());
     window.addEventListener('resize', () => { this.plots.resize(); this.show(true); });

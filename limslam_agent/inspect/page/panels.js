@@ -269,15 +269,16 @@ function showFrontiers(recording, frame) {
 function showLoops(recording, frame, seek) {
   const box = byId('loops'), {limits} = recording.meta;
   const loops = recording.events.filter(({kind}) => kind === 'loop');
-  const items = loops.map((event) => {
+  const found = loops.map((event) => {
     const why = `d\u00b2 = ${event.d2[0].toFixed(1)} \u2264 ${limits.loop_gate}, offset ${(100 * event.offset[0]).toFixed(1)} cm \u2264 ${(100 * limits.loop_offset).toFixed(0)} cm, ` +
       `overlap at least ${(100 * limits.loop_overlap).toFixed(0)} cm`;
-    return moment(event.t, `Wall ${event.wall} is wall ${event.other}: ${why}.`, seek);
+    return {t: event.t, text: `Wall ${event.wall} is wall ${event.other}: ${why}.`};
   });
-  for (const loop of recording.meta.path_loops || []) {
-    const text = `${loop.first.toFixed(1)} s and ${loop.second.toFixed(1)} s are one place: score ${loop.score.toFixed(2)}, found by ${loop.source}: ${loop.reason}.`;
-    items.push(moment(Math.max(loop.first, loop.second), text, seek));
+  for (const {first, second, score, source, reason} of recording.meta.path_loops || []) {
+    const times = [first, second].sort((a, b) => a - b);
+    found.push({t: times[1], text: `Smoother: the place at ${times[0].toFixed(1)} s again. Score ${score.toFixed(2)}, found by ${source}: ${reason}.`});
   }
+  const items = found.sort((a, b) => a.t - b.t).map(({t, text}) => moment(t, text, seek));
   byId('loop-count').textContent = items.length ? String(items.length) : 'none';
   box.replaceChildren(items.length ? element('ol', items, {class: 'events'}) : element('p', 'No loop was closed.', {class: 'note'}));
 }

@@ -12,6 +12,13 @@ class Plots {
     this.build();
   }
 
+  // Show the errors of a robot.
+  of(robot) {
+    this.robot = robot;
+    this.columns = this.computed();
+    this.build();
+  }
+
   computed() {
     const {recording} = this, count = recording.frames;
     const made = Object.fromEntries(['position', 'position2', 'heading', 'headingUp', 'headingDown', 'nees', 'walls'].map((name) => [name, new Array(count)]));

@@ -201,8 +201,9 @@ class Scene {
     pen.arc(x, y, reach, heading - width, heading + width);
     pen.fill();
     pen.globalAlpha = 1;
-    if (CHI * Math.sqrt(half + root) > 2 * (this.bounds[2] - this.bounds[0])) return;  // the place is not known at all
-    pen.globalAlpha = 0.22;
+    const longest = CHI * Math.sqrt(half + root), extent = this.bounds[2] - this.bounds[0];
+    if (longest > 2 * extent) return;  // the place is not known at all
+    pen.globalAlpha = longest > 0.3 * extent ? 0.04 : 0.22;
     pen.beginPath();
     pen.ellipse(x, y, CHI * Math.sqrt(Math.max(half + root, 0)), CHI * Math.sqrt(Math.max(half - root, 0)), angle, 0, 2 * Math.PI);
     pen.fill();
@@ -379,7 +380,7 @@ function boundsOf(recording) {
   }
   const edges = recording.edges || recording.final_walls || [];
   for (let at = 0; at < edges.length; at += 2) add(edges[at], edges[at + 1]);
-  const margin = 0.04 * Math.max(box[2] - box[0], box[3] - box[1], 1);
+  const margin = 0.055 * Math.max(box[2] - box[0], box[3] - box[1], 1);
   return [box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin];
 }
 

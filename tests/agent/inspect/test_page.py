@@ -308,6 +308,14 @@ def test_pages_of_other_runs(chromium, tmp_path, options):
     chromium.open(tmp_path / "page.html", fragment="#t=6")
     chromium.run("document.querySelectorAll('.panels details').forEach((panel) => { panel.open = true; })")
     chromium.press("End")
+    robots = chromium.run("player.recording.robots")
+    assert chromium.run("document.getElementById('whose').hidden") == (robots == 1)
+    before = chromium.run("player.plots.columns.position.slice(-1)[0]")
+    chromium.run(
+        "const r = document.getElementById('robot'); r.value = r.options.length - 1;"
+        " r.dispatchEvent(new Event('change'))"
+    )
+    assert (chromium.run("player.plots.columns.position.slice(-1)[0]") == before) == (robots == 1)
     assert chromium.errors == []
 
 
