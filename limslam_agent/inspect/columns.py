@@ -55,8 +55,8 @@ def quantised(lengths: FloatArray, quantum: float) -> NDArray[np.int16]:
     return np.asarray(np.rint(lengths / quantum).astype(np.int16))
 
 
-def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
-    """Arrays and a table that JSON can hold as text in base64.
+def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, level: int = 9) -> str:
+    """Arrays and a table that JSON can hold as text in base64. ``level`` is how well it is compressed, 1 to 9.
 
     It is a gzip file of the length of a header (4 bytes, little endian), the header, and the arrays. The header is
     JSON: ``meta``, and for each array its type, shape and place.
@@ -71,7 +71,7 @@ def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
     header = json.dumps({"meta": dict(meta), "arrays": listed}, allow_nan=False, separators=(",", ":")).encode()
     header += b" " * (-(len(header) + 4) % _ALIGNED)
     content = len(header).to_bytes(4, "little") + header + b"".join(blocks)
-    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(content, level, mtime=0)).decode("ascii")
 
 
 def unpacked(text: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

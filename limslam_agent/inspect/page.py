@@ -52,9 +52,22 @@ def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
     arrays, meta
         The recording, as in ``page/data.js``.
     """
+    return _assembled(title, packed(arrays, told_to_page(title, meta)))
+
+
+def empty_page(title: str) -> str:
+    """The text of an HTML file that asks the server it comes from for the recording, again and again."""
+    return _assembled(title, "")
+
+
+def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of a recording with the title and the texts for students."""
     lessons = {kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()} | EXPLANATIONS
     lessons |= {"loop": MERGED} if meta["merges"] else {}
-    content = packed(arrays, {**meta, "title": title, "lessons": lessons})
+    return {**meta, "title": title, "lessons": lessons}
+
+
+def _assembled(title: str, content: str) -> str:
     script = "\n".join(_part("page", name) for name in SCRIPTS)
     parts = {
         "TITLE": _escaped(title),

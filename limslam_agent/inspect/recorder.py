@@ -1,6 +1,6 @@
 """Watches a mapper step by step and keeps what the page shows."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,16 +57,15 @@ class Recorder:
     Parameters
     ----------
     mapper
-        The mapper, before its first step.
-    time
-        Time of each step that will come (t,), s.
-    true
-        True poses (t, n, 3) for n robots, m and rad; None where they are unknown.
+        The mapper. Of steps that it has made before, nothing is known.
+    steps
+        Number of steps that will come, or at least their largest number.
     """
 
-    def __init__(self, mapper: Mapper, time: FloatArray, true: FloatArray | None = None) -> None:
-        self._mapper, self._time, self._true = mapper, time, true
-        self._stride = -(-len(time) // MOST_FRAMES)
+    def __init__(self, mapper: Mapper, steps: int) -> None:
+        self._mapper, self._steps = mapper, steps
+        self._time, self._true, self._slam_steps = list[float](), list[FloatArray](), list[int]()
+        self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
         self._limits = limits_of(mapper.config)
@@ -88,29 +87,42 @@ class Recorder:
         self._last_goals, self._goals_noted = np.full((2, len(mapper.poses), 2), np.nan)
         self._last_levels = [0] * len(mapper.poses)
         self._frontiers_at = -_FRONTIERS_EVERY
-        mapper.on_restart = self._on_restart
+        self._restarted, mapper.on_restart = mapper.on_restart, self._on_restart
         self._slam: LineSlam | None = None
+        self._heard: Callable[[AssociationRecord], None] | None = None
         self._listen()
 
-    def note(self, ranges: FloatArray, policies: Sequence[Policy] | None = None) -> None:
+    def note(
+        self,
+        time: float,
+        ranges: FloatArray,
+        policies: Sequence[Policy] | None = None,
+        true: FloatArray | None = None,
+    ) -> None:
         """Keep a step that the mapper has made.
 
         Parameters
         ----------
+        time
+            Time of the step, s.
         ranges
             The readings of the step (n, n_beams), m. NaN where a beam has measured nothing new.
         policies
             The policy of each robot, after it has decided; None if nothing decides.
+        true
+            True poses (n, 3), m and rad; None where they are unknown.
         """
+        self._time.append(float(time))
+        self._slam_steps.append(self._mapper.slam.robots[0].step)
         self._close()
         self._look_at(self._mapper.slam)
         self._note_changes()
         self._listen()
         goals = _goals_of(policies, len(self._last_goals))
         self._note_goals(goals)
-        is_kept = self._row % self._stride == 0 or self._row == len(self._time) - 1
-        if is_kept:
+        if self._row % self._stride == 0 or self._row == self._steps - 1:
             self._keep(ranges, policies, goals)
+            self._true += [] if true is None else [true]
         self._row += 1
 
     def finish(self) -> None:
@@ -127,7 +139,7 @@ class Recorder:
         self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
         rows, columns = np.array(self._frame_rows), self._columns
         found: dict[str, NDArray[Any]] = {
-            "time": self._time[rows],
+            "time": np.array(self._time)[rows],
             **{name: np.array(columns[name], dtype=np.float32) for name in ("pose", "cov", "odometry")},
             "level": np.array(columns["level"], dtype=np.uint8),
             **{name: np.array(columns[name], dtype=np.uint16) for name in ("reason", "ranges", "landmarks", "buffers")},
@@ -149,9 +161,9 @@ class Recorder:
             "grid_starts": self._grid.starts(),
             **self._owners(rows),
         }
-        if self._true is not None:
-            found["true"] = self._true[rows].astype(np.float32)
-            found["nees"] = self._nees(rows)
+        if self._true:
+            found["true"] = np.array(self._true, dtype=np.float32)
+            found["nees"] = self._nees(np.array(self._true))
         return found
 
     def meta(self) -> dict[str, Any]:
@@ -159,7 +171,7 @@ class Recorder:
         mapper, robot = self._mapper, self._mapper.robot
         return {
             "robots": len(mapper.poses), "radius": robot.radius, "cell": mapper.config.grid.cell,
-            "quantum": self.quantum, "steps": self._row + 1, "stride": self._stride,
+            "quantum": self.quantum, "steps": len(self._time), "stride": self._stride,
             "beams": [
                 {"x": rounded(beam.x), "y": rounded(beam.y), "angle": rounded(beam.angle), "max": beam.max_range,
                  "side": beam.side}
@@ -167,8 +179,13 @@ class Recorder:
             ],
             "limits": self._limits, "reasons": list(self._reasons), "frontiers": self._frontiers,
             "merges": isinstance(mapper.config.estimator, ConsistentConfig),
-            "events": [{"t": rounded(self._time[event.pop("row")], 3), **event} for event in map(dict, self._events)],
+            "events": [self._dated(event) for event in self._events],
         }  # fmt: skip
+
+    def _dated(self, event: Event) -> Event:
+        """An event with its time instead of its step."""
+        row = min(event["row"], len(self._time) - 1)
+        return {"t": rounded(self._time[row], 3), **{name: value for name, value in event.items() if name != "row"}}
 
     def poses(self) -> FloatArray:
         """Estimated poses (f, n, 3) of the frames, m and rad."""
@@ -188,7 +205,9 @@ class Recorder:
         """Attach the listeners. A mapper that begins anew has another SLAM."""
         slam = self._mapper.slam
         if slam is not self._slam:
-            slam.on_association, slam.on_comparison = self._on_association, self._on_comparison
+            if slam.on_association is None or slam.on_association is not self._heard:
+                self._heard = slam.on_association = _both(slam.on_association, self._on_association)
+            slam.on_comparison = self._on_comparison
             self._slam, self._closures, self._extraction = slam, len(slam.closures), slam.last_extraction
 
     def _on_comparison(self, comparison: Comparison) -> None:
@@ -208,6 +227,8 @@ class Recorder:
         self._open = None
 
     def _on_restart(self, kept: int) -> None:
+        if self._restarted is not None:
+            self._restarted(kept)
         del self._associations[kept:]
         self._close()
         if not self._mapper.frame:
@@ -228,7 +249,7 @@ class Recorder:
         return isinstance(self._mapper.config.estimator, ConsistentConfig)
 
     def _add(self, event: Event) -> Event:
-        event["row"] = min(self._row, len(self._time) - 1)
+        event["row"] = self._row
         self._events.append(event)
         return event
 
@@ -361,15 +382,19 @@ class Recorder:
         """The wall (f, n, b) that each reading of a frame was given to, 0 for none, and the step at which it was."""
         shape = len(self._time), len(self._mapper.poses), len(self._mapper.robot.beams)
         wall, given = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint32)
+        # A live robot may have made several steps since the last one that was noted.
+        noted = np.full(max(self._slam_steps, default=-1) + 2, -1)
+        noted[self._slam_steps] = np.arange(len(self._slam_steps))
         for row, record in self._associations:
             steps, beams = record.readings.T
+            steps = noted[np.minimum(steps, len(noted) - 1)]
+            steps, beams = steps[steps >= 0], beams[steps >= 0]
             wall[steps, record.robot, beams], given[steps, record.robot, beams] = record.landmark + 1, row
         return {"owner": wall[rows][..., self._beams], "given": given[rows][..., self._beams]}
 
-    def _nees(self, rows: NDArray[Any]) -> NDArray[np.float32]:
-        """NEES / 3 of each frame and robot (f, n). NaN where the covariance is zero, as at a known start."""
-        assert self._true is not None  # noqa: S101 (asked for only with the truth)
-        error = self.poses() - self._true[rows]
+    def _nees(self, true: FloatArray) -> NDArray[np.float32]:
+        """NEES / 3 of each frame and robot (f, n), given the true poses. NaN where the covariance is zero."""
+        error = self.poses() - true
         error[..., 2] = wrap_angle(error[..., 2])
         covariances = np.zeros((*error.shape, 3))
         covariances[..., *np.triu_indices(3)] = np.array(self._columns["cov"])
@@ -379,6 +404,19 @@ class Recorder:
         solved = np.linalg.solve(covariances[is_known], error[is_known][..., None])[..., 0]
         found[is_known] = np.einsum("ni,ni->n", error[is_known], solved) / 3.0
         return found.astype(np.float32)
+
+
+def _both(
+    first: Callable[[AssociationRecord], None] | None, second: Callable[[AssociationRecord], None]
+) -> Callable[[AssociationRecord], None]:
+    """A listener that tells two listeners."""
+
+    def heard(record: AssociationRecord) -> None:
+        if first is not None:
+            first(record)
+        second(record)
+
+    return heard
 
 
 def _goals_of(policies: Sequence[Policy] | None, robots: int) -> FloatArray:

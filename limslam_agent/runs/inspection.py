@@ -87,12 +87,12 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
     if config.unknown_starts:
         starts[1] = 0.0
     team.reset(starts if prior_map is None else np.zeros_like(starts), config.seed)
-    recorder = Recorder(team.mapper, run.time, true)
+    recorder = Recorder(team.mapper, len(run.time))
     for row, (ranges, wheels) in enumerate(zip(readings.ranges, readings.wheels, strict=True)):
         team.observe([{"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)])
         if is_repeated:
             team.decide()
-        recorder.note(_new(config.robot, ranges, row), team.policies if is_repeated else None)
+        recorder.note(run.time[row], _new(config.robot, ranges, row), team.policies if is_repeated else None, true[row])
         progress(row + 1)
     team.finish()
     recorder.finish()
@@ -126,11 +126,12 @@ def inspect_log(
         raise FolderError(f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log")
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = float("inf")  # as in a replay
-    recorder = Recorder(mapper, log.time, None if log.true_pose is None else log.true_pose[:, None])
+    recorder = Recorder(mapper, len(log))
     for row, observation in enumerate(log.observations()):
         mapper.step(observation)
         seen = log.ranges[row][None] if log.has_scan[row] else np.full((1, log.ranges.shape[1]), np.nan)
-        recorder.note(_new(log.robot, seen, row))
+        true = None if log.true_pose is None else log.true_pose[row][None]
+        recorder.note(log.time[row], _new(log.robot, seen, row), true=true)
         progress(row + 1)
     mapper.finish()
     recorder.finish()

@@ -28,7 +28,7 @@ class Player {
     this.colours = readColours();
     this.scene = new Scene(recording, {truth: byId('truth'), belief: byId('belief')}, this.colours);
     const seek = (seconds) => this.seek(seconds);
-    this.list = new EventList(recording, this.colours, seek);
+    this.list = new EventList(recording, seek);
     this.plots = new Plots(recording, this.colours, seek);
     this.prepare();
     this.connect();
@@ -36,9 +36,31 @@ class Player {
     this.show(true);
   }
 
+  // Go on with a longer recording of the same run. Whoever looks at the newest moment stays there.
+  replace(recording) {
+    const isNewest = this.frame >= this.recording.frames - 1 && !this.isPlaying, {time} = this;
+    const isWhole = this.scene.zoom === 1 && !this.scene.follows;
+    this.recording = this.scene.recording = this.plots.recording = recording;
+    this.scene.bounds = boundsOf(recording);
+    if (isWhole) this.scene.fit();
+    this.shape();
+    this.list.replace(recording);
+    this.frame = isNewest ? recording.frames - 1 : recording.frameAt(time);
+    this.time = recording.seconds[this.frame];
+    this.plots.of(this.plots.robot);
+    this.show(true);
+  }
+
+  // What depends on the length and the extent of the recording.
+  shape() {
+    const {recording} = this, [x0, y0, x1, y1] = this.scene.bounds;
+    byId('slider').max = recording.frames - 1;
+    byId('views').style.setProperty('--aspect', Math.min(Math.max((x1 - x0) / (y1 - y0), 0.75), 1.9));
+  }
+
   prepare() {
     const {recording} = this;
-    byId('slider').max = recording.frames - 1;
+    this.shape();
     byId('check').textContent = recording.meta.check;
     if (!recording.hasTruth && !recording.edges) {
       byId('truth-figure').remove();
@@ -50,8 +72,6 @@ class Player {
     const robots = Array.from({length: recording.robots}, (_, robot) => element('option', String(robot + 1), {value: robot}));
     byId('robot').replaceChildren(...robots);
     byId('whose').hidden = recording.robots === 1;
-    const [x0, y0, x1, y1] = this.scene.bounds;
-    byId('views').style.setProperty('--aspect', Math.min(Math.max((x1 - x0) / (y1 - y0), 0.75), 1.9));
     byId('stages').replaceChildren(...STAGES.map((name) => element('li', name)));
     const layers = Object.entries(LAYERS).filter(([name]) => this.hasLayer(name)).map(([name, [words, shown]]) => {
       const box = element('input', '', {type: 'checkbox', 'data-layer': name});
@@ -116,7 +136,7 @@ class Player {
     const {tagName, type} = press.target, isSlider = tagName === 'INPUT' && type === 'range';
     if (tagName === 'SELECT' || (press.key === ' ' && !isSlider && ['BUTTON', 'INPUT', 'SUMMARY', 'A'].includes(tagName))) return;
     if (press.target === byId('events') && press.key.startsWith('Arrow')) return;
-    const second = Math.max(1, Math.round(1 / Math.max(this.recording.seconds[1] - this.recording.seconds[0], 1e-3)));
+    const {frames, duration} = this.recording, second = Math.max(1, Math.round((frames - 1) / Math.max(duration, 1e-3)));
     const step = press.shiftKey ? second : 1;
     const actions = {
       ' ': () => this.toggle(), ArrowLeft: () => this.stopAt(this.frame - step), ArrowRight: () => this.stopAt(this.frame + step),
@@ -314,13 +334,51 @@ async function start() {
   try { theme = localStorage.getItem('limslam-theme'); } catch { /* a file may not read anything */ }
   if (theme) document.documentElement.dataset.theme = theme;
   if (!('DecompressionStream' in window)) throw new Error('This browser is too old: it cannot decompress the recording.');
-  const recording = await unpack(byId('data').textContent);
+  const text = byId('data').textContent.trim(), isLive = !text;
+  const recording = await unpack(text || await firstState());
   byId('loading').remove();
   document.body.dataset.state = 'shown';
   window.player = new Player(recording);
   window.player.recolour();
   document.body.dataset.state = 'ready';
   document.body.dataset.loaded = String(Math.round(performance.now()));
+  if (isLive) watch(window.player);
+}
+
+const newestState = async () => (await fetch('/recording')).text();
+
+// The first state of a run that goes on now, which may not have begun.
+async function firstState() {
+  for (;;) {
+    const text = await newestState();
+    if (text) return text;
+    byId('loading').textContent = 'Waiting for the first step of the run ...';
+    await new Promise((done) => { setTimeout(done, 300); });
+  }
+}
+
+// Follow a run that goes on now: each new state has everything until then.
+function watch(player) {
+  const changes = new EventSource('/changes');
+  const say = (words) => { byId('check').textContent = words; };
+  let running = null, isWanted = false;
+  const catchUp = async () => {
+    try {
+      while (isWanted) { isWanted = false; player.replace(await unpack(await newestState())); }
+    } finally { running = null; }
+  };
+  // Changes that come while a state is being read are read together, after it.
+  const update = () => { isWanted = true; running = running || catchUp(); return running; };
+  say('The run goes on now. Stay at the end to follow it.');
+  player.stopAt(player.recording.frames - 1);
+  changes.addEventListener('recording', update);
+  changes.addEventListener('end', async () => {
+    changes.close();
+    await update();
+    say('The run is over.');
+    document.body.dataset.state = 'over';
+  });
+  changes.addEventListener('error', () => { changes.close(); say('The run is over, or the connection is lost.'); document.body.dataset.state = 'over'; });
 }
 
 start().catch((error) => {

@@ -307,14 +307,16 @@ function showReadings(recording, frame) {
 }
 
 class EventList {
-  constructor(recording, colours, seek) {
-    this.recording = recording;
+  constructor(recording, seek) {
     this.seek = seek;
     this.shown = new Set(Object.keys(KINDS).filter((kind) => KINDS[kind].shown));
-    this.present = Object.keys(KINDS).filter((kind) => recording.events.some((event) => event.kind === kind));
-    const most = 400;  // if few events are interesting, all kinds are shown
-    if (recording.events.length < most) this.present.forEach((kind) => this.shown.add(kind));
-    byId('filters').replaceChildren(...this.present.map((kind) => this.filter(kind, colours)));
+    this.replace(recording);
+  }
+
+  replace(recording) {
+    this.recording = recording;
+    const present = Object.keys(KINDS).filter((kind) => recording.events.some((event) => event.kind === kind));
+    byId('filters').replaceChildren(...present.map((kind) => this.filter(kind)));
     this.fill();
   }
 
