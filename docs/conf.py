@@ -1,6 +1,9 @@
 """Settings of the documentation site: ``sphinx-build -W docs docs/_build``."""
 
 import re
+import subprocess
+import sys
+import tempfile
 from importlib.metadata import version as version_of
 from pathlib import Path
 
@@ -59,6 +62,7 @@ PAGES_ELSEWHERE = {
 }
 FOLDER = Path(__file__).parent
 OUTSIDE = "outside-of-the-site"
+EXAMPLE = "inspector-example.html"
 
 
 def rewrite_links(text: str, folder: Path) -> str:
@@ -104,8 +108,21 @@ def tables_of_docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _opt
     lines[:] = changed
 
 
+def make_example(app: Sphinx, error: Exception | None) -> None:
+    """Write the page of a short run that the pages for students link to, once for each folder of the site."""
+    target = Path(app.outdir) / EXAMPLE
+    if error is not None or app.builder.name != "html" or target.exists():
+        return
+    drive = ("--world", "env1", "--noise", "0.02", "--seed", "100", "--until", "seen", "--max-time", "120")
+    with tempfile.TemporaryDirectory() as place:
+        run = Path(place) / "run"
+        for arguments in (("run", *drive, "--out", run), ("inspect", run, "--out", target)):
+            command = [sys.executable, "-m", "limslam_agent.cli.main", *arguments]
+            subprocess.run(command, check=True, capture_output=True)  # noqa: S603 (the project's own command)
+
+
 def setup(app: Sphinx) -> None:
-    """Connect what changes links."""
+    """Connect what changes links, and what makes the example of the inspector."""
 
     def on_source(app: Sphinx, name: str, content: list[str]) -> None:
         content[0] = rewrite_links(content[0], Path(app.env.doc2path(name)).parent)
@@ -115,5 +132,6 @@ def setup(app: Sphinx) -> None:
 
     app.connect("source-read", on_source)
     app.connect("include-read", on_include)
+    app.connect("build-finished", make_example)
     app.connect("autodoc-process-docstring", tables_of_docstring)
     app.add_lexer("csv", TextLexer)

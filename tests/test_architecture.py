@@ -110,6 +110,10 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
+    "limslam_agent.inspect": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "grid", "joining", "mapper", "output", "policies", "slam", "slam.core", "status", "video"),
+    },
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {

@@ -1,6 +1,6 @@
 """``limslam live``: a live robot explores, and its folder."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -32,6 +32,7 @@ def live(
     preset: take.RunPreset = None,
     policy: take.LivePolicy = None,
     until: take.Until = None,
+    watch: take.Watch = None,
     out: take.Out = None,
     force: take.Force = None,
     config: take.Config = None,
@@ -208,7 +209,7 @@ def _driven(session: "Session", options: LiveOptions) -> str:
 @contextmanager
 def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_due: Any) -> "Iterator[Any]":
     """The progress bar of a session, whose function is called after each decision."""
-    with progress_bar("driving", options.max_time) as advance:
+    with progress_bar("driving", options.max_time) as advance, _watched(options, agent) as follow:
 
         def watch(session: "Session") -> None:
             wired.watch(session)
@@ -217,8 +218,24 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_
             seconds = 0.0 if newest is None else newest.time
             walls = f"{len(agent.slam.segments)} walls"
             advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost")
+            follow(seconds)
 
         yield watch
+
+
+@contextmanager
+def _watched(options: LiveOptions, agent: "LimSlamAgent") -> "Iterator[Callable[[float], None]]":
+    """What is called after each decision with the time, s, so that a browser can show the session."""
+    if not options.watch:
+        yield lambda _: None
+        return
+    from limslam_agent.inspect.live_page import Follower, live_page
+
+    with live_page(f"live, {_place(options)}") as page:
+        typer.echo(f"watch       {page.address}", err=True)
+        follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
+        yield lambda seconds: follower.note(agent.mapper, [agent.policy], seconds)
+        follower.end()
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import typer
 
 from limslam_agent.cli.compare import compare
 from limslam_agent.cli.export import export
+from limslam_agent.cli.inspect import inspect
 from limslam_agent.cli.live import live
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
@@ -30,6 +31,7 @@ app.command()(run)
 app.command()(replay)
 app.command()(live)
 app.command()(show)
+app.command()(inspect)
 app.command()(compare)
 app.command()(score)
 app.command()(export)

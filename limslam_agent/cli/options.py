@@ -156,6 +156,15 @@ FilmSpeed = Annotated[
         "--film-speed",
     ),
 ]
+Watch = Annotated[
+    bool | None,
+    _option(
+        _RESULTS,
+        "Show what the robot believes in a browser while it drives, as limslam inspect does afterwards.",
+        None,
+        "--watch",
+    ),
+]
 Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
 
 # Of limslam replay.

@@ -60,7 +60,7 @@ def replay(
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class Job:
     """A log with all that is known about it.
 
     Attributes
@@ -102,7 +102,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
-    job = _job(options.log, options, agent, robot)
+    job = job_of(options.log, options, agent, robot)
     target = options.out or Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}"
     count = len(job.log)
     _warn(log_warnings(job.log))
@@ -129,7 +129,14 @@ def _warn(warnings: list[str]) -> None:
         typer.echo(f"limslam: warning: {warning}", err=True)
 
 
-def _job(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> _Job:
+def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
+    """Read a log, with all that its options say about it.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read, or the options do not fit it.
+    """
     from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
@@ -159,7 +166,7 @@ def _job(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
     if calibration:
         agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
         known = known and calibration.held_out(known)
-    return _Job(recorded, agent, known, calibration, _source(log, options, calibration_run))
+    return Job(recorded, agent, known, calibration, _source(log, options, calibration_run))
 
 
 def _source(log: Path, options: ReplayOptions, calibration_run: "CalibrationRun") -> dict[str, str | None]:
@@ -167,7 +174,7 @@ def _source(log: Path, options: ReplayOptions, calibration_run: "CalibrationRun"
     return {"log": log.name, "relations": relations, **calibration_run.source}
 
 
-def _scores(job: _Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+def _scores(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
     from limslam_agent.replay.replay import relation_scores
     from limslam_agent.runs.results import trajectory_scores
 

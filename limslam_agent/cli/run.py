@@ -1,6 +1,8 @@
 """``limslam run``: a simulated run, and its folder."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ from limslam_agent.cli.progress import Advance, progress_bar
 from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
 
 if TYPE_CHECKING:
-    from limslam_agent.runs.episode import Episode, RunConfig
+    from limslam_agent.runs.episode import Episode, RunConfig, Watcher
     from limslam_agent.team import LimSlamTeam
     from limslam_env.envs.parallel_env import LimSlamParallelEnv
 
@@ -42,6 +44,7 @@ def run(
     limit: take.Limit = None,
     video: take.Video = None,
     film_speed: take.FilmSpeed = None,
+    watch: take.Watch = None,
     out: take.Out = None,
     force: take.Force = None,
     config: take.Config = None,
@@ -102,20 +105,41 @@ def _folder_name(config: "RunConfig") -> str:
 def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
     from limslam_agent.runs.episode import run_episode
 
-    def show(team: "LimSlamTeam", _env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
-        # An exploration is over when all is seen, and laps have no such end.
-        advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
+    with _watched(config, options) as follow:
 
-    if options.video is None:
-        return run_episode(config, show)
-    from limslam_agent.runs.recording import filming
+        def show(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
+            # An exploration is over when all is seen, and laps have no such end.
+            advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
+            follow(team, env, time, coverage)
+
+        if options.video is None:
+            return run_episode(config, show)
+        from limslam_agent.runs.recording import filming
+        from limslam_agent.runs.results import title_of
+
+        title, speed = title_of(config), options.film_speed
+        with filming(options.video, config, title, force=options.force, speed=speed) as recorder:
+
+            def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
+                recorder.watch(team, env, time, coverage)
+                show(team, env, time, coverage)
+
+            return run_episode(config, watch, on_association=recorder.on_association, render_mode="rgb_array")
+
+
+@contextmanager
+def _watched(config: "RunConfig", options: RunOptions) -> "Iterator[Watcher]":
+    """What is called after each step, so that a browser can show the run while it goes on."""
+    if not options.watch:
+        yield lambda *_: None
+        return
+    from limslam_agent.inspect.live_page import Follower, live_page
     from limslam_agent.runs.results import title_of
+    from limslam_env.worlds.formats.loading import load_world
 
-    title, speed = title_of(config), options.film_speed
-    with filming(options.video, config, title, force=options.force, speed=speed) as recorder:
-
-        def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
-            recorder.watch(team, env, time, coverage)
-            show(team, env, time, coverage)
-
-        return run_episode(config, watch, on_association=recorder.on_association, render_mode="rgb_array")
+    steps = round(config.max_time / config.robot.control_period) + 1
+    with live_page(title_of(config), load_world(config.world).edges) as page:
+        typer.echo(f"watch       {page.address}", err=True)
+        follower = Follower(page, steps)
+        yield lambda team, env, time, _: follower.note(team.mapper, team.policies, time, env.true_poses)
+        follower.end()

@@ -26,7 +26,7 @@ _MAX_WHEEL_STD = 1.0  # m, after 1 m
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
 # These say where results go, not how they are made.
-_OUTPUT = {"out", "force", "video", "film_speed"}
+_OUTPUT = {"out", "force", "video", "film_speed", "watch"}
 
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
@@ -54,6 +54,7 @@ class RunOptions(Bounded):
     limit: bool = False
     video: Path | None = None
     film_speed: Annotated[float, Bounds(1.0, 100.0)] = 5.0
+    watch: bool = False
     out: Path | None = None
     force: bool = False
 
@@ -104,6 +105,7 @@ class LiveOptions(Bounded):
     until: str = "walls"
     max_time: _Time = 1800.0
     patience: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
+    watch: bool = False
     out: Path | None = None
     force: bool = False
 

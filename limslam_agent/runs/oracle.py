@@ -153,6 +153,11 @@ def needs_loop(policy: str, laps: int) -> bool:
     return laps > 0 and policy == "frontier"
 
 
+def is_privileged(policy: str) -> bool:
+    """Whether a policy knows the true pose or the true map."""
+    return policy in _PRIVILEGED
+
+
 def explores(policy: str, laps: int) -> bool:
     """Whether the end of such a run is the end of an exploration."""
     return not laps and policy != "tour"

@@ -9,7 +9,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
@@ -96,13 +96,13 @@ class LineSlam:
     def copied(self) -> "LineSlam":
         """A copy that nothing listens to. Later steps of one of the two do not change the other."""
         estimator = self._estimator
-        kept = estimator.on_association, estimator.recent_associations
-        estimator.on_association = estimator.recent_associations = None
+        kept = estimator.on_association, estimator.recent_associations, estimator.on_comparison
+        estimator.on_association = estimator.recent_associations = estimator.on_comparison = None
         try:
             # The robot and the settings never change, so that copies can share them.
             return copy.deepcopy(self, {id(shared): shared for shared in (self.robot, self.config)})
         finally:
-            estimator.on_association, estimator.recent_associations = kept
+            estimator.on_association, estimator.recent_associations, estimator.on_comparison = kept
 
     @property
     def pose(self) -> FloatArray:
@@ -157,6 +157,15 @@ class LineSlam:
     @on_association.setter
     def on_association(self, listener: Callable[[AssociationRecord], None] | None) -> None:
         self._estimator.on_association = listener
+
+    @property
+    def on_comparison(self) -> Callable[[Comparison], None] | None:
+        """Called with each observed line and the landmarks that it was compared with, if set."""
+        return self._estimator.on_comparison
+
+    @on_comparison.setter
+    def on_comparison(self, listener: Callable[[Comparison], None] | None) -> None:
+        self._estimator.on_comparison = listener
 
     @property
     def associated(self) -> int:

@@ -244,6 +244,11 @@ class SimulationEnv:
         """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
         return self._episode.running.seen
 
+    @property
+    def true_poses(self) -> FloatArray:
+        """True pose of each robot (n, 3), m and rad; a copy, for scoring and pictures only."""
+        return self._episode.running.poses
+
     def carry(self, robot: int, pose: FloatArray) -> None:
         """Carry a robot to another pose (3,) without a turn of its wheels, as a test of what an agent does then.
 

@@ -94,6 +94,11 @@ class Simulation:
         return self._seen.copy()
 
     @property
+    def poses(self) -> FloatArray:
+        """Pose of each robot (n, 3), m and rad; a copy."""
+        return self._physics.poses
+
+    @property
     def coverage_grid(self) -> CoverageGrid:
         """The cells that count for coverage, and where they lie."""
         return self._grid

@@ -93,10 +93,17 @@ def read_exported(folder: Path) -> ExportedRun:
         If the folder is not that of a run, or a file in it cannot be used.
     """
     run = read_run(folder)
-    return ExportedRun(run, _readings(run), _grid(folder / "map.yaml"))
+    return ExportedRun(run, read_readings(run), _grid(folder / "map.yaml"))
 
 
-def _readings(run: FinishedRun) -> Readings | None:
+def read_readings(run: FinishedRun) -> Readings | None:
+    """The readings in a run's folder, or None where there are none.
+
+    Raises
+    ------
+    FolderError
+        If they cannot be read, or do not fit the run.
+    """
     path = run.folder / LOG
     if not path.is_file():
         return None

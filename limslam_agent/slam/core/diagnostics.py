@@ -1,5 +1,6 @@
 """Diagnostics: what an estimator reports about its stages, for pictures and for scores."""
 
+import math
 from dataclasses import dataclass
 
 from limslam_env.geometry import FloatArray, IntArray
@@ -26,6 +27,55 @@ class AssociationRecord:
     is_new: bool
     readings: IntArray
     robot: int = 0
+
+
+@dataclass(frozen=True)
+class CandidateTest:
+    """A landmark that an observed line was compared with.
+
+    Attributes
+    ----------
+    landmark
+        Number of the landmark.
+    excluded
+        The test that threw the landmark out: ``"direction"``, ``"offset"``, ``"ends"``, ``"range"``, ``"hidden"`` (the
+        beams cannot see it), ``"beams"`` (too few beams meet it at a sufficient angle) or ``"gate"``. Empty if none
+        did.
+    angle, offset, gap
+        Difference of direction, rad, offset across the landmark, m, and gap along it, m. A negative gap is an overlap.
+    distance
+        Squared Mahalanobis distance. NaN if the landmark was thrown out before.
+    """
+
+    landmark: int
+    excluded: str
+    angle: float
+    offset: float
+    gap: float
+    distance: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """An observed line, before it is used, and all landmarks that it was compared with.
+
+    Attributes
+    ----------
+    robot, step
+        The robot, and the step at which the line is used.
+    ends
+        End points (2, 2), m, in the world.
+    readings
+        Step and beam of each of the line's points (n, 2).
+    tests
+        The landmarks.
+    """
+
+    robot: int
+    step: int
+    ends: FloatArray
+    readings: IntArray
+    tests: tuple[CandidateTest, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
@@ -37,6 +37,9 @@ class Estimator:
         Called with the association of each observed line.
     recent_associations
         If set, the associations are appended to this list. Whoever sets it also empties it.
+    on_comparison
+        Called with each observed line and the landmarks that it was compared with, before the line is used. The
+        comparisons are only collected if this is set.
     """
 
     def __init__(self, robot: RobotSpec, belief: LineEKF) -> None:
@@ -46,6 +49,7 @@ class Estimator:
         self.associated = 0
         self.on_association: Callable[[AssociationRecord], None] | None = None
         self.recent_associations: list[AssociationRecord] | None = None
+        self.on_comparison: Callable[[Comparison], None] | None = None
 
     @property
     def poses(self) -> FloatArray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.published import AssociationConfig
+from limslam_agent.slam.core.diagnostics import CandidateTest
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.line import direction, from_frame, normal
 from limslam_env.geometry.se2 import transform_points, wrap_angle
@@ -79,15 +80,8 @@ def associate(
     """
     if len(lines) == 0:
         return []
-    ends = transform_points(pose, observed.ends)
-    # Beams must meet the landmark even where the test of the ends is disabled.
-    seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
-    possible = (
-        near_ends(ends, lines, segments, config.max_end_gap)
-        & in_range(pose, segments, max_range + config.range_slack)
-        & alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance)
-        & visible(observed, pose, segments, max_range + config.range_slack, seen_past_ends)
-    )
+    tests = exclusions(observed, pose, lines, segments, max_range, config)
+    possible = np.logical_and.reduce(list(tests.values()))
     matches = []
     for landmark in np.nonzero(possible)[0].tolist():
         difference, covariance = innovation(observed.line, observed.covariance, landmark)
@@ -97,19 +91,73 @@ def associate(
     return sorted(matches, key=lambda match: match.distance)
 
 
+def exclusions(
+    observed: ObservedLine,
+    pose: FloatArray,
+    lines: FloatArray,
+    segments: FloatArray,
+    max_range: float,
+    config: AssociationConfig,
+) -> dict[str, BoolArray]:
+    """Which landmarks (N,) pass each of the four exclusions, as in :func:`associate`."""
+    ends = transform_points(pose, observed.ends)
+    # Beams must meet the landmark even where the test of the ends is disabled.
+    seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
+    return {
+        "ends": near_ends(ends, lines, segments, config.max_end_gap),
+        "range": in_range(pose, segments, max_range + config.range_slack),
+        "direction": alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance),
+        "hidden": visible(observed, pose, segments, max_range + config.range_slack, seen_past_ends),
+    }
+
+
+def explained(
+    observed: ObservedLine,
+    pose: FloatArray,
+    lines: FloatArray,
+    segments: FloatArray,
+    passed: dict[str, BoolArray],
+    innovation: Innovation,
+    gate: float,
+) -> tuple[CandidateTest, ...]:
+    """All landmarks with the exclusion that threw each of them out, as diagnostics; arguments as in :func:`associate`.
+
+    ``passed`` is the result of :func:`exclusions`.
+    """
+    ends, line = transform_points(pose, observed.ends), from_frame(observed.line, pose)
+    angles = np.abs(wrap_angle(lines[:, 1] - line[1]))
+    offsets = np.abs(normal(lines) @ ends.mean(axis=0) - lines[:, 0])
+    gaps = end_gaps(ends, lines, segments)
+    tests = []
+    for index in range(len(lines)):
+        excluded = next((name for name, passes in passed.items() if not passes[index]), "")
+        squared = np.nan
+        if not excluded:
+            difference, covariance = innovation(observed.line, observed.covariance, index)
+            squared = float(difference @ np.linalg.solve(covariance, difference))
+            excluded = "gate" if squared > gate else ""
+        angle = min(float(angles[index]), float(np.pi - angles[index]))
+        tests.append(CandidateTest(index, excluded, angle, float(offsets[index]), float(gaps[index]), squared))
+    return tuple(tests)
+
+
 def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap: float) -> BoolArray:
     """Exclusion 1: landmarks (N,) whose end points lie near the observation's ends (2, 2), along the wall.
 
     So two walls on one line with a door between them remain two landmarks.
     """
+    return np.asarray(end_gaps(ends, lines, segments) <= max_gap)
+
+
+def end_gaps(ends: FloatArray, lines: FloatArray, segments: FloatArray) -> FloatArray:
+    """Gaps (N,), m, along landmarks between their ends and those of an observation (2, 2); negative for an overlap."""
     directions = direction(lines)
     observed = np.sort(directions @ ends.T, axis=1)
     known = np.sort(
         np.column_stack((np.sum(segments[:, :2] * directions, axis=1), np.sum(segments[:, 2:] * directions, axis=1))),
         axis=1,
     )
-    gap = np.maximum(observed[:, 0] - known[:, 1], known[:, 0] - observed[:, 1])
-    return np.asarray(gap <= max_gap)
+    return np.asarray(np.maximum(observed[:, 0] - known[:, 1], known[:, 0] - observed[:, 1]))
 
 
 def visible(

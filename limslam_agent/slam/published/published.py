@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.published import PublishedConfig
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
 from limslam_agent.slam.core.line_map import Landmark, LineMap
 from limslam_agent.slam.core.motion import Motion
-from limslam_agent.slam.published.association import ObservedLine, associate
+from limslam_agent.slam.published.association import ObservedLine, associate, exclusions, explained
 from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import FloatArray, IntArray
@@ -115,8 +115,11 @@ class PublishedEstimator(Estimator):
         """Associate an observed line with a known landmark or a new one, or close a loop with it."""
         fit, pose = line.fit, self._belief.poses[robot]
         covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
+        observed = ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points)
+        if self.on_comparison is not None:
+            self.on_comparison(self._comparison(robot, step, observed, scan))
         matches = associate(
-            ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points), pose, self._belief.lines,
+            observed, pose, self._belief.lines,
             self._all_segments, lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
             self.robot.reach, self._config.association,
         )  # fmt: skip
@@ -136,6 +139,17 @@ class PublishedEstimator(Estimator):
         self._drawn = None
         if self.on_association is not None:
             self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
+
+    def _comparison(self, robot: int, step: int, observed: ObservedLine, scan: Scan) -> Comparison:
+        """An observed line and all landmarks, with the exclusion that threw each of them out, as diagnostics."""
+        pose, lines, segments = self._belief.poses[robot], self._belief.lines, self._all_segments
+        association = self._config.association
+        tests = explained(
+            observed, pose, lines, segments,
+            exclusions(observed, pose, lines, segments, self.robot.reach, association),
+            lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot), association.gate,
+        )  # fmt: skip
+        return Comparison(robot, step, transform_points(pose, observed.ends), scan.readings, tests)
 
     def _closes_loop(self, landmarks: list[int], step: int) -> bool:
         """Whether the two landmarks nearest to an observation are one wall; then the younger is updated by the older.

@@ -1,0 +1,55 @@
+"""The frontiers of a moment, and what it costs each robot to drive there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.planner import routes
+from limslam_agent.policies.targets import coast_of, open_frontier
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+
+MOST_GROUPS = 24
+"""Only so many frontiers are kept, the largest ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frontier:
+    """A connected group of free cells beside unknown ones.
+
+    Attributes
+    ----------
+    cells
+        Centres of its cells (n, 2), m.
+    costs
+        Cost of the cheapest path of each robot, m, increased near walls. None where there is no path.
+    """
+
+    cells: FloatArray
+    costs: list[float | None]
+
+
+def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, config: PolicyConfig) -> list[Frontier]:
+    """All frontiers of a grid, the largest first, with the costs for robots at poses (3,).
+
+    Frontiers that the policy ignores, because it could not see anything new there, are among them.
+    """
+    cells = open_frontier(grid, config.min_last_frontier, np.zeros(grid.values.shape, dtype=bool), robot)
+    labels, count = ndimage.label(cells, structure=np.ones((3, 3), dtype=int))
+    if not count:
+        return []
+    radius, coast = robot.radius + config.margin, coast_of(grid, robot, config)
+    costs = [routes(grid, pose[:2], radius, config.clearance, coast=coast).cost for pose in poses]
+    groups = sorted((np.argwhere(labels == label) for label in range(1, count + 1)), key=len, reverse=True)
+    return [
+        Frontier(grid.centres(group), [_finite(float(each[tuple(group.T)].min())) for each in costs])
+        for group in groups[:MOST_GROUPS]
+    ]
+
+
+def _finite(cost: float) -> float | None:
+    return round(cost, 2) if np.isfinite(cost) else None

@@ -1,0 +1,101 @@
+"""The page: one HTML file that holds the recording, the program that plays it, and all that the program needs."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from limslam_agent.inspect.columns import packed
+from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.video.narration import LESSONS
+
+SCRIPTS = ("data.js", "scene.js", "panels.js", "plots.js", "app.js")
+"""The program, in the order in which its parts are loaded."""
+
+_HERE = "limslam_agent.inspect"
+
+EXPLANATIONS = {
+    "waits": ("Wait: this line is not used yet.", "A wrong association would spoil the map, so doubtful points wait."),
+    "ambiguous": ("Refuse: two walls fit this line.", "Which wall the points belong to is open, so they are dropped."),
+    "status": ("The status has changed.", "Readings that contradict the map, or an uncertain heading, change it."),
+    "place": ("The robot's place is in question.", "A lost robot maps in a local frame until its place is clear."),
+    "restart": (
+        "Start again: the odometry has constant errors.",
+        "The filter estimates wheels and axle, and processes all observations again.",
+    ),
+    "kidnap": ("The robot is carried to another place.", "Nothing tells the agent: it has to notice by itself."),
+}
+"""Headline and explanation of the events that no film explains."""
+
+MERGED = (
+    "Close the loop: two walls of the map are the same wall.",
+    "Both become one wall, which corrects map and pose.",
+)
+"""What a loop is for an estimator that merges walls."""
+
+
+@cache
+def _part(folder: str, name: str) -> str:
+    return files(_HERE).joinpath(folder, name).read_text(encoding="utf-8")
+
+
+def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
+    """The text of the HTML file.
+
+    Parameters
+    ----------
+    title
+        What was run, in one line.
+    arrays, meta
+        The recording, as in ``page/data.js``.
+    """
+    return _assembled(title, packed(arrays, told_to_page(title, meta)))
+
+
+def empty_page(title: str) -> str:
+    """The text of an HTML file that asks the server it comes from for the recording, again and again."""
+    return _assembled(title, "")
+
+
+def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of a recording with the title and the texts for students."""
+    lessons = {kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()} | EXPLANATIONS
+    lessons |= {"loop": MERGED} if meta["merges"] else {}
+    return {**meta, "title": title, "lessons": lessons}
+
+
+def _assembled(title: str, content: str) -> str:
+    script = "\n".join(_part("page", name) for name in SCRIPTS)
+    parts = {
+        "TITLE": _escaped(title),
+        "STYLE": _part("vendor", "uPlot.min.css") + _part("page", "style.css"),
+        "LICENSE": _part("vendor", "LICENSE.uPlot").replace("--", "- -"),
+        "LIBRARY": _part("vendor", "uPlot.iife.min.js"),
+        "SCRIPT": script,
+        "DATA": content,
+    }
+    text = _part("page", "page.html")
+    for name, part in parts.items():
+        text = text.replace(f"@@{name}@@", part)
+    return text
+
+
+def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> int:
+    """Write the HTML file, which appears only when it is complete. Returns its size in bytes.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written there.
+    """
+    content = page(title, arrays, meta).encode()
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)
+    return len(content)
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

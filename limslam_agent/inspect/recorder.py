@@ -1,0 +1,429 @@
+"""Watches a mapper step by step and keeps what the page shows."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.config.presets import ConsistentConfig
+from limslam_agent.inspect.columns import Ragged, quantised, quantum_for
+from limslam_agent.inspect.events import (
+    Event,
+    comparison_event,
+    correct,
+    explain_waiting,
+    extraction_event,
+    limits_of,
+    loop_event,
+    rounded,
+)
+from limslam_agent.inspect.frontiers import frontiers_of
+from limslam_agent.inspect.grid_changes import GridChanges
+from limslam_agent.joining import JoiningMapper
+from limslam_agent.mapper import Mapper
+from limslam_agent.policies.policy import Policy, checked_plan
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison, Extraction
+from limslam_agent.slam.core.hough import bin_size
+from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import LEVELS, Status
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import Side
+
+MOST_FRAMES = 6000
+"""Longer runs are kept at every second step, every third, and so on."""
+
+MOST_BEAMS = 72
+"""Of more beams, only so many are kept, evenly spread."""
+
+SIDES: tuple[Side, ...] = ("left", "right", "none")
+"""Scan buffers in their order; ``none`` is that of the beams ahead and behind."""
+
+_FRONTIERS_EVERY = 20
+"""Frontiers are computed at least once in so many steps, and whenever a robot has a new goal."""
+
+_MOVED_GOAL = 1.0
+"""A goal is an event if it has moved by more than this, m, as in the films."""
+
+_MM = 1e3
+
+
+class Recorder:
+    """Keeps the frames and the events of one run.
+
+    Call :meth:`note` after each step of the mapper. Nothing that the recorder does changes the mapper.
+
+    Parameters
+    ----------
+    mapper
+        The mapper. Of steps that it has made before, nothing is known.
+    steps
+        Number of steps that will come, or at least their largest number.
+    """
+
+    def __init__(self, mapper: Mapper, steps: int) -> None:
+        self._mapper, self._steps = mapper, steps
+        self._time, self._true, self._slam_steps = list[float](), list[FloatArray](), list[int]()
+        self._stride = -(-steps // MOST_FRAMES)
+        beams = len(mapper.robot.beams)
+        self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
+        self._limits = limits_of(mapper.config)
+        self._row, self._frame_rows = 0, list[int]()
+        self._events: list[Event] = []
+        self._columns: dict[str, list[Any]] = {
+            name: [] for name in ("pose", "cov", "odometry", "level", "reason", "ranges", "landmarks", "buffers")
+        } | {name: [] for name in ("map_index", "plan_index", "frontier_index", "goal")}
+        self._reasons: dict[str, int] = {"": 0}
+        self._pending, self._plans, self._cells = Ragged(2), Ragged(2), Ragged(2)
+        self._walls, self._marks, self._grid = Ragged(5), Ragged(11), Ragged(4)
+        self._frontiers: list[list[dict[str, Any]]] = []
+        self._changes = GridChanges()
+        self._associations: list[tuple[int, AssociationRecord]] = []
+        self._open: tuple[Event, Comparison, int] | None = None
+        self._extraction: Extraction | None = None
+        self._closures, self._frame, self._places = 0, mapper.frame, 0
+        self._last_map, self._last_plans = b"", b""
+        self._last_goals, self._goals_noted = np.full((2, len(mapper.poses), 2), np.nan)
+        self._last_levels = [0] * len(mapper.poses)
+        self._frontiers_at = -_FRONTIERS_EVERY
+        self._restarted, mapper.on_restart = mapper.on_restart, self._on_restart
+        self._slam: LineSlam | None = None
+        self._heard: Callable[[AssociationRecord], None] | None = None
+        self._listen()
+
+    def note(
+        self,
+        time: float,
+        ranges: FloatArray,
+        policies: Sequence[Policy] | None = None,
+        true: FloatArray | None = None,
+    ) -> None:
+        """Keep a step that the mapper has made.
+
+        Parameters
+        ----------
+        time
+            Time of the step, s.
+        ranges
+            The readings of the step (n, n_beams), m. NaN where a beam has measured nothing new.
+        policies
+            The policy of each robot, after it has decided; None if nothing decides.
+        true
+            True poses (n, 3), m and rad; None where they are unknown.
+        """
+        self._time.append(float(time))
+        self._slam_steps.append(self._mapper.slam.robots[0].step)
+        self._close()
+        self._look_at(self._mapper.slam)
+        self._note_changes()
+        self._listen()
+        goals = _goals_of(policies, len(self._last_goals))
+        self._note_goals(goals)
+        if self._row % self._stride == 0 or self._row == self._steps - 1:
+            self._keep(ranges, policies, goals)
+            self._true += [] if true is None else [true]
+        self._row += 1
+
+    def finish(self) -> None:
+        """Note what the mapper has done with the pending readings at the end of the run."""
+        self._row = max(self._row - 1, 0)
+        self._close()
+        self._look_at(self._mapper.slam)
+        self._note_changes()
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All columns by their names in ``page/data.js``."""
+        walls, marks = self._walls.values(), self._marks.values()
+        pending, plans, cells = (each.values() for each in (self._pending, self._plans, self._cells))
+        self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
+        rows, columns = np.array(self._frame_rows), self._columns
+        found: dict[str, NDArray[Any]] = {
+            "time": np.array(self._time)[rows],
+            **{name: np.array(columns[name], dtype=np.float32) for name in ("pose", "cov", "odometry")},
+            "level": np.array(columns["level"], dtype=np.uint8),
+            **{name: np.array(columns[name], dtype=np.uint16) for name in ("reason", "ranges", "landmarks", "buffers")},
+            **{f"{name}_index": np.array(columns[f"{name}_index"], dtype=np.uint16) for name in ("map", "plan")},
+            "frontier_index": np.array(columns["frontier_index"], dtype=np.int32),
+            "goal": np.array(columns["goal"], dtype=np.float32),
+            "pending": quantised(pending, self.quantum),
+            "pending_starts": self._pending.starts(),
+            "plans": quantised(plans, self.quantum),
+            "plan_starts": self._plans.starts(),
+            "frontier_cells": quantised(cells, self.quantum),
+            "frontier_starts": self._cells.starts(),
+            "walls": np.column_stack((quantised(walls[:, :4], self.quantum), walls[:, 4])).astype(np.int16),
+            "wall_starts": self._walls.starts(),
+            "marks": marks[:, :7].astype(np.float32),
+            "mark_ends": quantised(marks[:, 7:11], self.quantum),
+            "mark_starts": self._marks.starts(),
+            "grid": self._grid.values().astype(np.int16),
+            "grid_starts": self._grid.starts(),
+            **self._owners(rows),
+        }
+        if self._true:
+            found["true"] = np.array(self._true, dtype=np.float32)
+            found["nees"] = self._nees(np.array(self._true))
+        return found
+
+    def meta(self) -> dict[str, Any]:
+        """All that is no array. Call :meth:`arrays` before."""
+        mapper, robot = self._mapper, self._mapper.robot
+        return {
+            "robots": len(mapper.poses), "radius": robot.radius, "cell": mapper.config.grid.cell,
+            "quantum": self.quantum, "steps": len(self._time), "stride": self._stride,
+            "beams": [
+                {"x": rounded(beam.x), "y": rounded(beam.y), "angle": rounded(beam.angle), "max": beam.max_range,
+                 "side": beam.side}
+                for beam in (robot.beams[index] for index in self._beams.tolist())
+            ],
+            "limits": self._limits, "reasons": list(self._reasons), "frontiers": self._frontiers,
+            "merges": isinstance(mapper.config.estimator, ConsistentConfig),
+            "events": [self._dated(event) for event in self._events],
+        }  # fmt: skip
+
+    def _dated(self, event: Event) -> Event:
+        """An event with its time instead of its step."""
+        row = min(event["row"], len(self._time) - 1)
+        return {"t": rounded(self._time[row], 3), **{name: value for name, value in event.items() if name != "row"}}
+
+    def poses(self) -> FloatArray:
+        """Estimated poses (f, n, 3) of the frames, m and rad."""
+        return np.array(self._columns["pose"])
+
+    @property
+    def frame_rows(self) -> list[int]:
+        """The step of each frame."""
+        return self._frame_rows
+
+    def mark(self, row: int, kind: str, words: str) -> None:
+        """Add an event of a step that the mapper does not know, such as that the robot was carried away."""
+        self._events.append({"row": row, "kind": kind, "words": words})
+        self._events.sort(key=lambda event: int(event["row"]))
+
+    def _listen(self) -> None:
+        """Attach the listeners. A mapper that begins anew has another SLAM."""
+        slam = self._mapper.slam
+        if slam is not self._slam:
+            if slam.on_association is None or slam.on_association is not self._heard:
+                self._heard = slam.on_association = _both(slam.on_association, self._on_association)
+            slam.on_comparison = self._on_comparison
+            self._slam, self._closures, self._extraction = slam, len(slam.closures), slam.last_extraction
+
+    def _on_comparison(self, comparison: Comparison) -> None:
+        slam = self._slam
+        assert slam is not None  # noqa: S101 (it calls this)
+        self._close()
+        self._look_at(slam)
+        event = self._add(comparison_event(comparison, slam))
+        self._open = event, comparison, len(slam.closures)
+
+    def _on_association(self, record: AssociationRecord) -> None:
+        self._associations.append((self._row, record))
+        if self._open is None or self._slam is None or self._open[1].robot != record.robot:
+            return  # observations are processed again
+        event, _, _ = self._open
+        correct(event, record, self._slam)
+        self._open = None
+
+    def _on_restart(self, kept: int) -> None:
+        if self._restarted is not None:
+            self._restarted(kept)
+        del self._associations[kept:]
+        self._close()
+        if not self._mapper.frame:
+            self._add({"kind": "restart", "words": "all observations are processed again, with what is known now"})
+
+    def _close(self) -> None:
+        """Finish the event of a line that was compared but not associated."""
+        if self._open is None or self._slam is None:
+            return
+        (event, _, closures), self._open = self._open, None
+        if len(self._slam.closures) > closures and not self._mapper_merges:
+            event["why"] = "it shows that two walls are one: it closes the loop and is not used further"
+            return
+        explain_waiting(event, self._limits)
+
+    @property
+    def _mapper_merges(self) -> bool:
+        return isinstance(self._mapper.config.estimator, ConsistentConfig)
+
+    def _add(self, event: Event) -> Event:
+        event["row"] = self._row
+        self._events.append(event)
+        return event
+
+    def _look_at(self, slam: LineSlam) -> None:
+        """Note a new extraction, and the loops that were closed."""
+        last, hough = slam.last_extraction, slam.config.estimator.hough
+        if last is not None and last is not self._extraction and slam is self._slam:
+            self._extraction = last
+            if len(last.points):
+                self._add(extraction_event(last, hough.min_votes, bin_size(hough, slam.config.range_std)))
+        if slam is self._slam:
+            for closure in slam.closures[self._closures :]:
+                self._add(loop_event(closure))
+            self._closures = len(slam.closures)
+
+    def _note_changes(self) -> None:
+        """Note a new frame of the map, what happened to a lost robot, and changes of the status."""
+        mapper = self._mapper
+        records = mapper.places.records
+        for record in records[self._places :]:
+            words = f"{record['event']}: {record['reason']}" if record.get("reason") else str(record["event"])
+            self._add({"kind": "place", "words": words})
+        if mapper.frame != self._frame and len(records) == self._places:
+            self._add({"kind": "place", "words": "the map goes on in another frame"})
+        self._places, self._frame = len(records), mapper.frame
+        for number, status in enumerate(mapper.statuses):
+            level = LEVELS.index(status.level)
+            if level != self._last_levels[number]:
+                self._add({"kind": "status", "robot": number, "level": level, "words": status.words})
+                self._last_levels[number] = level
+
+    def _note_goals(self, goals: FloatArray) -> None:
+        for number, goal in enumerate(goals):
+            is_near = np.hypot(*(goal - self._goals_noted[number])) <= _MOVED_GOAL
+            if not (np.isnan(goal).any() or is_near):
+                self._goals_noted[number] = goal
+                self._add({"kind": "goal", "robot": number, "goal": rounded(goal, 2)})
+
+    def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
+        mapper, columns = self._mapper, self._columns
+        self._frame_rows.append(self._row)
+        statuses, covariances = mapper.statuses, mapper.covariances
+        columns["pose"].append(mapper.poses)
+        columns["cov"].append(covariances[:, *np.triu_indices(3)])
+        columns["odometry"].append(mapper.odometry)
+        columns["level"].append([LEVELS.index(status.level) for status in statuses])
+        columns["reason"].append([self._reason_index(status) for status in statuses])
+        columns["ranges"].append(self._millimetres(ranges))
+        columns["landmarks"].append(len(mapper.slam.segments))
+        self._keep_buffers(mapper.slam)
+        self._keep_map(mapper.slam)
+        grid = mapper.grid
+        self._grid.add(self._changes.since_last(grid))
+        self._keep_plans([] if policies is None else [checked_plan(policy) for policy in policies])
+        columns["goal"].append(goals)
+        if policies is not None:
+            self._keep_frontiers(goals)
+        columns["frontier_index"].append(len(self._frontiers) - 1)
+
+    def _reason_index(self, status: Status) -> int:
+        return self._reasons.setdefault(status.reason, len(self._reasons))
+
+    def _millimetres(self, ranges: FloatArray) -> NDArray[np.uint16]:
+        """Readings (n, b) in mm; 0 where there is none, and the largest number where nothing was seen."""
+        robot = self._mapper.robot
+        some, most = ranges[:, self._beams], robot.max_ranges[self._beams]
+        whole = np.clip(np.rint(np.nan_to_num(some) * _MM), 1, 65534)
+        return np.where(np.isnan(some), 0, np.where(some >= most, 65535, whole)).astype(np.uint16)
+
+    def _keep_buffers(self, slam: LineSlam) -> None:
+        """Keep the pending points, and of each buffer: its robot, its side, its points, new ones, and its size."""
+        counts = []
+        robots = len(self._mapper.poses)
+        found = {(each.robot, each.side): each for each in slam.pending_points}
+        points = []
+        for robot in range(robots):
+            for side in SIDES:
+                each = found.get((robot, side))
+                if each is None:
+                    counts.append((0, 0, 0))
+                    continue
+                new = len(each.points) if each.new is None else each.new
+                counts.append((len(each.points), new, each.enough))
+                points.append(each.points.reshape(-1, 2))
+        self._columns["buffers"].append(counts)
+        self._pending.add(np.concatenate([*points, np.zeros((0, 2))]))
+
+    def _keep_map(self, slam: LineSlam) -> None:
+        """Keep walls and landmarks where they have changed since the last frame."""
+        every, walls = slam.all_landmarks, slam.segments
+        owners = np.full(len(walls), -1.0)
+        for mark in slam.landmarks:
+            owners[list(mark.segments)] = mark.number + 1
+        marks = np.array(
+            [
+                (mark.number + 1, mark.r, mark.theta, *mark.covariance[np.triu_indices(2)], mark.observations, *ends)
+                for mark in every
+                for ends in [mark.ends.ravel()]
+            ]
+        ).reshape(-1, 11)
+        content = marks.tobytes() + walls.tobytes()
+        if content != self._last_map or not len(self._marks):
+            self._last_map = content
+            self._walls.add(np.column_stack((walls.reshape(-1, 4), owners)))
+            self._marks.add(marks)
+        self._columns["map_index"].append(len(self._marks) - 1)
+
+    def _keep_plans(self, plans: list[FloatArray]) -> None:
+        """Keep the plan of each robot where one has changed. The plans of a frame follow each other."""
+        content = b"|".join(plan.tobytes() for plan in plans)
+        if content != self._last_plans or not len(self._plans):
+            self._last_plans = content
+            for number in range(len(self._mapper.poses)):
+                self._plans.add(plans[number] if number < len(plans) else np.zeros((0, 2)))
+        self._columns["plan_index"].append(len(self._plans) // len(self._mapper.poses) - 1)
+
+    def _keep_frontiers(self, goals: FloatArray) -> None:
+        has_moved = not np.array_equal(goals, self._last_goals, equal_nan=True)
+        if not has_moved and self._row - self._frontiers_at < _FRONTIERS_EVERY:
+            return
+        self._last_goals, self._frontiers_at = goals, self._row
+        mapper, found = self._mapper, []
+        shown = slice(1) if isinstance(mapper, JoiningMapper) and mapper.is_apart else slice(None)
+        for frontier in frontiers_of(mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy):
+            self._cells.add(frontier.cells)
+            found.append({"cells": len(self._cells) - 1, "costs": frontier.costs})
+        self._frontiers.append(found)
+
+    def _owners(self, rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """The wall (f, n, b) that each reading of a frame was given to, 0 for none, and the step at which it was."""
+        shape = len(self._time), len(self._mapper.poses), len(self._mapper.robot.beams)
+        wall, given = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint32)
+        # A live robot may have made several steps since the last one that was noted.
+        noted = np.full(max(self._slam_steps, default=-1) + 2, -1)
+        noted[self._slam_steps] = np.arange(len(self._slam_steps))
+        for row, record in self._associations:
+            steps, beams = record.readings.T
+            steps = noted[np.minimum(steps, len(noted) - 1)]
+            steps, beams = steps[steps >= 0], beams[steps >= 0]
+            wall[steps, record.robot, beams], given[steps, record.robot, beams] = record.landmark + 1, row
+        return {"owner": wall[rows][..., self._beams], "given": given[rows][..., self._beams]}
+
+    def _nees(self, true: FloatArray) -> NDArray[np.float32]:
+        """NEES / 3 of each frame and robot (f, n), given the true poses. NaN where the covariance is zero."""
+        error = self.poses() - true
+        error[..., 2] = wrap_angle(error[..., 2])
+        covariances = np.zeros((*error.shape, 3))
+        covariances[..., *np.triu_indices(3)] = np.array(self._columns["cov"])
+        covariances[..., *np.triu_indices(3)[::-1]] = np.array(self._columns["cov"])
+        found = np.full(error.shape[:2], np.nan)
+        is_known = np.linalg.det(covariances) > _LEAST_DETERMINANT
+        solved = np.linalg.solve(covariances[is_known], error[is_known][..., None])[..., 0]
+        found[is_known] = np.einsum("ni,ni->n", error[is_known], solved) / 3.0
+        return found.astype(np.float32)
+
+
+def _both(
+    first: Callable[[AssociationRecord], None] | None, second: Callable[[AssociationRecord], None]
+) -> Callable[[AssociationRecord], None]:
+    """A listener that tells two listeners."""
+
+    def heard(record: AssociationRecord) -> None:
+        if first is not None:
+            first(record)
+        second(record)
+
+    return heard
+
+
+def _goals_of(policies: Sequence[Policy] | None, robots: int) -> FloatArray:
+    """The goal (n, 2), m, of each robot; NaN for a robot without a goal."""
+    goals = [getattr(policy, "goal", None) for policy in policies or ()]
+    return np.array([(np.nan, np.nan) if goal is None else goal for goal in goals or [None] * robots], dtype=float)
+
+
+_LEAST_DETERMINANT = 1e-30
+"""A covariance of a pose with a smaller determinant, m^4 rad^2, is that of a known start."""

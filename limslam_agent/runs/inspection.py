@@ -1,0 +1,204 @@
+"""Repeats a finished run from its own log, and records it for the inspector.
+
+The observations of the log go through the same agent again. The agent is deterministic, so it believes at each step
+what it believed in the run, which is checked against the trajectory in the folder.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.inspect.events import rounded
+from limslam_agent.inspect.recorder import Recorder
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.mapper import Mapper
+from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError
+from limslam_agent.output.formats.content import read_readings
+from limslam_agent.places.saved_map import SavedMap, read_saved_map
+from limslam_agent.runs.episode import RunConfig
+from limslam_agent.runs.oracle import is_privileged, policies_for
+from limslam_agent.runs.policy_file import is_file_policy
+from limslam_agent.safe_files import read_limited
+from limslam_agent.team import LimSlamTeam
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.formats.loading import load_world
+
+Progress = Callable[[int], None]
+"""Called after each step with the number of steps that are done."""
+
+SAME = 2e-6
+"""Poses that differ by less than this, m and rad, are equal: the files of trajectories have six digits."""
+
+_LOOPS = "loops.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """A recording of a run.
+
+    Attributes
+    ----------
+    arrays, meta
+        What the page holds.
+    frames
+        Number of frames.
+    difference
+        Largest difference, m and rad, between the poses and those in the run's folder. None if there is no folder.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    meta: dict[str, Any]
+    frames: int
+    difference: float | None
+
+
+def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Inspection:
+    """Record a run in a simulated world from its folder.
+
+    Raises
+    ------
+    FolderError
+        If the folder has no usable log.
+    """
+    readings = read_readings(run)
+    if readings is None or not run.true:
+        missing = LOG if readings is None else "trajectory_true.tum"
+        raise FolderError(f"{run.folder}: there is no {missing}, so the run cannot be inspected")
+    world, true = load_world(config.world), np.array(run.true).swapaxes(0, 1)
+    # A policy that knows the truth cannot decide from the log alone, and the code in a file is not executed again.
+    is_repeated = not (is_privileged(config.policy) or is_file_policy(config.policy))
+    policies = (
+        policies_for(config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps,
+                     seed=config.seed)
+        if is_repeated else None
+    )  # fmt: skip
+    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
+    team = LimSlamTeam(
+        config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
+    )
+    starts = true[0].copy()
+    if config.unknown_starts:
+        starts[1] = 0.0
+    team.reset(starts if prior_map is None else np.zeros_like(starts), config.seed)
+    recorder = Recorder(team.mapper, len(run.time))
+    for row, (ranges, wheels) in enumerate(zip(readings.ranges, readings.wheels, strict=True)):
+        team.observe([{"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)])
+        if is_repeated:
+            team.decide()
+        recorder.note(run.time[row], _new(config.robot, ranges, row), team.policies if is_repeated else None, true[row])
+        progress(row + 1)
+    team.finish()
+    recorder.finish()
+    if config.kidnap_at is not None:
+        row = round(config.kidnap_at / config.robot.control_period)
+        recorder.mark(min(row, len(run.time) - 1), "kidnap", "the robot is carried to another place")
+    return _inspection(recorder, team.mapper, run, world.edges)
+
+
+def inspect_log(
+    log: RecordedLog,
+    config: AgentConfig,
+    progress: Progress,
+    run: FinishedRun | None = None,
+    prior_map: SavedMap | None = None,
+) -> Inspection:
+    """Record the replay of a log.
+
+    Parameters
+    ----------
+    log, config
+        The log, and the settings of the replay.
+    progress
+        Called after each event.
+    run
+        The folder of the replay, with what is known at its end. None for a log that was not replayed.
+    prior_map
+        The map of an earlier run, in which the log begins.
+    """
+    if run is not None and len(run.time) != len(log):
+        raise FolderError(f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log")
+    mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
+    mapper.longest_travel = float("inf")  # as in a replay
+    recorder = Recorder(mapper, len(log))
+    for row, observation in enumerate(log.observations()):
+        mapper.step(observation)
+        seen = log.ranges[row][None] if log.has_scan[row] else np.full((1, log.ranges.shape[1]), np.nan)
+        true = None if log.true_pose is None else log.true_pose[row][None]
+        recorder.note(log.time[row], _new(log.robot, seen, row), true=true)
+        progress(row + 1)
+    mapper.finish()
+    recorder.finish()
+    return _inspection(recorder, mapper, run, None)
+
+
+def _new(robot: RobotSpec, ranges: FloatArray, row: int) -> FloatArray:
+    """The readings (n, b) of a step; NaN where a beam has measured nothing new."""
+    return np.where(robot.measures(row), ranges, np.nan)
+
+
+def _inspection(recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edges: FloatArray | None) -> Inspection:
+    arrays, rows = recorder.arrays(), np.array(recorder.frame_rows)
+    meta = recorder.meta()
+    if edges is not None:
+        arrays["edges"] = edges.astype(np.float32)
+    if run is None:
+        return Inspection(arrays, {**meta, "check": ""}, len(rows), None)
+    if run.smoothed:
+        arrays["smoothed"] = np.array(run.smoothed).swapaxes(0, 1)[rows].astype(np.float32)
+    arrays["final_walls"] = run.segments.astype(np.float32)
+    meta["path_loops"] = _loops(run.folder / _LOOPS, float(run.time[0]))
+    difference = _difference(recorder, mapper, run)
+    return Inspection(arrays, {**meta, "check": _words(difference)}, len(rows), difference)
+
+
+def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun) -> float:
+    """Largest difference between the poses of the recording and those in the folder, m and rad.
+
+    The folder has the poses of a robot that had to find its place in an earlier map, or another robot, in the frame
+    that was found later. They are compared from then on.
+    """
+    rows = np.array(recorder.frame_rows)
+    off = recorder.poses() - np.array(run.estimated).swapaxes(0, 1)[rows]
+    off[..., 2] = (off[..., 2] + np.pi) % (2.0 * np.pi) - np.pi
+    joined = getattr(mapper, "joined", None)
+    since = len(joined.poses) if joined is not None else 0
+    if mapper.prior_frame is not None:
+        since = int(mapper.places.records[0]["step"])
+    is_later = rows >= since
+    return float(np.abs(off[is_later]).max(initial=0.0))
+
+
+def _words(difference: float) -> str:
+    if difference <= SAME:
+        return "The poses equal those in the folder of the run."
+    return f"The poses differ by up to {difference:.2g} (m, rad) from those in the folder: its version was another one."
+
+
+def _loops(path: Path, start: float) -> list[dict[str, Any]]:
+    """The loops that the graph of local maps has found, kept and refused ones, with times from the start, s.
+
+    Raises
+    ------
+    FolderError
+        If the file is damaged.
+    """
+    if not path.is_file():
+        return []
+    try:
+        return [_loop(each, start) for each in json.loads(read_limited(path))]
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FolderError(f"{path}: is damaged: {error}") from error
+
+
+def _loop(told: dict[str, Any], start: float) -> dict[str, Any]:
+    return {
+        "first": rounded(told["first_time"] - start, 3), "second": rounded(told["second_time"] - start, 3),
+        "score": rounded(told["score"]), "source": str(told["source"]), "reason": str(told["reason"]),
+    }  # fmt: skip

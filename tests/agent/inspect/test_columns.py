@@ -1,0 +1,75 @@
+"""The compact form of a recording: what is packed comes out again, and lengths lose less than half a step."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.inspect.columns import Ragged, packed, quantised, quantum_for, unpacked
+from limslam_agent.inspect.grid_changes import FREE, OCCUPIED, UNKNOWN, GridChanges
+
+
+def test_what_is_packed_comes_out_again():
+    arrays = {
+        "odd": np.arange(3, dtype=np.uint8), "times": np.linspace(0.0, 1.0, 5), "empty": np.zeros((0, 2), np.int16),
+        "strided": np.arange(12, dtype=np.float32).reshape(3, 4).T, "big": np.arange(2, dtype=">i4"),
+    }  # fmt: skip
+    found, meta = unpacked(packed(arrays, {"title": "Ü, <b> & </script>", "none": None}))
+    assert meta == {"title": "Ü, <b> & </script>", "none": None}
+    assert list(found) == list(arrays)
+    for name, array in arrays.items():
+        assert np.array_equal(found[name], array), name
+
+
+def test_the_packed_text_is_the_same_each_time():
+    arrays = {"some": np.arange(1000.0)}
+    assert packed(arrays, {"a": 1}) == packed(arrays, {"a": 1})
+
+
+def test_numbers_that_json_does_not_have_are_refused():
+    with pytest.raises(ValueError, match="JSON"):
+        packed({}, {"bad": float("nan")})
+
+
+@given(st.lists(st.floats(-500.0, 500.0), min_size=1, max_size=20))
+def test_quantised_lengths_are_off_by_half_a_step_at_most(lengths):
+    array = np.array(lengths)
+    quantum = quantum_for([array])
+    assert np.abs(quantised(array, quantum) * quantum - array).max() <= 0.5 * quantum * (1.0 + 1e-9)
+    assert quantum == pytest.approx(max(1e-3, np.abs(array).max() / 32000))
+
+
+def test_rows_of_different_length():
+    rows = Ragged(2)
+    for count in (2, 0, 1):
+        rows.add(np.full((count, 2), count))
+    assert rows.starts().tolist() == [0, 2, 2, 3]
+    assert rows.values().tolist() == [[2, 2], [2, 2], [1, 1]]
+    assert Ragged(3).values().shape == (0, 3)
+
+
+def restored(changes, cells):
+    """The kinds of cells after some changes, as the page restores them."""
+    for row, column, length, kind in changes.tolist():
+        for place in range(column, column + length):
+            cells[row, place] = kind
+    return {place: kind for place, kind in cells.items() if kind != UNKNOWN}
+
+
+def kinds_of(view):
+    column, row = np.rint(view.low / view.cell).astype(int).tolist()
+    found = np.where(view.values > 0, FREE, np.where(view.values < 0, OCCUPIED, UNKNOWN))
+    return {(row + r, column + c): int(kind) for (r, c), kind in np.ndenumerate(found) if kind != UNKNOWN}
+
+
+@given(st.integers(0, 10_000))
+def test_the_changes_of_a_growing_and_moving_grid_restore_it(seed):
+    draws, changes, cells = np.random.default_rng(seed), GridChanges(), {}
+    for _ in range(4):
+        low = 0.1 * draws.integers(-5, 5, 2)
+        values = draws.integers(-2, 3, draws.integers(1, 6, 2)).astype(np.int16)
+        view = GridView(low, 0.1, values)
+        cells = restored(changes.since_last(view), cells)
+        assert cells == kinds_of(view)
+    assert not len(changes.since_last(view))

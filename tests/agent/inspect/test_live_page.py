@@ -1,0 +1,128 @@
+"""The page of a run that goes on: what the server answers, and that the page follows the newest moment."""
+
+import http.client
+
+import numpy as np
+import pytest
+from support.browser import CHROMIUM, browser
+from support.command_line import call
+from support.drives import FOUR_BEAMS, laps_of_square
+from support.inspection import SHORT, short_run
+
+from limslam_agent.cli import main as cli
+from limslam_agent.config.presets import preset
+from limslam_agent.inspect import live_page as module
+from limslam_agent.inspect.columns import unpacked
+from limslam_agent.inspect.live_page import Follower, LivePage, live_page
+from limslam_agent.mapper import Mapper
+from limslam_env.interface import NominalNoise
+
+
+@pytest.fixture(autouse=True)
+def no_pauses(monkeypatch):
+    monkeypatch.setattr(module, "LEAST_PAUSE", 0.0)
+    monkeypatch.setattr(module, "SHARE", 1e9)
+
+
+class Drive:
+    """A mapper that is told a recorded drive, and a follower of it."""
+
+    def __init__(self, page, steps=200):
+        self.log = laps_of_square(0.02, laps=0.5)
+        self.mapper = Mapper(FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), self.log.poses[0])
+        self.follower, self.done, self.steps = Follower(page, steps), 0, steps
+
+    def on(self, steps):
+        for row in range(self.done, self.done + steps):
+            self.mapper.step(self.log.observations[row])
+            self.follower.note(self.mapper, [], 0.1 * row, self.log.poses[row][None])
+        self.done += steps
+
+
+def asked(page, path, host=None):
+    place = page.address.removeprefix("http://").rstrip("/")
+    connection = http.client.HTTPConnection(place, timeout=30)
+    connection.request("GET", path, headers={"Host": host or place})
+    answer = connection.getresponse()
+    status, content = answer.status, answer.read()
+    connection.close()
+    return status, content.decode()
+
+
+def test_the_server_answers_its_own_page_alone():
+    with live_page("a <run>") as page:
+        assert page.address.startswith("http://127.0.0.1:")
+        status, text = asked(page, "/")
+        assert status == 200
+        assert "a &lt;run&gt;" in text
+        assert asked(page, "/recording") == (200, "")
+        assert asked(page, "/etc/passwd")[0] == 404
+        assert asked(page, "/", host="evil.example:80")[0] == 403
+
+
+def test_the_recording_grows():
+    edges = np.array([[0.0, 0.0, 1.0, 0.0]])
+    with live_page("run", edges) as page:
+        drive = Drive(page)
+        for frames in (20, 60):
+            drive.on(frames - drive.done)
+            arrays, meta = unpacked(asked(page, "/recording")[1])
+            assert len(arrays["time"]) == frames
+            assert meta["title"] == "run"
+            assert np.allclose(arrays["pose"][-1, 0], drive.mapper.poses[0], atol=1e-5)
+            assert np.array_equal(arrays["edges"], edges)
+        drive.on(140)
+        drive.mapper.finish()
+        drive.follower.end()
+        _, meta = unpacked(asked(page, "/recording")[1])
+        assert all("why" in event for event in meta["events"] if event["kind"] in {"waits", "ambiguous"})
+        status, changes = asked(page, "/changes")
+        assert status == 200
+        assert changes.rstrip().split("\n\n")[-1].startswith("event: end")
+
+
+def test_states_are_offered_only_so_often(monkeypatch):
+    monkeypatch.setattr(module, "LEAST_PAUSE", 3600.0)
+    page = LivePage("run", "")
+    drive = Drive(page)
+    drive.on(30)
+    arrays, _ = unpacked(page.text())
+    assert len(arrays["time"]) == 1
+    drive.follower.end()
+    arrays, _ = unpacked(page.text())
+    assert len(arrays["time"]) == 30
+
+
+def test_a_run_is_not_changed_by_watching_it(tmp_path, run_folder):
+    watched = short_run(tmp_path / "watched", "--watch")
+    for name in ("trajectory_est.tum", "map.json", "run.toml"):
+        assert (watched / name).read_bytes() == (run_folder / name).read_bytes(), name
+
+
+def test_the_address_is_printed(tmp_path):
+    done = call(cli.main, "run", *SHORT, "--max-time", 3, "--robots", 2, "--watch", "--out", tmp_path / "run")
+    assert done.returncode == 0
+    assert "watch       http://127.0.0.1:" in done.stderr
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
+def test_the_page_follows_the_newest_moment(tmp_path):
+    with live_page("run") as page, browser(tmp_path / "profile") as chromium:
+        drive = Drive(page)
+        drive.on(30)
+        chromium.open(page.address)
+        chromium.wait_for("player.recording.frames === 30 && player.frame === 29")
+        drive.on(50)
+        chromium.wait_for("player.recording.frames === 80 && player.frame === 79")
+        chromium.press("Home")
+        drive.on(20)
+        chromium.wait_for("player.recording.frames === 100")
+        assert chromium.run("player.frame") == 0
+        chromium.press("End")
+        drive.on(100)
+        drive.mapper.finish()
+        drive.follower.end()
+        chromium.wait_for("document.body.dataset.state === 'over'")
+        assert chromium.run("[player.recording.frames, player.frame]") == [200, 199]
+        assert "over" in chromium.run("document.getElementById('check').textContent")
+        assert chromium.errors == []
