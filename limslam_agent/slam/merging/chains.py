@@ -25,8 +25,11 @@ from limslam_env.geometry import FloatArray, se2
 APART = 1000.0
 """Distance driven, m, that is taken to lie between two logs."""
 
-_SEAM_STD = np.array([1.0, 1.0, np.radians(4.0)])
-"""Standard deviations of the motion from the last pose of the first log to the first pose of the second log."""
+_SEAM_STD = np.array([30.0, 30.0, np.pi])
+"""Standard deviations of the motion from the last pose of the first log to the first pose of the second log, m and rad.
+
+Only loops hold the second log. A smaller value bends its beginning where the first placement was wrong there.
+"""
 
 
 @dataclass(frozen=True, eq=False)

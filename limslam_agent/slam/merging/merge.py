@@ -56,8 +56,9 @@ def merge(
     ranked = placements(known, local, candidates(known, local, config, graph), config, graph)
     if not ranked:
         return Merging(None, NO_MATCH, {"event": "not joined", "reason": NO_MATCH})
-    best, rest = ranked[0], [each for each in ranked[1:]]
-    runner_up = max((each.value(config) for each in rest), default=0.0) / max(best.value(config), 1e-9)
+    best = ranked[0]
+    other = max((each.value(config) for each in ranked[1:]), default=0.0)
+    runner_up = max(other, 0.0) / best.value(config) if best.value(config) > 0.0 else 1.0
     record = _figures(best, local, runner_up)
     refusal = _refusal(best, local, runner_up, config)
     if refusal:

@@ -162,7 +162,10 @@ class CrossScore:
         """The counts for two logs. Points of overlapping local maps count once for each of them."""
         score = MapScore.of([*known.maps, *local.maps], graph.agreement)
         travel = np.append(np.zeros(len(known.maps)), np.full(len(local.maps), APART))
-        return cls(MapScore(score.grids, score.low, score.cell, score.points, score.starts, travel, graph.agreement), known.poses)
+        return cls(
+            MapScore(score.grids, score.low, score.cell, score.points, score.starts, travel, graph.agreement),
+            known.poses,
+        )
 
     def __call__(self, poses: FloatArray) -> tuple[int, int]:
         """Confirmed and contradicted points for poses (c, 3) of the second log's local maps."""

@@ -8,6 +8,7 @@ shifts are compared at once by the fast Fourier transform (J. Lewis, "Fast norma
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import gaussian_filter1d, maximum_filter
 
@@ -85,12 +86,10 @@ def likely_turns(known: FloatArray, local: FloatArray, config: MergingConfig) ->
     step = 2.0 * np.pi / _BINS
     every = max(1, round(config.turn_step / step))
     near = np.unique((bins[:, None] + np.arange(-1, 2)) % _BINS)
-    return np.asarray(near[:: every] * step)
+    return np.asarray(near[::every] * step)
 
 
-def _all_tops(
-    whole: LocalMap, local: Pieces, turns: FloatArray, config: MergingConfig
-) -> list[tuple[int, FloatArray]]:
+def _all_tops(whole: LocalMap, local: Pieces, turns: FloatArray, config: MergingConfig) -> list[tuple[int, FloatArray]]:
     """Local maps and their best poses (3,) in the frame of a whole map, over all shifts and the given turns."""
     cell, reach = whole.cell, -local.maps[0].low
     pad = int(np.ceil(reach / cell)) + 1
@@ -110,7 +109,13 @@ def _all_tops(
 
 
 def _tops(
-    values: FloatArray, points: FloatArray, low: float, cell: float, size: int, turn: float, config: MergingConfig
+    values: NDArray[np.complex64],
+    points: FloatArray,
+    low: float,
+    cell: float,
+    size: int,
+    turn: float,
+    config: MergingConfig,
 ) -> list[tuple[float, FloatArray]]:
     """The best shifts of turned points (k, 2) with their scores."""
     cells = np.unique(np.floor(points / cell).astype(np.int64), axis=0) % size
