@@ -44,6 +44,9 @@ class MergingConfig(Bounded):
         smoothed map of both logs.
     runner_up
         Largest value of another placement, as a share of the best one.
+    discount, discounted
+        The value of another placement counts only for the share ``discount`` if its share of contradicted points is
+        larger than that of the best placement by more than ``discounted``.
     least_loops
         Least number of loops between the logs in the smoothed map.
     fall
@@ -67,5 +70,7 @@ class MergingConfig(Bounded):
     placed_contradicted: Share = 0.25
     joined_contradicted: Share = 0.2
     runner_up: Share = 0.5
+    discount: Share = 0.5
+    discounted: Share = 0.03
     least_loops: Count = 3
     fall: NonNegative = 0.1

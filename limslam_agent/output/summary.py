@@ -152,8 +152,8 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _status(metrics) + _smoothed_status(metrics) + _errors(metrics)
     trajectories = {
-        "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs", "": "filter, while driving", "odometry_": "odometry, corrected",
-        "raw_odometry_": "odometry, raw",
+        "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs", "": "filter, while driving",
+        "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
     }  # fmt: skip
     texts = {
         prefix: _relation_text(metrics, prefix)

@@ -156,11 +156,11 @@ def joined(both: tuple[Replay, Replay], report: Callable[[str], None]) -> JointR
     """Join two replayed logs if their maps fit together at one place only."""
     if any(each.smoothed is None or each.smoothed.basis is None for each in both):
         return _apart(both, {"event": "not joined", "reason": "one of the logs could not be smoothed"})
-    if any(each.places.unplaced is not None for each in both):
-        return _apart(both, {"event": "not joined", "reason": "the robot of one log was lost at its end"})
     config = both[0].config
     if both[0].log.odometry is not None and config.smoothing is not None:
         return _joined_by_graph(both, config.smoothing, report)
+    if any(each.places.unplaced is not None for each in both):
+        return _apart(both, {"event": "not joined", "reason": "the robot of one log was lost at its end"})
     report("both logs, all poses and walls")
     found = joined_by_lines(both)
     if isinstance(found, NotJoined):

@@ -1,6 +1,6 @@
 """Map merging: the decision whether two logs become one map, and the reason if they do not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -57,8 +57,7 @@ def merge(
     if not ranked:
         return Merging(None, NO_MATCH, {"event": "not joined", "reason": NO_MATCH})
     best = ranked[0]
-    other = max((each.value(config) for each in ranked[1:]), default=0.0)
-    runner_up = max(other, 0.0) / best.value(config) if best.value(config) > 0.0 else 1.0
+    runner_up = _runner_up(best, ranked[1:], config)
     record = _figures(best, local, runner_up)
     refusal = _refusal(best, local, runner_up, config)
     if refusal:
@@ -71,6 +70,14 @@ def merge(
     start = joint.trajectory.poses[len(first.keys)]
     details = {"start": start.tolist(), "match": record, **checked}
     return Merging(joint, "", {"event": "joined", "reason": "the local maps fit at one place only", **details})
+
+
+def _runner_up(best: Placement, others: Sequence[Placement], config: MergingConfig) -> float:
+    """The value of the best other placement, as a share of the best value."""
+    limit = best.contradicted_share + config.discounted
+    values = [each.value(config) * (config.discount if each.contradicted_share > limit else 1.0) for each in others]
+    worth = best.value(config)
+    return max(*values, 0.0, 0.0) / worth if worth > 0.0 else 1.0
 
 
 def _figures(best: Placement, local: Pieces, runner_up: float) -> dict[str, Any]:
