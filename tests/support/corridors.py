@@ -34,15 +34,15 @@ def plain_walls() -> FloatArray:
 
 
 def uneven_walls() -> FloatArray:
-    """The corridor with cupboards along its walls: it fits into itself at no other place."""
+    """A corridor that is wider on one side, with cupboards along its walls: it fits into itself at no other place."""
     cupboards = [
         room(3.0, 0.0, 6.0, 0.5),
         room(11.5, 2.5, 12.0, 3.5),
-        room(2.0, 4.0, 2.4, 6.5),
-        room(4.0, 6.6, 5.0, 7.0),
+        room(1.6, 4.0, 2.0, 6.5),
+        room(4.0, 7.0, 5.0, 7.4),
         room(8.0, 8.5, 8.8, 9.0),
     ]
-    return np.vstack((plain_walls(), *cupboards))
+    return np.vstack((room(0.0, 0.0, 12.0, 9.0), room(2.0, 2.0, 8.5, 7.0), *cupboards))
 
 
 def later_part(log: LogData, first: int) -> LogData:
