@@ -169,8 +169,11 @@ Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE
 
 # Of limslam replay.
 Log = Annotated[
-    Path | None,
-    typer.Argument(help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run.", show_default=False),
+    list[Path] | None,
+    typer.Argument(
+        help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run. Two logs are joined if they fit.",
+        show_default=False,
+    ),
 ]
 Beams = Annotated[str | None, _option(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")]
 MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")]
@@ -245,7 +248,13 @@ CalibrateLog = Annotated[
     Path | None, _option(_ODOMETRY, "Estimate the bias from this log instead of the replayed log.")
 ]
 RelationsFile = Annotated[
-    Path | None, _option(_SCORE, "File of known relative poses to score the trajectory with.", None, "--relations")
+    list[Path] | None,
+    _option(
+        _SCORE,
+        "File of known relative poses to score the trajectory with. Of two logs: once for both, or once for each.",
+        None,
+        "--relations",
+    ),
 ]
 
 # Of limslam live.

@@ -64,6 +64,7 @@ class ReplayOptions(Bounded):
     """The options of ``limslam replay``; they are described there."""
 
     log: Path | None = None
+    other_log: Path | None = None
     beams: str | None = None
     max_range: float | None = None
     metres_per_tick: float = 1.0
@@ -87,6 +88,7 @@ class ReplayOptions(Bounded):
     max_events: Annotated[int, Bounds(1, 10**9)] = DEFAULT_LIMITS.max_events
     max_beams: Annotated[int, Bounds(1, 10**6)] = DEFAULT_LIMITS.max_beams
     relations: Path | None = None
+    other_relations: Path | None = None
     out: Path | None = None
     force: bool = False
 

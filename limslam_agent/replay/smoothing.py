@@ -6,7 +6,7 @@ A log of odometry poses is smoothed by the graph of local maps, a log of wheel t
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -57,6 +57,8 @@ class Smoothed:
         Covariances of the poses (n, 3, 3). None from the graph of local maps, which computes none.
     status
         Whether the smoothed path and map can be trusted. None from the graph of local maps.
+    basis
+        What two logs are joined from: the graph of local maps, or the run of the line smoother.
     """
 
     poses: FloatArray
@@ -65,6 +67,7 @@ class Smoothed:
     seconds: float
     covariances: FloatArray | None = None
     status: Status | None = None
+    basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
 
 
 def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
@@ -77,9 +80,10 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config, report)
     found, landmarks, signals = _trusted(found, config, log, range_std)
     seconds = time.process_time() - begin
-    smoothed = Smoothed(found.poses, {**_figures(found), **signals.figures}, _loops(found, log), seconds)
+    figures = {**_figures(found), **signals.figures}
+    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, basis=found)
     grid = draw_grid(replay, found.poses)
-    return replace(replay, landmarks=landmarks, segments=_ends(landmarks), grid=grid, smoothed=smoothed)
+    return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
 
 
 def _trusted(
@@ -103,11 +107,11 @@ def _signals(
     reach, loops = float(log.robot.max_ranges.max()), sum(verdict.kept for verdict in found.verdicts)
     agreement = agreement_of_visits(keys, trajectory, config, reach) if len(keys) > 1 else (0.0, 0.0)
     time = log.time[keys.first_event] - log.time[0]
-    crossed = time[1:][crossings(trajectory.poses[:, :2], _ends(landmarks))]
+    crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     return landmarks, PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *agreement, loops)
 
 
-def _ends(landmarks: list[Landmark]) -> FloatArray:
+def ends_of(landmarks: list[Landmark]) -> FloatArray:
     """Ends (k, 4) of the walls, m."""
     return np.array([mark.ends.ravel() for mark in landmarks]).reshape(-1, 4)
 
@@ -196,7 +200,7 @@ def smoothed_by_lines(
             replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
     seconds = time.process_time() - begin
-    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status)
+    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, drawn), smoothed=smoothed
     )

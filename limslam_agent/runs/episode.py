@@ -351,7 +351,9 @@ def run_episode(
     team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, note_association, watch)
-    joined = team.mapper.joined if isinstance(team.mapper, JoiningMapper) else None
+    joined, parted = (
+        (team.mapper.joined, team.mapper.parted) if isinstance(team.mapper, JoiningMapper) else (None, None)
+    )
     return Episode(
         config=config,
         world=world,
@@ -366,7 +368,9 @@ def run_episode(
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         joined=joined,
-        **_in_shared_frame(_in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined),
+        **_in_shared_frame(
+            _in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined or parted
+        ),
     )
 
 
