@@ -209,7 +209,7 @@ def _driven(session: "Session", options: LiveOptions) -> str:
 @contextmanager
 def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_due: Any) -> "Iterator[Any]":
     """The progress bar of a session, whose function is called after each decision."""
-    with progress_bar("driving", options.max_time) as advance, _watched(options, agent) as follow:
+    with progress_bar("driving", options.max_time) as advance, _watched(options, agent, wired) as follow:
 
         def watch(session: "Session") -> None:
             wired.watch(session)
@@ -224,14 +224,14 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_
 
 
 @contextmanager
-def _watched(options: LiveOptions, agent: "LimSlamAgent") -> "Iterator[Callable[[float], None]]":
+def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: Wired) -> "Iterator[Callable[[float], None]]":
     """What is called after each decision with the time, s, so that a browser can show the session."""
     if not options.watch:
         yield lambda _: None
         return
     from limslam_agent.inspect.live_page import Follower, live_page
 
-    with live_page(f"live, {_place(options)}") as page:
+    with live_page(f"live, {wired.place}") as page:
         typer.echo(f"watch       {page.address}", err=True)
         follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
         yield lambda seconds: follower.note(agent.mapper, [agent.policy], seconds)
