@@ -22,8 +22,8 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import Extraction, LineSlam
-from limslam_agent.status.contradictions import KnownMap
-from limslam_agent.status.monitor import Sight, StatusMonitor
+from limslam_agent.status.contradictions import KnownMap, Sight
+from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
