@@ -398,7 +398,8 @@ class Mapper:
             jump = math.sqrt(own.added_covariance[0, 0])
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
-            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid)
+            is_dated = own.carried is not None
+            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid, is_dated=is_dated)
             self._go_on_locally(recovery)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)

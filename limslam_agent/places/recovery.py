@@ -16,7 +16,7 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.decision import Decision, agree, find_place, placed_covariance, runner_up
+from limslam_agent.places.decision import CLEAN_MATCHES, Decision, agree, find_place, placed_covariance, runner_up
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap, place_map
@@ -63,8 +63,10 @@ class Absence:
         Why the robot is lost, in words.
     jump
         Standard deviation of the position at the beginning, m.
-    driven, sought
-        Distance since the robot was lost, and at the latest match, m.
+    driven, moved, sought
+        Distance since the robot was lost, m, the same with turns, and the latter at the latest match.
+    is_dated
+        Whether the readings have said in which step the robot was carried away.
     place
         The map of the known frame.
     decisions
@@ -79,7 +81,9 @@ class Absence:
     jump: float
     place: PlaceMap
     driven: float = 0.0
+    moved: float = 0.0
     sought: float = 0.0
+    is_dated: bool = False
     decisions: list[tuple[int, Decision]] = field(default_factory=list)
     placed: float | None = None
     local: PlaceMap | None = None
@@ -176,22 +180,28 @@ class Recovery:
         self.log.steps.append(step)
         absence = self.absence or self._arrival
         if absence is not None:
-            absence.driven += math.hypot(*step.motion[:2].tolist())
+            x, y, turn = step.motion.tolist()
+            absence.driven += math.hypot(x, y)
+            absence.moved += math.hypot(x, y) + self._config.turn_length * abs(turn)
         if self.absence is not None:
             self.log.forget_before(self.log.end - self._config.longest)
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
-    def lose(self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
+    def lose(
+        self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid, *, is_dated: bool = False
+    ) -> None:
         """The robot is lost, and its estimate was doubtful for some steps.
 
-        A robot that had found its place without being sure of it goes back to the frame as it was before.
+        A robot that had found its place without being sure of it goes back to the frame as it was before. If the
+        readings have said in which step the robot was carried away, the map until then is good.
         """
         first = self.log.end - 1 - doubted
         before, self._arrival = self.absence, None
         if before is None:
-            old = [copy for copy in self._copies if copy.step <= first - self._config.margin]
+            margin = 1 if is_dated else self._config.margin
+            old = [copy for copy in self._copies if copy.step <= first - margin]
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
             view = known.grid.view
             self.absence = Absence(known, first, status.reason, jump, place_map(known.slam.segments, view))
@@ -202,22 +212,24 @@ class Recovery:
                 self.breaks.pop()
             self.absence = replace(before, first=first, placed=None, local=None)
         self.absence.first = max(self.absence.first, self.log.begin + 1)
-        self.absence.sought = self.absence.driven + self._config.first - self._config.spacing
+        self.absence.is_dated = is_dated
+        self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies = []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
     def is_due(self) -> bool:
         """Whether the local map is to be matched now, or a place to be confirmed."""
         absence = self.absence or self._arrival
-        return absence is not None and absence.driven - absence.sought >= self._config.spacing
+        spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
+        return absence is not None and absence.moved - absence.sought >= spacing
 
     def seek(self, segments: FloatArray, grid: GridView) -> Placement | None:
         """Match the local map with the known map. The placement if two matches in succession find the same place."""
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
-        absence.sought = absence.driven
+        absence.sought = absence.moved
         local = place_map(segments, grid)
-        decision = find_place(absence.place, local, self._config)
+        decision = find_place(absence.place, local, self._config, CLEAN_MATCHES)
         absence.decisions.append((self.log.end - 1, decision))
         earlier = [found for step, found in absence.decisions[:-1] if step >= absence.first]
         if not earlier or not agree(earlier[-1], decision, local, self._config):
@@ -227,7 +239,7 @@ class Recovery:
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
         assert self.absence is not None  # noqa: S101
-        self.absence.placed = self.absence.sought = self.absence.driven
+        self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
         self.absence.local = placement.local
         self.breaks.append(placement.step)
         self._note_event("found", step=self.log.end - 1, carried_at=placement.step)
@@ -241,7 +253,7 @@ class Recovery:
         """End an absence if nothing speaks against the place any more."""
         absence, config = self.absence or self._arrival, self._config
         assert absence is not None  # noqa: S101 (a place is to be confirmed)
-        absence.sought = absence.driven
+        absence.sought = absence.moved
         driven = absence.driven - (absence.placed or 0.0)
         is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
         if own.level != "ok" or driven < config.confirmed or not is_closed:
@@ -267,7 +279,7 @@ class Recovery:
         last = max(absence.first - 1, log.begin)
         placed = log.driven_back(compose(decision.fit.pose, log[last].pose), last + 1)
         step = last + 1
-        if absence.known is not None and log.begin == absence.known.step:
+        if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
                 log, placed, self._robot, absence.place.segments, self._agent.range_std,
                 self._agent.status.contradictions,
