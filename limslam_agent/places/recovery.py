@@ -65,6 +65,8 @@ class Absence:
         Standard deviation of the position at the beginning, m.
     driven, moved, sought
         Distance since the robot was lost, m, the same with turns, and the latter at the latest match.
+    gone
+        Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
     is_dated
         Whether the readings have said in which step the robot was carried away.
     place
@@ -83,6 +85,7 @@ class Absence:
     driven: float = 0.0
     moved: float = 0.0
     sought: float = 0.0
+    gone: list[FloatArray] = field(default_factory=list)
     is_dated: bool = False
     decisions: list[tuple[int, Decision]] = field(default_factory=list)
     placed: float | None = None
@@ -100,17 +103,26 @@ class Placement(NamedTuple):
     Attributes
     ----------
     step
-        First step after the robot was carried away.
+        First step after the robot was carried away, of the steps that are kept.
     pose, covariance
         Its pose (3,) before that step, in the known frame, and the covariance (3, 3).
     local
         The local map that was matched.
+    gone
+        Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
+        away, if it was lost for so long that these steps are no longer kept; empty otherwise.
     """
 
     step: int
     pose: FloatArray
     covariance: FloatArray
     local: PlaceMap
+    gone: list[tuple[FloatArray, FloatArray]]
+
+    @property
+    def carried_at(self) -> int:
+        """First step after the robot was carried away."""
+        return self.step - len(self.gone)
 
 
 class Recovery:
@@ -184,7 +196,9 @@ class Recovery:
             absence.driven += math.hypot(x, y)
             absence.moved += math.hypot(x, y) + self._config.turn_length * abs(turn)
         if self.absence is not None:
-            self.log.forget_before(self.log.end - self._config.longest)
+            begin = self.log.begin
+            gone = self.log.forget_before(self.log.end - self._config.longest)
+            self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
@@ -210,7 +224,7 @@ class Recovery:
         else:
             if before.is_placed:
                 self.breaks.pop()
-            self.absence = replace(before, first=first, placed=None, local=None)
+            self.absence = replace(before, first=first, placed=None, local=None, gone=[])
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated = is_dated
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
@@ -241,8 +255,8 @@ class Recovery:
         assert self.absence is not None  # noqa: S101
         self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
         self.absence.local = placement.local
-        self.breaks.append(placement.step)
-        self._note_event("found", step=self.log.end - 1, carried_at=placement.step)
+        self.breaks.append(placement.carried_at)
+        self._note_event("found", step=self.log.end - 1, carried_at=placement.carried_at)
 
     def arrive(self, segments: FloatArray, grid: GridView) -> None:
         """The robot's place in the map of an earlier run was found by a local map, and has to be confirmed."""
@@ -275,9 +289,9 @@ class Recovery:
     def _placement(self, absence: Absence, local: PlaceMap, decision: Decision) -> Placement:
         """Where the robot was before it was carried away, as far as its steps are kept."""
         assert decision.fit is not None  # noqa: S101 (an accepted decision has a fit)
-        log = self.log
+        log, frame = self.log, decision.fit.pose
         last = max(absence.first - 1, log.begin)
-        placed = log.driven_back(compose(decision.fit.pose, log[last].pose), last + 1)
+        placed = log.driven_back(compose(frame, log[last].pose), last + 1)
         step = last + 1
         if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
@@ -285,7 +299,11 @@ class Recovery:
                 self._agent.status.contradictions,
             )  # fmt: skip
         pose = placed[step - 1 - log.begin]
-        return Placement(step, pose, placed_covariance(local, decision, pose, self._config), local)
+        # If the first steps are gone, there is none before the robot was carried away.
+        lost = [*absence.gone, log[log.begin].pose] if absence.gone else []
+        poses = [pose, *(compose(frame, each) for each in lost)]
+        covariances = [placed_covariance(local, decision, each, self._config) for each in poses]
+        return Placement(step, pose, covariances[0], local, list(zip(poses[1:], covariances[1:], strict=True)))
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

@@ -96,6 +96,24 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path):
     assert std > errors(episode.estimated, episode.true)[after]
 
 
+def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_away():
+    settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
+    # Only the last 10 s are kept, and the search begins later than that.
+    places = replace(settings.places, longest=100, lost_first=3.0, lost_spacing=0.1)
+    config = RunConfig(
+        "env3", NOISE, seed=110, kidnap_at=90.0, max_time=125.0, settings=replace(settings, places=places)
+    )
+    episode = run_episode(config)
+    events = {event["event"]: event for event in episode.places.records}
+    assert events["found"]["step"] > 900 + 110
+    assert episode.places.breaks == [900]
+    poses, covariances = revised(episode.estimated, episode.covariances, episode.places.revisions)
+    assert errors(poses, episode.true).max() < 0.3
+    assert errors(episode.estimated, episode.true)[910:1000].min() > 0.5
+    assert covariances[900:, 0, 0, 0].max() < 1.0
+    assert errors(episode.smoothed.poses, episode.true).max() < 0.25
+
+
 def test_settings_without_a_search_leave_a_robot_lost():
     settings = replace(preset("graph", NominalNoise(NOISE)), places=None)
     episode = run_episode(RunConfig("env3", NOISE, seed=110, kidnap_at=10.0, max_time=22.0, settings=settings))
