@@ -22,8 +22,8 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import Extraction, LineSlam
-from limslam_agent.status.contradictions import KnownMap
-from limslam_agent.status.monitor import Sight, StatusMonitor
+from limslam_agent.status.contradictions import KnownMap, Sight
+from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
@@ -208,11 +208,12 @@ class Mapper:
             return
         self._is_finished = True
         self.slam.finish()
-        if self._lookup is not None and self._lookup.is_open:
+        # A match right after another one would agree with it, and say nothing new.
+        if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
             self._look_up(self._lookup)
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.end("no match was good and unambiguous")
-        if self._recovery is not None and self._recovery.is_lost:
+        if self._recovery is not None and self._recovery.is_lost and self._recovery.is_due():
             self._seek(self._recovery)
         if self._recovery is not None and self._recovery.is_lost:
             self._give_up(self._recovery)
@@ -232,6 +233,7 @@ class Mapper:
             Belief(
                 poses[number], covariances[number], front.ranges, segments, grid,
                 np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0], status=statuses[number],
+                frame=self.frame,
             )
             for number, front in enumerate(slam.robots)
         ]  # fmt: skip
@@ -307,7 +309,7 @@ class Mapper:
         """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
         begin = time.perf_counter()
         self.slam.step(*observations)
-        self.slam_ms += 1e3 * (time.perf_counter() - begin)
+        self._count_time(begin)
         motions, poses = self.slam.increments, self.slam.poses
         extraction, self._extraction = self._extraction, self.slam.last_extraction
         for number, motion in enumerate(motions):
@@ -321,9 +323,15 @@ class Mapper:
         """Smooth the last minutes and renew the estimate, if that is due and possible."""
         if not self._renewal.is_possible or "wheels" not in observation:
             return
+        begin = time.perf_counter()
         self._renewal.note(observation)
         # A lost robot goes on in a local frame, where there is a search for its place.
         self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level)
+        self._count_time(begin)
+
+    def _count_time(self, begin: float) -> None:
+        """Add the time since ``begin`` to that of the SLAM in this step."""
+        self.slam_ms += 1e3 * (time.perf_counter() - begin)
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that has estimated the odometry's calibration from the start.
@@ -398,7 +406,8 @@ class Mapper:
             jump = math.sqrt(own.added_covariance[0, 0])
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
-            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid)
+            is_dated = own.carried is not None
+            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid, is_dated=is_dated)
             self._go_on_locally(recovery)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
@@ -435,16 +444,15 @@ class Mapper:
             self.on_restart(slam.associated)
         slam.on_association = self._listener
         self._use(slam, grid)
-        self.slam.robots[0].step = log.begin - 1
-        poses = self._play(recovery, log.begin, found.step)
+        begin = found.carried_at if found.gone else log.begin
+        self.slam.robots[0].step = (found.step if found.gone else begin) - 1
+        poses = list(found.gone) or self._play(recovery, begin, found.step)
         self.slam.relocate(found.pose, found.covariance)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._begin_anew()
         poses += self._play(recovery, found.step)
-        self._revisions.append(
-            Revision(log.begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses]))
-        )
+        self._revisions.append(Revision(begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses])))
         recovery.has_joined(found)
 
     def _give_up(self, recovery: Recovery) -> None:

@@ -4,7 +4,8 @@ A beam contradicts the map in two cases. It should end at a wall, and its readin
 map is known to be free. In a correct map nearly no beam does so.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,25 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
+
+
+class Sight(NamedTuple):
+    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
+
+    Attributes
+    ----------
+    pose
+        Estimated pose (3,), m and rad.
+    ranges, measured
+        Readings (n_beams,), m, and a mask of the new readings.
+    increment
+        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
+    """
+
+    pose: FloatArray
+    ranges: FloatArray
+    measured: BoolArray
+    increment: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +67,11 @@ class KnownMap:
 
     segments: FloatArray
     grid: GridView
+
+    @property
+    def frozen(self) -> "KnownMap":
+        """The map as it is now, which later steps do not change. The values of the grid's view change with the grid."""
+        return KnownMap(self.segments, replace(self.grid, values=self.grid.values.copy()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +176,23 @@ def compare(
         ended=ended,
         in_free=in_free,
     )
+
+
+def compared(
+    robot: RobotSpec,
+    sight: Sight,
+    usable: BoolArray,
+    known: KnownMap,
+    covariance: FloatArray,
+    range_std: float,
+    config: ContradictionConfig,
+) -> tuple[Comparison, ExpectedRanges]:
+    """The readings of one step that count (n_beams,) beside a map, and the ranges that the map predicts for it."""
+    expected = expected_ranges(robot, sight.pose[None], covariance, known.segments, range_std, config)
+    outcome = compare(
+        robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], range_std, config
+    )
+    return outcome, expected
 
 
 def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, near: float) -> BoolArray:
