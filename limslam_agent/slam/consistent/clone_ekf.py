@@ -16,6 +16,7 @@ from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings
 from limslam_agent.slam.consistent.separate_bias import SeparateBias
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
@@ -61,11 +62,16 @@ class Disagreement(NamedTuple):
         Not explained by any line.
     used
         Number of readings that were compared.
+    change, information
+        By how much the readings would change the line (2,), m and rad, and the information (2, 2) that they have of
+        that.
     """
 
     of_line: float
     left: float
     used: int
+    change: FloatArray
+    information: FloatArray
 
 
 class CloneEKF(LineEKF):
@@ -296,9 +302,17 @@ class CloneEKF(LineEKF):
         S = H @ self.P[np.ix_(columns, columns)] @ H.T + std**2 * np.eye(len(readings.ranges))
         off, by_line = readings.ranges - expected.ranges, expected.by_line
         solved = np.linalg.solve(S, np.column_stack((off, by_line)))
-        along = by_line.T @ solved[:, 0]
-        of_line = float(along @ np.linalg.solve(by_line.T @ solved[:, 1:], along))
-        return Disagreement(of_line, float(off @ solved[:, 0]) - of_line, len(readings.ranges))
+        along, information = by_line.T @ solved[:, 0], by_line.T @ solved[:, 1:]
+        change = np.linalg.solve(information, along)
+        of_line = float(along @ change)
+        return Disagreement(
+            of_line, float(off @ solved[:, 0]) - of_line, len(readings.ranges), change, information
+        )  # fmt: skip
+
+    def side(self, readings: Readings, index: int) -> int:
+        """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+        headings = self.clone_poses(readings.clones)[:, 2] + readings.angles
+        return POSITIVE if np.cos(headings - self.x[self._part(index)][1]).sum() < 0.0 else NEGATIVE
 
     def clone_covariance(self, clones: IntArray) -> FloatArray:
         """Joint covariance (3 n, 3 n) of clones (n,)."""
