@@ -427,9 +427,9 @@ class ConsistentEstimator(Estimator):
         wall, other, lines = self._map[older], self._map[younger], self._filter.anchored
         factor = 1.0 if math.cos(lines[older, 1] - lines[younger, 1]) > 0.0 else -1.0
         seen = moved_along(wall.seen, factor, float(self._map.along(younger, self._filter.anchors[older])))
-        if shared(seen, other.seen).max() >= self._settings.merging.min_overlap:
+        own, opposite = shared(seen, other.seen).max(), shared(seen[::-1], other.seen)
+        if own >= min(self._settings.merging.min_overlap, opposite.max()):
             return True
-        opposite = shared(seen[::-1], other.seen)
         side = int(opposite.argmax())
         middle = 0.5 * (max(seen[1 - side, 0], other.seen[side, 0]) + min(seen[1 - side, 1], other.seen[side, 1]))
         is_board, is_face = self._is_board(side, middle, off, covariance)

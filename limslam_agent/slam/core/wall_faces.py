@@ -12,7 +12,7 @@ import math
 POSITIVE, NEGATIVE = 0, 1
 """Sides of a line from which beams hit it. Its normal points to the positive side."""
 
-THINNEST, THICKEST = 0.05, 0.45
+THINNEST, THICKEST = 0.05, 0.35
 """Thicknesses of walls, m, within which all thicknesses are equally likely."""
 
 PSEUDO_COUNT = 0.2
