@@ -62,16 +62,15 @@ class Disagreement(NamedTuple):
         Not explained by any line.
     used
         Number of readings that were compared.
-    change, information
-        By how much the readings would change the line (2,), m and rad, and the information (2, 2) that they have of
-        that.
+    offset, variance
+        How far along its normal the readings put a parallel line, m, and the variance of that, m^2.
     """
 
     of_line: float
     left: float
     used: int
-    change: FloatArray
-    information: FloatArray
+    offset: float
+    variance: float
 
 
 class CloneEKF(LineEKF):
@@ -303,11 +302,9 @@ class CloneEKF(LineEKF):
         off, by_line = readings.ranges - expected.ranges, expected.by_line
         solved = np.linalg.solve(S, np.column_stack((off, by_line)))
         along, information = by_line.T @ solved[:, 0], by_line.T @ solved[:, 1:]
-        change = np.linalg.solve(information, along)
-        of_line = float(along @ change)
-        return Disagreement(
-            of_line, float(off @ solved[:, 0]) - of_line, len(readings.ranges), change, information
-        )  # fmt: skip
+        of_line, variance = float(along @ np.linalg.solve(information, along)), 1.0 / float(information[0, 0])
+        left = float(off @ solved[:, 0]) - of_line
+        return Disagreement(of_line, left, len(readings.ranges), float(along[0]) * variance, variance)
 
     def side(self, readings: Readings, index: int) -> int:
         """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""

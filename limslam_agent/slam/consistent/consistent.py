@@ -322,22 +322,20 @@ class ConsistentEstimator(Estimator):
         gap = max(along.min() - seen[side, 1], seen[side, 0] - along.max())
         if own >= 0.5 or (other < 0.5 and gap <= self._settings.association.max_end_gap):
             return True
-        middle, covariance = float(self._map.along(index, segment.middle)), np.linalg.inv(known.information)
-        return self._is_board(1 - side, middle, known.change, covariance)[0]
+        return self._is_board(1 - side, known.offset, known.variance)[0]
 
-    def _is_board(self, side: int, along: float, change: FloatArray, covariance: FloatArray) -> tuple[bool, bool]:
+    def _is_board(self, side: int, offset: float, variance: float) -> tuple[bool, bool]:
         """Whether a line that is seen from one side, and a line seen from the other side, are a board; or a wall.
 
         Parameters
         ----------
-        side, along
-            The side from which the line is seen, and the place along it where the two lines are compared, m.
-        change, covariance
-            The other line minus the line (2,), m and rad, and its covariance (2, 2).
+        side
+            The side from which the line is seen.
+        offset, variance
+            How far along the line's normal the other line is, m, if the two are parallel, and the variance, m^2.
         """
-        across = np.array([1.0, -along])
-        behind = float(across @ change) * (-1.0 if side == POSITIVE else 1.0)
-        evidence = board_evidence(behind, float(across @ covariance @ across) + STRAIGHTNESS[0])
+        behind = -offset if side == POSITIVE else offset
+        evidence = board_evidence(behind, variance + STRAIGHTNESS[0])
         return board_odds(evidence, *self._map.kinds) > SURE, is_wall(evidence, behind)
 
     def _near(self, theta: float, point: FloatArray, angle: float, offset: float) -> list[int]:
@@ -422,7 +420,7 @@ class ConsistentEstimator(Estimator):
     def _is_one_line(self, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
         """Whether two landmarks share a stretch that is seen from one side, or are a board.
 
-        Their difference (2,) has a covariance (2, 2). They are marked if they are the two faces of a wall.
+        Their difference (2,) has a covariance (2, 2). It is noted if they are the two faces of a wall.
         """
         wall, other, lines = self._map[older], self._map[younger], self._filter.anchored
         factor = 1.0 if math.cos(lines[older, 1] - lines[younger, 1]) > 0.0 else -1.0
@@ -430,10 +428,11 @@ class ConsistentEstimator(Estimator):
         own, opposite = shared(seen, other.seen).max(), shared(seen[::-1], other.seen)
         if own >= min(self._settings.merging.min_overlap, opposite.max()):
             return True
-        side = int(opposite.argmax())
-        middle = 0.5 * (max(seen[1 - side, 0], other.seen[side, 0]) + min(seen[1 - side, 1], other.seen[side, 1]))
-        is_board, is_face = self._is_board(side, middle, off, covariance)
-        wall.is_face, other.is_face = wall.is_face or is_face, other.is_face or is_face
+        information = np.linalg.inv(covariance)
+        offset = float(information[0] @ off) / float(information[0, 0])
+        is_board, is_face = self._is_board(int(opposite.argmax()), offset, 1.0 / float(information[0, 0]))
+        if is_face:
+            wall.behind, other.behind = max(wall.behind, opposite.max()), max(other.behind, opposite.max())
         return is_board
 
     def _show(self, number: int, side: Side, step: int, points: FloatArray, lines: list[ExtractedLine]) -> None:

@@ -43,8 +43,8 @@ class Wall:
     seen
         Positions of the outermost hits from each side of the line (2, 2), m along the line: rows ``POSITIVE`` and
         ``NEGATIVE`` of ``core.wall_faces``.
-    is_face
-        Whether the landmark is one of the two faces of a wall.
+    behind
+        Length of the stretch with another face behind it, m, if the landmark is a face of a wall.
     """
 
     number: int
@@ -52,12 +52,12 @@ class Wall:
     groups: int = 0
     readings: int = 0
     seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
-    is_face: bool = False
+    behind: float = 0.0
 
     @property
-    def is_board(self) -> bool:
-        """Whether a stretch of the wall is seen from both sides."""
-        return bool(self.seen[:, 1].min() > self.seen[:, 0].max())
+    def board(self) -> float:
+        """Length of the stretch that is seen from both sides, m."""
+        return max(float(self.seen[:, 1].min() - self.seen[:, 0].max()), 0.0)
 
 
 class WallMap:
@@ -108,9 +108,9 @@ class WallMap:
         return new
 
     @property
-    def kinds(self) -> tuple[int, int]:
-        """Number of landmarks that are boards, and of landmarks that are faces of walls."""
-        return sum(wall.is_board for wall in self.walls), sum(wall.is_face for wall in self.walls)
+    def kinds(self) -> tuple[float, float]:
+        """Length of the landmarks that are boards, and of the walls that have two faces, m."""
+        return sum(wall.board for wall in self.walls), 0.5 * sum(wall.behind for wall in self.walls)
 
     def grow(self, index: int, points: FloatArray, *sides: int) -> None:
         """Count beams that ended on a landmark at points (n, 2), m, from given sides, and that corrected the filter."""
@@ -139,7 +139,7 @@ class WallMap:
         wall.extent.absorb(other.extent, factor, shift)
         seen = moved_along(other.seen, factor, shift)
         wall.seen = np.column_stack((np.minimum(wall.seen[:, 0], seen[:, 0]), np.maximum(wall.seen[:, 1], seen[:, 1])))
-        wall.is_face |= other.is_face
+        wall.behind = max(wall.behind, other.behind)
         wall.groups += other.groups
         wall.readings += other.readings
         self._drawn = None

@@ -15,11 +15,20 @@ POSITIVE, NEGATIVE = 0, 1
 THINNEST, THICKEST = 0.05, 0.35
 """Thicknesses of walls, m, within which all thicknesses are equally likely."""
 
-PSEUDO_COUNT = 0.2
-"""Prior count of boards and of walls (a Beta distribution). A small count says that a building has one kind."""
+PRIOR_LENGTH = 0.05
+"""Length of boards and of walls that is taken as known before any is, m (a Beta distribution).
 
-SURE = math.log(10.0)
-"""Least logarithm of the odds at which a hypothesis is accepted."""
+A small length says that most buildings have one kind.
+"""
+
+LEAST_SHARE = 1.0 / 3.0
+"""Least prior odds of a board: however many walls a building has, it also has doors and partitions."""
+
+SURE = math.log(100.0)
+"""Least logarithm of the odds of a board. A false board bends the map, and a missed one is found later."""
+
+SURE_OF_WALL = math.log(10.0)
+"""Least logarithm of the Bayes factor of a wall against a board."""
 
 ELSEWHERE = 0.1
 """Density of lines that are something else than this wall, 1/m: a line in front of a face is no proof of a board."""
@@ -41,11 +50,11 @@ def board_evidence(behind: float, variance: float) -> float:
     return -0.5 * behind * behind / variance - math.log(math.sqrt(2.0 * math.pi) * std) - math.log(wall)
 
 
-def board_odds(evidence: float, boards: int, walls: int) -> float:
-    """Logarithm of the posterior odds of a board, given its evidence and the numbers of known boards and walls."""
-    return evidence + math.log((boards + PSEUDO_COUNT) / (walls + PSEUDO_COUNT))
+def board_odds(evidence: float, boards: float, walls: float) -> float:
+    """Logarithm of the posterior odds of a board, given its evidence and the lengths of known boards and walls, m."""
+    return evidence + math.log(max((boards + PRIOR_LENGTH) / (walls + PRIOR_LENGTH), LEAST_SHARE))
 
 
 def is_wall(evidence: float, behind: float) -> bool:
     """Whether two lines that are seen from opposite sides are the two faces of one wall, by their evidence alone."""
-    return evidence < -SURE and 0.0 < behind < THICKEST
+    return evidence < -SURE_OF_WALL and 0.0 < behind < THICKEST
