@@ -428,9 +428,10 @@ class ConsistentEstimator(Estimator):
         own, opposite = shared(seen, other.seen).max(), shared(seen[::-1], other.seen)
         if own >= min(self._settings.merging.min_overlap, opposite.max()):
             return True
-        information = np.linalg.inv(covariance)
-        offset = float(information[0] @ off) / float(information[0, 0])
-        is_board, is_face = self._is_board(int(opposite.argmax()), offset, 1.0 / float(information[0, 0]))
+        # The difference of two parallel lines is their offset alone, given that their directions are equal.
+        share = covariance[0, 1] / covariance[1, 1]
+        offset, variance = float(off[0] - share * off[1]), float(covariance[0, 0] - share * covariance[0, 1])
+        is_board, is_face = self._is_board(int(opposite.argmax()), offset, variance)
         if is_face:
             wall.behind, other.behind = max(wall.behind, opposite.max()), max(other.behind, opposite.max())
         return is_board

@@ -133,7 +133,7 @@ def seen_along(first: int, second: int, lines: FloatArray, anchors: FloatArray, 
 @compiled
 def _shared(first: FloatArray, second: FloatArray) -> float:
     """Length of the stretch that two parts of a line share, m; below 0 if they share none."""
-    return min(first[1], second[1]) - max(first[0], second[0])
+    return float(min(first[1], second[1]) - max(first[0], second[0]))
 
 
 @compiled
