@@ -115,11 +115,7 @@ def fit_segment(
     own, cosines, left = along[clear], expected[clear, 6], values[:, 0].copy()
     spread = own - own.mean()
     ordered = np.sort(along[:number])
-    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y] = (
-        state[1],
-        anchor[0] + state[0] * cos,
-        anchor[1] + state[0] * sin,
-    )
+    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y] = state[1], anchor[0], anchor[1]
     segment[EXTENT] = ordered[number - 2] - ordered[1]
     segment[ANGLE_STD] = settings.std / max(math.sqrt((spread * spread).sum()), LEAST_SPREAD)
     segment[_R] = segment[MIDDLE_X] * cos + segment[MIDDLE_Y] * sin

@@ -98,11 +98,15 @@ class Walls(NamedTuple):
         (n, landmarks, 4): first bin, number of bins, updates, readings.
     counted, reached
         (n, landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m.
+    seen, behind
+        (n, landmarks, 2, 2) and (n, landmarks), as in ``wall_map.Wall``.
     """
 
     table: IntArray
     counted: NDArray[np.int32]
     reached: FloatArray
+    seen: FloatArray
+    behind: FloatArray
 
 
 class States(NamedTuple):
@@ -284,6 +288,8 @@ def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capaci
         table=np.zeros((*shape, 4), dtype=np.int64),
         counted=np.zeros((*shape, 2, bins), dtype=np.int32),
         reached=np.zeros((*shape, 2, bins)),
+        seen=np.zeros((*shape, 2, 2)),
+        behind=np.zeros(shape),
     )
     return States(
         filter=belief,

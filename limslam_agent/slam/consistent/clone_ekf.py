@@ -16,6 +16,7 @@ from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings
 from limslam_agent.slam.consistent.separate_bias import SeparateBias
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
@@ -61,11 +62,15 @@ class Disagreement(NamedTuple):
         Not explained by any line.
     used
         Number of readings that were compared.
+    offset, variance
+        How far along its normal the readings put a parallel line, m, and the variance of that, m^2.
     """
 
     of_line: float
     left: float
     used: int
+    offset: float
+    variance: float
 
 
 class CloneEKF(LineEKF):
@@ -297,9 +302,15 @@ class CloneEKF(LineEKF):
         S = H @ self.P[np.ix_(columns, columns)] @ H.T + std**2 * np.eye(len(readings.ranges))
         off, by_line = readings.ranges - expected.ranges, expected.by_line
         solved = np.linalg.solve(S, np.column_stack((off, by_line)))
-        along = by_line.T @ solved[:, 0]
-        of_line = float(along @ np.linalg.solve(by_line.T @ solved[:, 1:], along))
-        return Disagreement(of_line, float(off @ solved[:, 0]) - of_line, len(readings.ranges))
+        along, information = by_line.T @ solved[:, 0], by_line.T @ solved[:, 1:]
+        of_line, variance = float(along @ np.linalg.solve(information, along)), 1.0 / float(information[0, 0])
+        left = float(off @ solved[:, 0]) - of_line
+        return Disagreement(of_line, left, len(readings.ranges), float(along[0]) * variance, variance)
+
+    def side(self, readings: Readings, index: int) -> int:
+        """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+        headings = self.clone_poses(readings.clones)[:, 2] + readings.angles
+        return POSITIVE if np.cos(headings - self.x[self._part(index)][1]).sum() < 0.0 else NEGATIVE
 
     def clone_covariance(self, clones: IntArray) -> FloatArray:
         """Joint covariance (3 n, 3 n) of clones (n,)."""

@@ -14,12 +14,12 @@ import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
-from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
 from limslam_agent.slam.consistent.explanation import segment_ends, tested
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
-from limslam_agent.slam.consistent.wall_map import Wall, WallMap
+from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
@@ -27,6 +27,7 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
@@ -96,7 +97,7 @@ class ConsistentEstimator(Estimator):
                 spread = mark.covariance + np.diag(KNOWN_VARIANCES)
                 index = self._filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
                 self._map.add()
-                self._map.grow(index, points)
+                self._map.grow(index, points, POSITIVE, NEGATIVE)
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
         """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
@@ -297,7 +298,10 @@ class ConsistentEstimator(Estimator):
         return True
 
     def _candidates(self, readings: Readings, segment: WallSegment) -> list[_Candidate]:
-        """Landmarks that a wall segment may show, best first."""
+        """Landmarks that a wall segment may show, best first.
+
+        A landmark that was only seen from the other side is one of them if it is a board, and not the other face.
+        """
         settings = self._settings.association
         found = []
         for index in self._near(segment.theta, segment.middle, self._max_angle(segment), settings.max_offset):
@@ -305,8 +309,8 @@ class ConsistentEstimator(Estimator):
             if max(along.min() - high, low - along.max()) > settings.max_end_gap:
                 continue
             disagreement = self._filter.disagreement(readings, index, self._std)
-            if disagreement is not None:
-                found.append(_Candidate(*disagreement, index))
+            if disagreement is not None and self._may_show(index, readings, segment, disagreement):
+                found.append(_Candidate(disagreement.of_line, disagreement.left, disagreement.used, index))
         return sorted(found)
 
     def _max_angle(self, segment: WallSegment) -> float:
@@ -325,6 +329,31 @@ class ConsistentEstimator(Estimator):
             for index in range(len(self._map))
         ]
         return Comparison(robot, step, segment_ends(segment), readings.sources, tuple(tests))
+
+    def _may_show(self, index: int, readings: Readings, segment: WallSegment, known: Disagreement) -> bool:
+        """Whether a landmark was seen from the side of readings near them, or it is a board."""
+        side, along = self._filter.side(readings, index), self._map.along(index, segment.points)
+        slack, seen = self._settings.update.end_slack, self._map[index].seen
+        is_inside = (along[:, None] > seen[:, 0] - slack) & (along[:, None] < seen[:, 1] + slack)
+        own, other = is_inside.mean(axis=0)[[side, 1 - side]]
+        gap = max(along.min() - seen[side, 1], seen[side, 0] - along.max())
+        if own >= 0.5 or (other < 0.5 and gap <= self._settings.association.max_end_gap):
+            return True
+        return self._is_board(1 - side, known.offset, known.variance)[0]
+
+    def _is_board(self, side: int, offset: float, variance: float) -> tuple[bool, bool]:
+        """Whether a line that is seen from one side, and a line seen from the other side, are a board; or a wall.
+
+        Parameters
+        ----------
+        side
+            The side from which the line is seen.
+        offset, variance
+            How far along the line's normal the other line is, m, if the two are parallel, and the variance, m^2.
+        """
+        behind = -offset if side == POSITIVE else offset
+        evidence = board_evidence(behind, variance + STRAIGHTNESS[0])
+        return board_odds(evidence, *self._map.kinds) > SURE, is_wall(evidence, behind)
 
     def _near(self, theta: float, point: FloatArray, angle: float, offset: float) -> list[int]:
         """Landmarks with a direction within ``angle``, rad, that pass a point (2,) at less than ``offset``, m."""
@@ -369,7 +398,7 @@ class ConsistentEstimator(Estimator):
         """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
         index, is_new = self._map.walls.index(wall), not wall.groups
         self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
-        self._map.grow(index, self._points(readings))
+        self._map.grow(index, self._points(readings), self._filter.side(readings, index))
         self.report(AssociationRecord(wall.number, is_new, readings.sources, robot))
         self._close_loops_of(wall, step)
 
@@ -394,7 +423,9 @@ class ConsistentEstimator(Estimator):
         off, covariance = self._filter.difference(older, younger)
         squared = float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
         limits = self._settings.association
-        if squared > settings.gate or abs(off[1]) > limits.max_angle or offset > limits.max_offset:
+        if abs(off[1]) > limits.max_angle or offset > limits.max_offset:
+            return False
+        if not self._is_one_line(older, younger, off, covariance) or squared > settings.gate:
             return False
         numbers = self._map[older].number, self._map[younger].number
         origin, tangent = self._filter.anchors[younger].copy(), direction(self._filter.anchored[younger])
@@ -402,6 +433,25 @@ class ConsistentEstimator(Estimator):
         self._map.merge(older, younger, origin, tangent)
         self.closures.append(Closure(*numbers, step, squared, 0.0, offset, 0.0))
         return True
+
+    def _is_one_line(self, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
+        """Whether two landmarks share a stretch that is seen from one side, or are a board.
+
+        Their difference (2,) has a covariance (2, 2). It is noted if they are the two faces of a wall.
+        """
+        wall, other, lines = self._map[older], self._map[younger], self._filter.anchored
+        factor = 1.0 if math.cos(lines[older, 1] - lines[younger, 1]) > 0.0 else -1.0
+        seen = moved_along(wall.seen, factor, float(self._map.along(younger, self._filter.anchors[older])))
+        own, opposite = shared(seen, other.seen).max(), shared(seen[::-1], other.seen)
+        if own >= min(self._settings.merging.min_overlap, opposite.max()):
+            return True
+        # The difference of two parallel lines is their offset alone, given that their directions are equal.
+        share = covariance[0, 1] / covariance[1, 1]
+        offset, variance = float(off[0] - share * off[1]), float(covariance[0, 0] - share * covariance[0, 1])
+        is_board, is_face = self._is_board(int(opposite.argmax()), offset, variance)
+        if is_face:
+            wall.behind, other.behind = max(wall.behind, opposite.max()), max(other.behind, opposite.max())
+        return is_board
 
     def _show(self, number: int, side: Side, step: int, points: FloatArray, lines: list[ExtractedLine]) -> None:
         """Store the lines that were found, in the robot's frame, as diagnostics."""

@@ -50,7 +50,8 @@ class WallSegment:
     theta
         Direction of the wall's normal in the world, rad.
     middle
-        Projection of the readings' mean end point on the line (2,), m.
+        Projection of the readings' mean end point on the line that was found (2,), m. It is where the poses are now,
+        as all landmarks are. The fit also moves the poses, and with them the line: by metres if these are uncertain.
     points
         End points of the readings (n, 2), m.
     length
@@ -162,7 +163,7 @@ def _fit(
     along = (hit_points(poses, met) - anchor) @ tangent
     spread = along[clear] - along[clear].mean()
     segment = WallSegment(
-        members, float(state[1]), anchor + state[0] * normal(state), points, _extent(along),
+        members, float(state[1]), anchor, points, _extent(along),
         std / max(float(np.sqrt(spread @ spread)), LEAST_SPREAD),
     )  # fmt: skip
     is_bent, bend_at = _bend(along[clear], expected.cosines[clear], left, basis, factor, config)

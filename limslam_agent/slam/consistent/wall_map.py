@@ -1,5 +1,6 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,16 @@ NEW = -1
 """Number of a landmark that has not got its number yet."""
 
 
+def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
+    """The outermost hits from each side (2, 2), m, of a line whose position s is ``factor`` (1 or -1) s + ``shift``."""
+    return seen + shift if factor > 0.0 else shift - seen[::-1, ::-1]
+
+
+def shared(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Length (2,) of the stretch between the outermost hits (2, 2) of two lines from each side, m; below 0 if none."""
+    return np.asarray(np.minimum(first[:, 1], second[:, 1]) - np.maximum(first[:, 0], second[:, 0]))
+
+
 @dataclass(eq=False)
 class Wall:
     """One landmark.
@@ -29,12 +40,24 @@ class Wall:
         Where along the line there is wall.
     groups, readings
         Number of updates by a wall segment, and of readings in them.
+    seen
+        Positions of the outermost hits from each side of the line (2, 2), m along the line: rows ``POSITIVE`` and
+        ``NEGATIVE`` of ``core.wall_faces``.
+    behind
+        Length of the stretch with another face behind it, m, if the landmark is a face of a wall.
     """
 
     number: int
     extent: WallExtent = field(default_factory=WallExtent)
     groups: int = 0
     readings: int = 0
+    seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
+    behind: float = 0.0
+
+    @property
+    def board(self) -> float:
+        """Length of the stretch that is seen from both sides, m."""
+        return max(float(self.seen[:, 1].min() - self.seen[:, 0].max()), 0.0)
 
 
 class WallMap:
@@ -85,10 +108,18 @@ class WallMap:
             wall.number, self._numbers = self._numbers, self._numbers + 1
         return new
 
-    def grow(self, index: int, points: FloatArray) -> None:
-        """Count beams that ended on a landmark at points (n, 2), m, and that have corrected the filter."""
-        wall = self.walls[index]
-        wall.extent.hit(self.along(index, points))
+    @property
+    def kinds(self) -> tuple[float, float]:
+        """Length of the landmarks that are boards, and of the walls that have two faces, m."""
+        return sum(wall.board for wall in self.walls), 0.5 * sum(wall.behind for wall in self.walls)
+
+    def grow(self, index: int, points: FloatArray, *sides: int) -> None:
+        """Count beams that ended on a landmark at points (n, 2), m, from given sides, and that corrected the filter."""
+        wall, along = self.walls[index], self.along(index, points)
+        for side in sides:
+            low, high = wall.seen[side]
+            wall.seen[side] = min(low, along.min()), max(high, along.max())
+        wall.extent.hit(along)
         wall.groups += 1
         wall.readings += len(points)
         self._drawn = None
@@ -105,7 +136,11 @@ class WallMap:
         """
         wall, other = self.walls[older], self.walls.pop(younger)
         factor = 1.0 if tangent @ direction(self._belief.anchored[older]) > 0.0 else -1.0
-        wall.extent.absorb(other.extent, factor, float(self.along(older, origin)))
+        shift = float(self.along(older, origin))
+        wall.extent.absorb(other.extent, factor, shift)
+        seen = moved_along(other.seen, factor, shift)
+        wall.seen = np.column_stack((np.minimum(wall.seen[:, 0], seen[:, 0]), np.maximum(wall.seen[:, 1], seen[:, 1])))
+        wall.behind = max(wall.behind, other.behind)
         wall.groups += other.groups
         wall.readings += other.readings
         self._drawn = None

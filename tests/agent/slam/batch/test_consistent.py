@@ -17,6 +17,7 @@ from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.core.hough import ExtractedLine
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray
 
 uncontested, candidates, fits = (
@@ -92,14 +93,14 @@ def test_merging(recorded: ConsistentEstimator, state: States) -> None:
     merged = set()
     for first in range(number):
         # A second landmark on almost the same line, somewhat turned and shifted: some are one wall, some are not.
-        for shift in (0.02, 2.0):
+        for shift, side in product((0.02, 0.2, 2.0), (POSITIVE, NEGATIVE)):
             plain = copy.deepcopy(recorded)
             theta = float(plain._filter.anchored[first, 1])
             middle = plain._map.ends(first).mean(axis=0)
             index = plain._filter.add_line(theta + 0.01, middle + shift * np.array([np.cos(theta), np.sin(theta)]))
             plain._map.add()
             tangent = np.array([-np.sin(theta), np.cos(theta)])
-            plain._map.grow(index, middle + np.linspace(-0.3, 0.3, 9)[:, None] * tangent)
+            plain._map.grow(index, middle + np.linspace(-0.3, 0.3, 9)[:, None] * tangent, side)
             arrays = state_from(plain)
             told = closes_loop(arrays.filter, arrays.walls, index, first, settings)
             assert told == plain._closes_loop(index, first, 0)
@@ -107,6 +108,8 @@ def test_merging(recorded: ConsistentEstimator, state: States) -> None:
             assert_same(arrays.filter, plain._filter, 1e-8)
             for place, each in enumerate(plain._map.walls):
                 assert arrays.walls.table[place, 2:].tolist() == [each.groups, each.readings]
+                np.testing.assert_allclose(arrays.walls.seen[place], each.seen, rtol=0.0, atol=1e-8)
+                np.testing.assert_allclose(arrays.walls.behind[place], each.behind, rtol=0.0, atol=1e-8)
                 np.testing.assert_array_equal(
                     arrays.walls.counted[place, :, : len(each.extent._hits)], [each.extent._hits, each.extent._misses]
                 )
