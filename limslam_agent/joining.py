@@ -181,8 +181,8 @@ class JoiningMapper(Mapper):
         """How the search ended. The second robot's own map is known after :meth:`finish`, if it was not placed."""
         return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
 
-    def _new_slam(self, config: AgentConfig) -> LineSlam:
-        slam = super()._new_slam(config)
+    def _new_slam(self) -> LineSlam:
+        slam = super()._new_slam()
         if self._placed is not None:
             slam.relocate(*self._placed, robot=1)
         return slam

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.batch.algebra import sort_with, squared_distance
-from limslam_agent.slam.batch.beam_model import hit_points
+from limslam_agent.slam.batch.beam_model import hit_points, towards
 from limslam_agent.slam.batch.clone_ekf import (
     add_line,
     clone,
@@ -82,7 +82,7 @@ def process(
     """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""
     ekf.counts[FRESH + side] = 0
     count, pending = ekf.counts[PENDING + side], pending_all[side]
-    places, readings = readings_of(pending[:count], ekf.clones[: ekf.counts[CLONES]], beams)
+    places, readings = readings_of(pending[:count], ekf.clones[: ekf.counts[CLONES]], beams, settings.cone)
     points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
     owner, most = np.empty(count, dtype=np.int64), count // max(settings.min_votes, 1) + 1
     lines, ends, consumed = np.empty((most, 2)), np.empty((most, 2, 2)), np.zeros(count, dtype=np.bool_)
@@ -95,7 +95,8 @@ def process(
         if not len(members):
             continue
         # The lines before this one have updated the filter, so the end points are computed anew.
-        now = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
+        rays = towards(ekf.x, clones_from(ekf), places, readings, lines[index, 1])
+        now = hit_points(ekf.x, clones_from(ekf), places, rays, readings[:, 3])
         segments, own = wall_segments(ekf, places, readings, now, members, lines[index], settings)
         for k in range(len(own)):
             these = own[k]
@@ -345,7 +346,8 @@ def update(
 ) -> None:
     """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
     observe(ekf, places, readings, index, settings.std, iterations, settings.huber)
-    points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
+    rays = towards(ekf.x, clones_from(ekf), places, readings, ekf.x[POSE + 2 * index + 1])
+    points = hit_points(ekf.x, clones_from(ekf), places, rays, readings[:, 3])
     grow(ekf, walls, index, points, side_of(ekf, places, readings, index))
     found = True
     while found:

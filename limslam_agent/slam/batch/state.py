@@ -138,6 +138,7 @@ class Settings(NamedTuple):
     """The settings of ``AgentConfig`` and ``RobotSpec`` that compiled functions need, under the same names."""
 
     std: float
+    cone: float
     wheel_variance: float
     axle: float
     radius: float
@@ -216,6 +217,7 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
     given = {name: getattr(group, name) for group in by_name for name in Settings._fields if hasattr(group, name)}
     given |= {
         "std": std,
+        "cone": robot.cone,
         "wheel_variance": config.noise.wheel_variance,
         "axle": robot.axle,
         "radius": robot.radius,

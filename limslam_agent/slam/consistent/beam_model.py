@@ -3,8 +3,15 @@
 A line is stored as (d, theta) relative to an anchor a, a fixed point of the world near the line:
 n . (p - a) = d with n = (cos theta, sin theta). This form has three advantages over (r, theta) relative to the world's
 origin: d and theta are nearly uncorrelated, d may change its sign, and lines through the origin are not singular.
+
+A beam may be a cone with half an opening angle c. It then reads the nearest point of the wall inside the cone. That is
+the foot of the perpendicular if the cone contains it, and otherwise the end of the border ray that is nearer to the
+perpendicular (J. Leonard and H. Durrant-Whyte, "Directed sonar sensing for mobile robot navigation", 1992). So a cone
+measures what a ray measures that is turned towards the wall's normal, by c or until it is perpendicular to the wall.
+The derivatives are those of this ray, too: where it follows the normal, its range does not depend on its direction.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +21,40 @@ from limslam_env.geometry import FloatArray, IntArray
 GRAZING = 0.2
 """Least cosine between a beam and a line's normal. A reading at a flatter angle says too little about the line."""
 
+FLATTEST = math.acos(GRAZING)
+"""Largest angle between a line's normal and the middle of a beam that does not graze the line, rad."""
+
 LEAST_COSINE = 1e-9
 """Least cosine that a range is divided by. A beam parallel to a line meets it very far away, at a finite range."""
+
+
+class RangeSensor(NamedTuple):
+    """How a range sensor measures.
+
+    Attributes
+    ----------
+    std
+        Standard deviation of short ranges, m.
+    growth
+        Further noise, 1/m: its standard deviation is this times the squared range.
+    cone
+        Half the opening angle of the beams, rad; 0 for rays.
+    bias
+        By what all ranges are too long, m.
+    """
+
+    std: float
+    growth: float = 0.0
+    cone: float = 0.0
+    bias: float = 0.0
+
+    def variances(self, ranges: FloatArray) -> FloatArray:
+        """Variances of ranges (n,), m^2."""
+        return np.asarray(self.std**2 + (self.growth * ranges**2) ** 2)
+
+    def stds(self, ranges: FloatArray) -> FloatArray:
+        """Standard deviations of ranges (n,), m."""
+        return np.sqrt(self.variances(ranges))
 
 
 class Readings(NamedTuple):
@@ -31,6 +70,8 @@ class Readings(NamedTuple):
         Measured ranges (n,), m.
     sources
         Step and beam of each reading (n, 2).
+    growth, cone
+        Those of the ``RangeSensor``.
     """
 
     clones: IntArray
@@ -38,12 +79,33 @@ class Readings(NamedTuple):
     angles: FloatArray
     ranges: FloatArray
     sources: IntArray
+    growth: float = 0.0
+    cone: float = 0.0
 
     def select(self, chosen: IntArray) -> "Readings":
         """The readings with the given indices."""
         return Readings(
-            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen]
-        )
+            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen],
+            self.growth, self.cone,
+        )  # fmt: skip
+
+    def variances(self, std: float) -> FloatArray:
+        """Variances of the ranges (n,), m^2, if short ranges have a standard deviation, m."""
+        return RangeSensor(std, self.growth).variances(self.ranges)
+
+    def towards(self, theta: float, headings: FloatArray) -> "Readings":
+        """The rays that measure a line with its normal at ``theta``, rad, as the beams do.
+
+        A beam whose middle grazes the line stays as it is, and is left out like a grazing ray: it is not clear which of
+        its border rays is the nearer one.
+
+        ``headings`` (n,), rad, are those of the poses that the readings were taken from.
+        """
+        if not self.cone:
+            return self
+        turn = (theta - headings - self.angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+        turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -self.cone, self.cone), 0.0)
+        return self._replace(angles=self.angles + turn, cone=0.0)
 
 
 class Expected(NamedTuple):
@@ -56,7 +118,7 @@ class Expected(NamedTuple):
     by_pose, by_line
         Derivatives of the ranges by the pose (n, 3) and by the line (n, 2).
     cosines
-        Cosine between each beam and the line's normal (n,). It is near zero where the beam grazes the line.
+        Cosine between each beam's ray and the line's normal (n,). It is near zero where the ray grazes the line.
     """
 
     ranges: FloatArray
@@ -81,7 +143,18 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
     """
     from limslam_agent.kernels.measurement import ranges_to_line
 
-    return Expected(*ranges_to_line(poses, readings.origins, readings.angles, line, anchor, LEAST_COSINE))
+    rays = readings.towards(line[1], poses[:, 2])
+    return Expected(*ranges_to_line(poses, rays.origins, rays.angles, line, anchor, LEAST_COSINE))
+
+
+def by_range_errors(expected: Expected) -> FloatArray:
+    """Derivatives (n, 2) of predicted ranges by a bias of all ranges, and by half the opening angle of the beams.
+
+    A wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
+    """
+    cosines = np.maximum(np.abs(expected.cosines), LEAST_COSINE)
+    sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
+    return np.column_stack((np.ones(len(cosines)), -expected.ranges * sines / cosines))
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:

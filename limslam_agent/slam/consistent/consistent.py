@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.slam.consistent.beam_model import Readings, hit_points
+from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
 from limslam_agent.slam.consistent.explanation import segment_ends, tested
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
+from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
@@ -32,7 +33,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.geometry.segment import sample
-from limslam_env.interface import RobotSpec, Side
+from limslam_env.interface import LARGEST_CONE, RobotSpec, Side
 
 BESIDE_CORNER = 0.15
 """A reading this close to the end of another line, m along it, may belong to either line."""
@@ -52,6 +53,12 @@ KNOWN_SPACING = 0.01
 
 KNOWN_VARIANCES = (0.01**2, math.radians(0.2) ** 2)
 """Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations are not known."""
+
+USUAL_RANGE = 0.7
+"""The noise of points is that of ranges with this share of the longest one, where the noise grows with the range."""
+
+LEAST_ERRORS = (2e-3, math.radians(0.25))
+"""A bias, m, and an opening angle, rad, that differ by less are as assumed."""
 
 SHORTEST = 0.1
 """Least length of a wall segment, m, that the error of its direction is based on."""
@@ -75,17 +82,34 @@ class ConsistentEstimator(Estimator):
         Body and beams of each robot.
     config
         Settings of every stage.
+    range_std
+        Standard deviation of a range, m.
     start
         Start poses of the robots (n, 3), m, m, rad.
+    sensor
+        How the ranges are measured, if that is known to differ from robot and ``range_std``.
     """
 
-    def __init__(self, robot: RobotSpec, config: ConsistentConfig, range_std: float, start: FloatArray) -> None:
-        calibration, self._std = config.self_calibration, range_std
-        self._filter = CloneEKF(start, calibration.covariance if calibration.calibrate != "never" else None)
+    def __init__(
+        self,
+        robot: RobotSpec,
+        config: ConsistentConfig,
+        range_std: float,
+        start: FloatArray,
+        sensor: RangeSensor | None = None,
+    ) -> None:
+        calibration, errors = config.self_calibration, config.range_errors
+        self._filter = CloneEKF(
+            start,
+            calibration.covariance if calibration.calibrate != "never" else None,
+            (errors.bias_std, errors.cone_std) if errors.enabled else None,
+        )
         if calibration.calibrate == "always":
             self._filter.calibrate()
-        self._settings = config.for_ranges(self._std)
+        self._config = config
         super().__init__(robot, self._filter)
+        self._specified = RangeSensor(range_std, cone=robot.cone)
+        self._assume(sensor or self._specified)
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
 
@@ -110,6 +134,11 @@ class ConsistentEstimator(Estimator):
             return AS_SPECIFIED
         found = self.odometry_calibration(robot)
         return found and found[0]
+
+    @property
+    def sensor(self) -> RangeSensor:
+        """How the sensor measures, as specified or as the data require."""
+        return self._sensor
 
     @property
     def map_state(self) -> MapState:
@@ -149,6 +178,7 @@ class ConsistentEstimator(Estimator):
         evidence = self._filter.calibration_evidence
         if evidence is not None and evidence > self._settings.self_calibration.gate:
             self._filter.calibrate()
+        self._correct_sensor()
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
         """Process all pending readings."""
@@ -182,9 +212,54 @@ class ConsistentEstimator(Estimator):
         """All landmarks, provisional ones included, by number."""
         return self._map.all_landmarks
 
-    def _points(self, readings: Readings) -> FloatArray:
-        """Estimated end points of readings in the world (n, 2), m."""
-        return hit_points(self._filter.clone_poses(readings.clones), readings)
+    def _assume(self, sensor: RangeSensor) -> None:
+        """Take the sensor to measure like this from now on."""
+        self._sensor, self._std, errors = sensor, sensor.std, self._config.range_errors
+        reach = float(self.robot.max_ranges.max())
+        self._usual_std = float(sensor.stds(np.array([USUAL_RANGE * reach]))[0]) if sensor.growth else sensor.std
+        self._settings = self._config.for_ranges(self._usual_std)
+        ratio = errors.least_ratio if sensor == self._specified else errors.further_ratio
+        self._noise = RangeNoise(sensor, reach, errors.least_std, ratio)
+        self._is_counted = False
+
+    def _correct_sensor(self) -> None:
+        """Estimate the sensor's errors anew if the readings so far say that the assumed ones are wrong."""
+        settings, sensor, errors = self._config.range_errors, self._sensor, self._filter.range_errors
+        if not self._is_counted or errors is None:
+            return
+        self._is_counted = False
+        change, evidence, noise = errors.estimate[0], errors.evidence, self._noise.estimate
+        change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
+        evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
+        gate, noise_gate = settings.gate, settings.noise_gate
+        if sensor != self._specified:
+            gate = noise_gate = settings.further_gate
+        is_biased = bool(evidence[0] > (settings.further_gate if sensor.bias else settings.gate))
+        if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
+            return
+        # Noise and opening angle feign each other, so that any evidence counts. A bias does not show itself that early.
+        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
+        std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
+        self._filter.correct_ranges(change)
+        self._assume(RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0])))
+
+    def _count(self, segment: WallSegment) -> None:
+        """Count the residuals of a segment that is used."""
+        self._noise.count(segment.residuals, segment.ranges)
+        self._is_counted = True
+
+    def _readings(self, pending: PendingReadings, side: Side) -> Readings:
+        """The pending readings of a side, as the sensor takes them."""
+        readings, sensor = pending.readings(side), self._sensor
+        return readings._replace(ranges=readings.ranges - sensor.bias, growth=sensor.growth, cone=sensor.cone)
+
+    def _points(self, readings: Readings, theta: float | None = None) -> FloatArray:
+        """Estimated end points of readings in the world (n, 2), m, on a wall with its normal at ``theta``, rad, or any.
+
+        Where the wall is not known, they are on the middle of each beam.
+        """
+        poses = self._filter.clone_poses(readings.clones)
+        return hit_points(poses, readings if theta is None else readings.towards(theta, poses[:, 2]))
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""
@@ -194,20 +269,20 @@ class ConsistentEstimator(Estimator):
         count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
         origins, towards, ranges = (each[:count] for each in rays)
         x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
-        stds = np.sqrt(self._std**2 + (x + y) + heading * ranges**2)
+        stds = np.sqrt(self._sensor.variances(ranges) + (x + y) + heading * ranges**2)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:
         """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""
         pending, settings = self._pending[number], self._settings
         pending.fresh[side] = 0
-        readings = pending.readings(side)
+        readings = self._readings(pending, side)
         points = self._points(readings)
         # Beams ahead meet a wall at points far apart, with nothing in between.
         hough = (
             replace(settings.hough, max_gap=settings.segmentation.gap_ahead) if side == SIDES[AHEAD] else settings.hough
         )
-        lines = extract_lines(points, hough, self._std)
+        lines = extract_lines(points, hough, self._usual_std)
         self._show(number, side, step, points, lines)
         consumed = np.zeros(len(points), dtype=bool)
         driven = np.array([reading.driven for reading in pending.by_side[side]])
@@ -240,7 +315,7 @@ class ConsistentEstimator(Estimator):
 
     def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> Iterator[tuple[FloatArray, IntArray]]:
         """Each line, and its readings without those near a corner that could also belong to another wall."""
-        near = max_distance(self._settings.hough, self._std)
+        near = max_distance(self._settings.hough, self._usual_std)
         for line in lines:
             members = np.sort(line.members)
             for other in lines:
@@ -250,7 +325,7 @@ class ConsistentEstimator(Estimator):
                 along = points[members] @ direction(other.fit.line)
                 beside = (along > places[0] - BESIDE_CORNER) & (along < places[1] + BESIDE_CORNER)
                 members = members[~(beside & (np.abs(distance(other.fit.line, points[members])) < near))]
-            if self._std >= self._settings.segmentation.corner_std:
+            if self._usual_std >= self._settings.segmentation.corner_std:
                 members = members[~self._on_crossing_wall(points[members], float(line.fit.line[1]), near)]
             if len(members) >= FEWEST:
                 yield line.fit.line, members
@@ -290,7 +365,7 @@ class ConsistentEstimator(Estimator):
         if best <= settings.gate:
             return self._observe(robot, step, readings, segment, candidates[0])
         least = creation.min_length_complete if is_complete else creation.min_length
-        is_enough = len(segment.members) >= creation.readings_per_std * self._std
+        is_enough = len(segment.members) >= creation.readings_per_std * self._usual_std
         is_sure = is_enough and segment.angle_std <= creation.max_angle_std and self._is_whole(segment)
         if best < settings.far_gate or segment.length < least or not is_sure:
             return False
@@ -315,7 +390,7 @@ class ConsistentEstimator(Estimator):
 
     def _max_angle(self, segment: WallSegment) -> float:
         """Largest difference of direction, rad, at which a landmark is compared with a wall segment."""
-        loose = 2.0 * math.atan2(2.0 * self._std, max(segment.length, SHORTEST))
+        loose = 2.0 * math.atan2(2.0 * self._usual_std, max(segment.length, SHORTEST))
         return self._settings.association.max_angle + loose
 
     def _comparison(
@@ -366,6 +441,7 @@ class ConsistentEstimator(Estimator):
         """Update by a wall segment of a known landmark, if it fits; whether it did."""
         fits = self._fits(segment, known)
         if fits:
+            self._count(segment)
             self._update(robot, step, readings, self._map[known.landmark], self._settings.update.iterations)
         return fits
 
@@ -391,6 +467,7 @@ class ConsistentEstimator(Estimator):
         return segment.hole <= self._settings.segmentation.max_hole_share * self.robot.reach
 
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
+        self._count(segment)
         self._filter.add_line(segment.theta, segment.middle)
         self._update(robot, step, readings, self._map.add(), self._settings.creation.iterations)
 
@@ -398,7 +475,8 @@ class ConsistentEstimator(Estimator):
         """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
         index, is_new = self._map.walls.index(wall), not wall.groups
         self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
-        self._map.grow(index, self._points(readings), self._filter.side(readings, index))
+        points = self._points(readings, float(self._filter.anchored[index, 1]))
+        self._map.grow(index, points, self._filter.side(readings, index))
         self.report(AssociationRecord(wall.number, is_new, readings.sources, robot))
         self._close_loops_of(wall, step)
 

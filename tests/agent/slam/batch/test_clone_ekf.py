@@ -49,7 +49,7 @@ def fullest(estimator: ConsistentEstimator) -> int:
 def readings_on(state: States, side: int) -> tuple[IntArray, FloatArray]:
     ekf = state.filter
     waiting = state.pending[side, : ekf.counts[PENDING + side]]
-    return readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams)
+    return readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams, 0.0)
 
 
 def test_the_arrays_hold_the_plain_filter(state: States, plain: CloneEKF) -> None:

@@ -52,7 +52,9 @@ def segments_near(estimator: ConsistentEstimator, points: FloatArray) -> list[tu
         normal = np.array([np.cos(theta), np.sin(theta)])
         middle = estimator._filter.anchors[index] + 0.1 * step * normal
         places = middle + along[:, None] * normal[::-1] * [-1, 1]
-        segment = WallSegment(np.arange(len(points)), theta + 0.05 * step, middle, places, 0.1 + 0.2 * step, 0.01)
+        segment = WallSegment(
+            np.arange(len(points)), theta + 0.05 * step, middle, places, 0.1 + 0.2 * step, 0.01, along, along
+        )
         row = np.zeros(8)
         row[[THETA, MIDDLE_X, MIDDLE_Y]] = segment.theta, *segment.middle
         row[EXTENT], row[ANGLE_STD] = segment.length, segment.angle_std
@@ -65,7 +67,7 @@ def test_association_gates(recorded: ConsistentEstimator, state: States) -> None
     side = int(np.argmax([len(recorded._pending[0].by_side[name]) for name in SIDES]))
     readings = recorded._pending[0].readings(SIDES[side])
     waiting = state.pending[side, : ekf.counts[PENDING + side]]
-    places, rows = readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams)
+    places, rows = readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams, 0.0)
     room = len(ekf.anchors)
     for segment, row in segments_near(recorded, rows):
         scores, which, told = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
