@@ -44,6 +44,10 @@ class MotionConfig(Bounded):
         Prior standard deviation of the missing heading of odometry per metre, rad/m.
     scale_std, turn_gain_std
         Prior standard deviations of the relative errors of distances and turns.
+    delay_std
+        Prior standard deviation of the time by which ranges are older than odometry, s.
+    direction_std
+        Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad.
     """
 
     along: NonNegative = 0.05
@@ -56,6 +60,8 @@ class MotionConfig(Bounded):
     bias_std: Positive = 1.5 * _DEGREE
     scale_std: Positive = 0.03
     turn_gain_std: Positive = 0.03
+    delay_std: Positive = 0.1
+    direction_std: Angle = 2.0 * _DEGREE
 
 
 @dataclass(frozen=True)
@@ -422,6 +428,9 @@ class RoundConfig(Bounded):
         Rounds end when the last two rounds together have raised the score by less than this.
     same_path
         Two searches have found the same path if 90 % of their key poses lie within this distance, m.
+    synchronisations, synchronous
+        Largest number of times that the delay of the ranges is estimated and corrected before the search; a correction
+        of less than ``synchronous`` s is the last.
     restart, restarts
         If odometry misses at least this much heading per metre, rad/m, its errors are corrected and the log is
         smoothed again, at most this number of times. The result is kept if its score is higher.
@@ -438,6 +447,8 @@ class RoundConfig(Bounded):
     tie: NonNegative = 0.003
     settled: NonNegative = 0.002
     same_path: NonNegative = 0.5
+    synchronisations: Count = 3
+    synchronous: NonNegative = 0.02
     restart: Angle = 3.0 * _DEGREE
     restarts: CountOrNone = 3
 
