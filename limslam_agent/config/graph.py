@@ -18,12 +18,16 @@ class KeyPoseConfig(Bounded):
         A new key pose begins after this distance driven (m) or this turn (rad).
     scan_distance, scan_turn
         A scan gives points only after this motion (m) or turn (rad) since the last scan that gave points.
+    points_per_metre
+        Largest number of points for each metre driven. Of more points, those of every k-th beam are used, of other
+        beams in each scan.
     """
 
     distance: Positive = 0.25
     turn: Angle = 12.0 * _DEGREE
     scan_distance: NonNegative = 0.015
     scan_turn: Angle = 1.0 * _DEGREE
+    points_per_metre: Positive = 200.0
 
 
 @dataclass(frozen=True)
@@ -398,7 +402,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
-    doubtful_share: NonNegative = 0.2
+    doubtful_share: NonNegative = 0.15
 
 
 @dataclass(frozen=True)

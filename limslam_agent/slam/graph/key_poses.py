@@ -6,6 +6,7 @@ ranges (a scan is sent and given its time while odometry is already newer), and 
 be mounted at an angle).
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,7 +153,7 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
     first_of = first[key]
     offset_rate, step_rate = _rates(data, first_of, np.arange(count)), _rates(data, first[:-1], first[1:])
     scans = np.diff(_count_ups(length, turn, config.scan_distance, config.scan_turn), prepend=-1) > 0
-    event, beam = np.nonzero(data.hit & scans[:, None])
+    event, beam = np.nonzero(_thinned(data.hit & scans[:, None], max(travel[-1], 1.0) * config.points_per_metre))
     direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
     return KeyPoses(
         event_key=key,
@@ -171,6 +172,13 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
         in_robot=data.origins[beam] + data.ranges[event, beam][:, None] * direction[beam],
         origin_in_robot=data.origins[beam],
     )
+
+
+def _thinned(hit: BoolArray, most: float) -> BoolArray:
+    """The hits (n, b) of every k-th beam, other beams in each scan; k is the least that leaves about ``most`` hits."""
+    every = max(1, math.ceil(hit.sum() / most))
+    scans = np.cumsum(hit.any(axis=1))
+    return np.asarray(hit & ((scans[:, None] + np.arange(hit.shape[1])) % every == 0))
 
 
 def _motions(first: FloatArray, second: FloatArray) -> FloatArray:

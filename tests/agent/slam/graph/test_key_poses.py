@@ -105,6 +105,17 @@ def test_a_standing_robot_gives_points_once():
     assert set(keys_of(replace(log, odometry=odometry)).point_event) <= {0}
 
 
+def test_dense_scans_are_thinned_to_all_beams_in_turn():
+    log = wandering(beams=180)
+    keys = keys_of(log)
+    all_points = choose_keys(log, KeyPoseConfig(points_per_metre=1e6), MotionConfig())
+    assert len(all_points.point_event) == log.hit[np.unique(all_points.point_event)].sum()
+    density = len(keys.point_event) / keys.travel[-1]
+    assert 100.0 < density < 210.0
+    angles = np.round(np.arctan2(*(keys.in_robot - keys.origin_in_robot).T[::-1]), 6)
+    assert len(np.unique(angles)) > 0.9 * 180
+
+
 def test_stated_variances_replace_those_of_the_settings():
     log = wandering()
     keys = keys_of(replace(log, variances=np.full((len(log.time), 3), 0.01)))
