@@ -224,12 +224,15 @@ def _line_figures(found: SmoothedRun) -> dict[str, Any]:
 
 def _figures(found: GraphResult) -> dict[str, Any]:
     reasons = [verdict.reason for verdict in found.verdicts]
+    turn, scale, gain, delay, direction = found.errors.tolist()
     return {
         "smoothed_score": found.score,
         "smoothed_start": found.start,
-        "smoothed_turn_deg_per_m": math.degrees(found.turn_bias),
-        "smoothed_scale": 1.0 + found.scale,
-        "smoothed_turn_gain": 1.0 + found.turn_gain,
+        "smoothed_turn_deg_per_m": math.degrees(turn),
+        "smoothed_scale": 1.0 + scale,
+        "smoothed_turn_gain": 1.0 + gain,
+        "smoothed_delay_s": delay,
+        "smoothed_direction_deg": math.degrees(direction),
         "loops_found": len(reasons),
         "loops_kept": sum(verdict.kept for verdict in found.verdicts),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
