@@ -10,11 +10,12 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import (
+    ERRORS,
     KeyPoses,
     LogData,
     Trajectory,
     choose_keys,
-    corrected_odometry,
+    corrected,
     event_poses,
     odometry_trajectory,
 )
@@ -54,12 +55,11 @@ class Chain:
     @classmethod
     def of(cls, data: LogData, found: GraphResult, config: GraphConfig) -> "Chain":
         """The chain of a smoothed log."""
-        bias = np.array([found.turn_bias, found.scale, found.turn_gain])
-        data = replace(data, odometry=corrected_odometry(data.odometry, bias))
+        data = corrected(data, found.errors)
         keys = choose_keys(data, config.keys, config.motion)
         poses = found.poses[keys.first_event]
         local = smooth_locally(keys, odometry_trajectory(keys, poses[0]), config, data.range_std)
-        return cls(data, keys, local, Trajectory(poses, np.zeros(3)))
+        return cls(data, keys, local, Trajectory(poses, np.zeros(ERRORS)))
 
     def moved(self, motion: FloatArray) -> "Chain":
         """The chain after a motion (3,) of its frame."""
@@ -84,6 +84,8 @@ def joined_keys(first: Chain, second: Chain) -> KeyPoses:
         step=np.vstack((one.step, seam, other.step)),
         step_forward=np.concatenate((one.step_forward, [0.0], other.step_forward)),
         step_variances=np.vstack((one.step_variances, _SEAM_STD[None] ** 2, other.step_variances)),
+        offset_rate=np.vstack((one.offset_rate, other.offset_rate)),
+        step_rate=np.vstack((one.step_rate, np.zeros((1, 3)), other.step_rate)),
         travel=np.append(one.travel, other.travel + travel),
         point_event=np.append(one.point_event, other.point_event + events),
         point_key=np.append(one.point_key, other.point_key + keys),
@@ -95,7 +97,7 @@ def joined_keys(first: Chain, second: Chain) -> KeyPoses:
 
 def joined_trajectory(first: Trajectory, second: Trajectory) -> Trajectory:
     """The trajectory of both chains, whose odometry has no constant errors that are known."""
-    return Trajectory(np.vstack((first.poses, second.poses)), np.zeros(3))
+    return Trajectory(np.vstack((first.poses, second.poses)), np.zeros(ERRORS))
 
 
 def local_of_both(first: Chain, second: Chain) -> Trajectory:
