@@ -18,11 +18,10 @@ from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.renewal import Renewal
-from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.slam import Extraction, LineSlam
+from limslam_agent.slam.slam import Extraction, LineSlam, RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.status import Status

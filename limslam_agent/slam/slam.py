@@ -20,7 +20,7 @@ from limslam_agent.slam.published.published import PublishedEstimator
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
-__all__ = ["AssociationRecord", "Extraction", "LineSlam"]
+__all__ = ["AssociationRecord", "Extraction", "LineSlam", "RangeSensor"]
 
 
 class LineSlam:

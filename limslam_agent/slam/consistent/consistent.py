@@ -234,7 +234,9 @@ class ConsistentEstimator(Estimator):
         gate, noise_gate = settings.gate, settings.noise_gate
         if sensor != self._specified:
             gate = noise_gate = settings.further_gate
-        is_biased = bool(evidence[0] > (settings.further_gate if sensor.bias else settings.gate))
+        # What a model of wide cones leaves unexplained would be taken for a bias.
+        may_be_biased = sensor.cone == self._specified.cone
+        is_biased = may_be_biased and evidence[0] > (settings.further_gate if sensor.bias else settings.gate)
         if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
             return
         # Noise and opening angle feign each other, so that any evidence counts. A bias does not show itself that early.

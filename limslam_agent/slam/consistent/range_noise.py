@@ -68,7 +68,7 @@ class RangeNoise:
         shares = np.diff(ndtr(EDGES / _RATIOS[:, None]), axis=1)
         shares /= shares.sum(axis=1, keepdims=True)
         by_chance = np.diff(EDGES) / EDGES[-1]
-        self._logs = np.log((1.0 - ANY_SIZE) * shares + ANY_SIZE * by_chance)
+        logs = np.log((1.0 - ANY_SIZE) * shares + ANY_SIZE * by_chance)
         middles = np.asarray(NEAREST * RANGE_STEP ** (np.arange(NUM_RANGES) - 0.5), dtype=float)
         stds = assumed.std * FACTORS
         # Noise that is already below the least one may stay as it is.
@@ -76,10 +76,11 @@ class RangeNoise:
         self._growths = np.array(GROWTHS) * assumed.std / reach**2
         variances = self._stds[:, None, None] ** 2 + (self._growths[:, None] * middles**2) ** 2
         self._ratios = np.log(np.sqrt(variances) / assumed.stds(middles))
-        self._rows = np.rint((self._ratios - math.log(_RATIOS[0])) / math.log(1.05)).astype(int)
-        self._rows = np.clip(self._rows, 0, len(_RATIOS) - 1)
+        rows = np.rint((self._ratios - math.log(_RATIOS[0])) / math.log(_RATIOS[1] / _RATIOS[0])).astype(int)
+        logs_as_assumed = logs[np.argmin(np.abs(np.log(_RATIOS)))]
+        gains = logs[np.clip(rows, 0, len(_RATIOS) - 1)] - logs_as_assumed
+        self._gains = gains.reshape(*self._ratios.shape[:2], -1)
         self._least = math.log(least_ratio)
-        self._as_assumed = self._logs[np.argmin(np.abs(np.log(_RATIOS)))]
         self._counts = np.zeros((NUM_RANGES, len(EDGES) - 1))
 
     def count(self, residuals: FloatArray, ranges: FloatArray) -> None:
@@ -93,15 +94,10 @@ class RangeNoise:
     @property
     def estimate(self) -> NoiseEstimate:
         """The likeliest noise that is not as assumed."""
-        rows = np.flatnonzero(self._counts.any(axis=1))
-        if not len(rows):
-            return NoiseEstimate(float(self._stds[0]), 0.0, 0.0)
-        counts, chosen = self._counts[rows], self._rows[:, :, rows]
-        likelihoods = np.einsum("sgrb,rb->sg", self._logs[chosen], counts)
-        weights = counts.sum(axis=1) / counts.sum()
-        is_other = np.abs(self._ratios[:, :, rows]) @ weights >= self._least
-        if not is_other.any():
+        total = self._counts.sum()
+        likelihoods = self._gains @ self._counts.ravel()
+        is_other = np.abs(self._ratios) @ self._counts.sum(axis=1) >= self._least * total
+        if not (total and is_other.any()):
             return NoiseEstimate(float(self._stds[0]), 0.0, 0.0)
         best = np.unravel_index(np.argmax(np.where(is_other, likelihoods, -np.inf)), likelihoods.shape)
-        gain = 2.0 * float(likelihoods[best] - np.sum(counts @ self._as_assumed))
-        return NoiseEstimate(float(self._stds[best[0]]), float(self._growths[best[1]]), gain)
+        return NoiseEstimate(float(self._stds[best[0]]), float(self._growths[best[1]]), 2.0 * float(likelihoods[best]))

@@ -1,0 +1,191 @@
+"""Beams with an opening angle, and what the filter finds out about a sensor that is not as specified."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.drives import ROBOT, along, drive, ranges_at, room
+
+from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.mapper import Mapper
+from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, by_range_errors, expected_ranges
+from limslam_agent.slam.consistent.range_noise import RangeNoise
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import NominalNoise, Observation, RobotSpec
+
+NOISE = 0.02
+WALLS = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
+LAP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
+ROUTE = along([*LAP, *LAP, (0.0, 0.0)])
+CONE = math.radians(3.0)
+LINE, ANCHOR = np.array([0.3, 0.4]), np.array([1.0, 0.5])
+
+
+def one_reading(bearing: float, cone: float) -> Readings:
+    none, sources = np.zeros(1), np.zeros((1, 2), dtype=int)
+    return Readings(np.zeros(1, dtype=int), np.zeros((1, 2)), np.array([bearing]), none, sources, cone=cone)
+
+
+def distance_to(line: FloatArray, bearing: float, cone: float, pose: FloatArray) -> float:
+    """Range of one beam that meets a line."""
+    return float(expected_ranges(pose[None], one_reading(bearing, cone), line, ANCHOR).ranges[0])
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.floats(-1.2, 1.2), st.floats(0.001, 0.3))
+def test_a_cone_reads_the_nearest_point_inside_it(slant: float, cone: float) -> None:
+    pose, bearing = np.array([-0.5, 0.2, 0.3]), LINE[1] + slant - 0.3
+    rays = [distance_to(LINE, bearing + share * cone, 0.0, pose) for share in np.linspace(-1.0, 1.0, 2001)]
+    assert distance_to(LINE, bearing, cone, pose) == pytest.approx(min(rays), abs=1e-6)
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.floats(-1.2, 1.2), st.sampled_from([0.02, 0.1, 0.26]))
+def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone: float) -> None:
+    if abs(abs(slant) - cone) < 1e-3:  # where the border ray becomes the perpendicular
+        return
+    pose, bearing, step = np.array([-0.5, 0.2, 0.3]), LINE[1] + slant - 0.3, 1e-5
+    found = expected_ranges(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
+    by_pose = [
+        distance_to(LINE, bearing, cone, pose + each) - distance_to(LINE, bearing, cone, pose - each)
+        for each in step * np.eye(3)
+    ]
+    by_line = [
+        distance_to(LINE + each, bearing, cone, pose) - distance_to(LINE - each, bearing, cone, pose)
+        for each in step * np.eye(2)
+    ]
+    wider = distance_to(LINE, bearing, cone + step, pose) - distance_to(LINE, bearing, cone - step, pose)
+    np.testing.assert_allclose(found.by_pose[0], np.array(by_pose) / (2.0 * step), atol=1e-6)
+    np.testing.assert_allclose(found.by_line[0], np.array(by_line) / (2.0 * step), atol=1e-6)
+    np.testing.assert_allclose(by_range_errors(found)[0], [1.0, wider / (2.0 * step)], atol=1e-6)
+
+
+def counted(factor: float, growth: float, seed: int = 0) -> RangeNoise:
+    """What is known after 60 segments of 20 readings with noise that is not as specified."""
+    generator, noise = np.random.default_rng(seed), RangeNoise(RangeSensor(NOISE), 1.5, 0.005, 1.25)
+    for _ in range(60):
+        ranges = generator.uniform(0.1, 1.4, 20)
+        stds = np.hypot(factor * NOISE, growth * ranges**2)
+        residuals = stds / NOISE * generator.standard_normal(20)
+        residuals[generator.random(20) < 0.03] += 5.0  # readings of another object
+        noise.count(residuals, ranges)
+    return noise
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_as_specified_gives_no_evidence(seed: int) -> None:
+    assert counted(1.0, 0.0, seed).estimate.evidence < 0.0
+
+
+@pytest.mark.parametrize(("factor", "growth"), [(2.0, 0.0), (0.5, 0.0), (0.5, 0.02)])
+def test_other_noise_is_found(factor: float, growth: float) -> None:
+    found = counted(factor, growth).estimate
+    assert found.evidence > 50.0
+    for distance in (0.4, 1.2):
+        true = math.hypot(factor * NOISE, growth * distance**2)
+        assert RangeSensor(found.std, found.growth).stds(np.array([distance]))[0] == pytest.approx(true, rel=0.2)
+
+
+def observed(
+    cone: float, seed: int, *, noise: float = NOISE, bias: float = 0.0
+) -> tuple[list[Observation], FloatArray]:
+    """Observations of a sensor along two laps, and the true poses."""
+    generator = np.random.default_rng(seed)
+    exact, poses = drive(WALLS, np.zeros(3), ROUTE)
+    turned = [
+        replace(ROBOT, beams=tuple(replace(beam, angle=beam.angle + share * cone) for beam in ROBOT.beams))
+        for share in np.linspace(-1.0, 1.0, 5)
+    ]
+    observations: list[Observation] = []
+    for pose, seen in zip(poses, exact, strict=True):
+        ranges = np.min([ranges_at(pose, WALLS, each) for each in turned], axis=0)
+        read = ranges + bias + noise * generator.standard_normal(len(ranges))
+        is_seen = ranges < ROBOT.max_ranges
+        wheels = seen["wheels"] + np.sqrt(2e-5 * np.abs(seen["wheels"])) * generator.standard_normal(2)
+        kept = np.where(is_seen, np.clip(read, ROBOT.min_ranges, ROBOT.max_ranges), ROBOT.max_ranges)
+        observations.append({"ranges": kept, "wheels": wheels})
+    return observations, poses
+
+
+def config_of(*, enabled: bool = True) -> AgentConfig:
+    config = preset("consistent", NominalNoise(NOISE))
+    assert isinstance(config.estimator, ConsistentConfig)
+    return replace(config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=enabled)))
+
+
+def mapped(
+    observations: list[Observation], config: AgentConfig, robot: RobotSpec = ROBOT
+) -> tuple[Mapper, FloatArray, FloatArray]:
+    """The mapper after a drive, and its poses (t, 3) and covariances (t, 3, 3)."""
+    mapper, poses, covariances = Mapper(robot, config), [], []
+    for seen in observations:
+        mapper.step(seen)
+        poses.append(mapper.poses[0])
+        covariances.append(mapper.covariances[0])
+    return mapper, np.array(poses), np.array(covariances)
+
+
+def position_error(poses: FloatArray, true: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum((poses[:, :2] - true[:, :2]) ** 2, axis=1))))
+
+
+def test_a_sensor_as_specified_keeps_its_drive_to_the_bit() -> None:
+    observations, _ = observed(0.0, 0)
+    mapper, poses, covariances = mapped(observations, config_of())
+    assert mapper.slam.sensor == RangeSensor(NOISE)
+    _, without, spread = mapped(observations, config_of(enabled=False))
+    np.testing.assert_array_equal(poses, without)
+    np.testing.assert_array_equal(covariances, spread)
+
+
+def test_an_unknown_opening_angle_is_found_and_corrects_the_drive() -> None:
+    observations, true = observed(CONE, 0)
+    mapper, poses, _ = mapped(observations, config_of())
+    assert mapper.slam.sensor is not None
+    assert mapper.slam.sensor.cone == pytest.approx(CONE, abs=0.015)
+    assert len(poses) == len(true)
+    _, without, _ = mapped(observations, config_of(enabled=False))
+    assert position_error(poses, true) < position_error(without, true)
+
+
+def test_larger_noise_than_specified_is_found() -> None:
+    sensor = mapped(observed(0.0, 1, noise=0.045)[0], config_of())[0].slam.sensor
+    assert sensor is not None
+    assert sensor.stds(np.array([0.5]))[0] == pytest.approx(0.045, rel=0.25)
+    assert sensor.cone == 0.0
+
+
+def test_a_bias_is_no_opening_angle() -> None:
+    sensor = mapped(observed(0.0, 2, bias=0.03)[0], config_of())[0].slam.sensor
+    assert sensor is not None
+    assert sensor.cone < 0.01
+
+
+def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
+    robot, squared, without = replace(ROBOT, cone=CONE), [], []
+    for seed in range(4):
+        observations, true = observed(CONE, 10 + seed)
+        for each, found in ((robot, squared), (ROBOT, without)):
+            _, poses, covariances = mapped(observations, config_of(enabled=False), each)
+            off = poses[200:] - true[200:]
+            off[:, 2] = wrap_angle(off[:, 2])
+            scaled = np.linalg.solve(covariances[200:], off[..., None])[..., 0]
+            found.append(np.mean(np.sum(off * scaled, axis=1)))
+    assert np.mean(squared) / 3.0 < 2.0
+    assert np.mean(without) > 1.5 * np.mean(squared)
+
+
+@pytest.mark.parametrize("cone", [-0.1, 1.0, math.nan])
+def test_an_impossible_opening_angle_is_refused(cone: float) -> None:
+    with pytest.raises(ValueError, match="half the opening angle"):
+        RobotSpec(cone=cone)
+
+
+def test_the_opening_angle_is_kept_in_files() -> None:
+    robot = RobotSpec(cone=CONE)
+    assert RobotSpec.from_json(robot.to_json()) == robot
