@@ -25,8 +25,10 @@ from support.drives import (
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.team import LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -577,3 +579,45 @@ def test_odometry_poses_serve_in_place_of_wheels(yaw: float) -> None:
     check_pose(slam, poses[-1], 0.25, 4.0)
     check_covariance(slam)
     check_each_reading_is_used_once(records)
+
+
+def two_landmarks(behind: float, std: float, sides: tuple[int, int]) -> ConsistentEstimator:
+    """An estimator with two parallel landmarks of 2 m, seen from given sides, the second ``behind`` m behind."""
+    slam = ConsistentEstimator(RobotSpec(), ConsistentConfig(), 0.02, np.zeros((1, 3)))
+    along = np.column_stack((np.linspace(-1.0, 1.0, 20), np.zeros(20)))
+    for place, side in zip((3.0, 3.0 - behind), sides, strict=True):
+        line, spread = np.array([place, 0.5 * np.pi]), np.diag([0.5 * std**2, 1e-5])
+        index = slam._filter.add_known_line(line, spread, np.array([0.0, place]))
+        slam._map.add()
+        slam._map.grow(index, along + np.array([0.0, place]), side)
+    return slam
+
+
+@pytest.mark.parametrize(
+    ("behind", "std", "opposite", "is_one"),
+    [
+        (0.003, 0.01, True, True),
+        (0.15, 0.08, True, False),
+        (0.15, 0.08, False, True),
+        (0.15, 0.01, True, False),
+        (0.02, 0.2, True, False),
+        (-0.1, 0.08, True, False),
+    ],
+)
+def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
+    behind: float, std: float, opposite: bool, is_one: bool
+) -> None:
+    slam = two_landmarks(behind, std, (POSITIVE, NEGATIVE if opposite else POSITIVE))
+    assert slam._closes_loop(0, 1, 0) == is_one
+    # The length of a board, and that of a wall whose thickness is known.
+    boards, walls = slam._map.kinds
+    assert boards == pytest.approx(2.0 if is_one and opposite else 0.0)
+    assert walls == pytest.approx(2.0 if opposite and std < 0.05 < behind else 0.0)
+
+
+def test_boards_that_are_known_let_vague_landmarks_merge() -> None:
+    slam = two_landmarks(0.02, 0.2, (POSITIVE, NEGATIVE))
+    other = slam._filter.add_known_line(np.array([7.0, 0.0]), 1e-4 * np.eye(2), np.array([7.0, 0.0]))
+    slam._map.add()
+    slam._map.grow(other, np.column_stack((np.full(20, 7.0), np.linspace(-3.0, 3.0, 20))), POSITIVE, NEGATIVE)
+    assert slam._closes_loop(0, 1, 0)

@@ -1,0 +1,63 @@
+"""Two lines that were read from opposite sides are one wall only if they are a board."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.smoother import ReassociationConfig
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
+from limslam_agent.slam.line_graph.line_merging import merge_lines, share_side, wall_kinds
+
+CONFIG = ReassociationConfig()
+LIMITS = np.array([CONFIG.one_wall_gate, 0.4, CONFIG.max_angle, CONFIG.min_overlap])
+UNSEEN = [np.inf, -np.inf]
+
+
+def parallel(behind, second, *, turned=False):
+    """Two lines along the x axis, the first read from y > 0, and the second, ``behind`` m below, from a side."""
+    lines = np.array([[0.0, 0.5 * np.pi], [0.0, -0.5 * np.pi if turned else 0.5 * np.pi]])
+    anchors = np.array([[0.3, 0.0], [0.5, -behind]])
+    ends = np.array([[-1.0, 1.0], [-1.0, 1.0]])
+    seen = np.array([[UNSEEN, UNSEEN], [UNSEEN, UNSEEN]])
+    seen[0, POSITIVE] = ends[0]
+    seen[1, 1 - second if turned else second] = ends[1]
+    return lines, anchors, ends, seen
+
+
+def merged(behind, std, second=NEGATIVE, kinds=(0.0, 0.0), *, turned=False):
+    lines, anchors, ends, seen = parallel(behind, second, turned=turned)
+    into = np.empty(2, dtype=np.int64)
+    count = merge_lines(
+        lines, anchors, ends, seen, np.diag([std**2, 1e-4] * 2), LIMITS, np.array(kinds), np.array([9.0, 9.0]), into
+    )  # fmt: skip
+    return count, seen[0]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_board_is_one_line_and_a_wall_two(turned):
+    count, seen = merged(0.002, 0.01, turned=turned)
+    assert count == 1
+    assert (seen[:, 0] < seen[:, 1]).all()
+    assert merged(0.13, 0.06, turned=turned)[0] == 0
+    # The same difference, seen from one side, is a matter of chi-square alone.
+    assert merged(0.13, 0.06, POSITIVE, turned=turned)[0] == 1
+
+
+def test_what_is_known_of_a_building_decides_about_vague_lines():
+    assert merged(0.05, 0.2)[0] == 0
+    assert merged(0.05, 0.2, kinds=(20.0, 0.0))[0] == 1
+    assert merged(0.05, 0.2, kinds=(20.0, 20.0))[0] == 0
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_lengths_of_boards_and_walls(turned):
+    lines, anchors, ends, seen = parallel(0.2, NEGATIVE, turned=turned)
+    covariance, limits = np.diag([1e-4, 1e-6] * 2), np.array([np.inf, *LIMITS[1:]])
+    assert wall_kinds(lines, anchors, ends, seen, covariance, limits) == (0.0, pytest.approx(1.8))
+    seen[0, NEGATIVE] = [0.0, 0.7]
+    assert wall_kinds(lines, anchors, ends, seen, covariance, limits)[0] == pytest.approx(0.7)
+
+
+def test_lines_that_share_a_side():
+    for second, wanted in ((POSITIVE, True), (NEGATIVE, False)):
+        lines, anchors, _, seen = parallel(0.1, second)
+        assert share_side(np.array([[0, 1]]), lines, anchors, seen).tolist() == [wanted]
