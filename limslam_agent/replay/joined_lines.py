@@ -18,8 +18,11 @@ from limslam_agent.status.smoothed_status import smoothed_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray, se2
 
+_ROCKING = 0.01
+"""Wheel travel to and fro of a robot that waits, m: wheels that stand still for minutes make the equations singular."""
+
 _FURTHEST = 0.4, np.radians(10.0)
-"""The smoothed start of the second log differs by at most this from the matched one, m and rad."""
+"""The smoothed start of the second log, and the path of each log, differ by at most this from the match, m and rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +84,19 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     poses = _own_steps(smoothed, replays)
     frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
     grid = grid_of(replays, poses)
+    counts = [len(each.log) for each in replays]
+    filtered, found = (
+        (_held(poses_of, counts)[1:], _held(sizes_of, counts)[1:])
+        for poses_of, sizes_of in ((run.poses, run.covariances), (smoothed.poses, smoothed.covariances))
+    )
     status = smoothed_status(
-        smoothed.contradictions, (run.poses[1:], run.covariances[1:]), (smoothed.poses[1:], smoothed.covariances[1:]),
+        smoothed.contradictions, filtered, found,
         one.config.status.smoothed, while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
     )  # fmt: skip
-    reason = _contradiction(status, frame, matched) or _ambiguity(place_map(smoothed.segments, grid), local, places)
+    shifts = [_shift(smoothed.poses[:count, number], run.poses[:, number]) for number, count in enumerate(counts)]
+    reason = _contradiction(status, frame, matched, max(shifts)) or _ambiguity(
+        place_map(smoothed.segments, grid), local, places
+    )
     if reason:
         return _not_joined(f"joined and taken back: {reason}", decision.record)
     record = {**decision.record, "event": "joined", "start": poses[1][0].tolist()}
@@ -96,11 +107,19 @@ def _not_joined(reason: str, match: dict[str, Any]) -> NotJoined:
     return NotJoined({"event": "not joined", "reason": reason, "match": match})
 
 
-def _contradiction(status: Status, frame: FloatArray, matched: FloatArray) -> str:
+def _shift(poses: FloatArray, alone: FloatArray) -> float:
+    """Distance of a log's path (n, 3) from its path alone (m, 3), m >= n, at the matched place: root mean square, m."""
+    off = poses[:, :2] - alone[: len(poses), :2]
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+def _contradiction(status: Status, frame: FloatArray, matched: FloatArray, shift: float) -> str:
     """Why a joining is wrong by what the readings of both logs say together; empty if it may be right."""
     off = se2.between(matched, frame)
     if float(np.hypot(*off[:2])) > _FURTHEST[0] or abs(float(off[2])) > _FURTHEST[1]:
         return "the readings lead away from the matched place"
+    if shift > _FURTHEST[0]:
+        return f"smoothing both logs together moves the path of one of them by {shift:.2f} m"
     return status.reason if status.level != "ok" else ""
 
 
@@ -135,6 +154,9 @@ def joined_run(runs: Sequence[FilteredRun], frame: FloatArray) -> FilteredRun:
         for name, fill in (("wheels", 0), ("ranges", np.nan), ("usable", False), ("poses", None), ("covariances", None))
     }
     columns["usable"][0, 1] = False
+    for number, each in enumerate((first, second)):
+        waiting = columns["wheels"][len(each.poses) :, number]
+        waiting[:] = _ROCKING * (-1.0) ** np.arange(len(waiting))[:, None]
     apart = 1 + max((record.landmark for record in first.associations), default=-1)
     others = [
         AssociationRecord(record.landmark + apart, record.is_new, record.readings, 1) for record in second.associations
@@ -151,6 +173,14 @@ def _padded(rows: FloatArray, steps: int, fill: float | None) -> FloatArray:
     """Rows (t, 1, ...) with more rows at the end, up to a number of steps: of a value, or of the last row."""
     more = np.repeat(rows[-1:], steps - len(rows), axis=0)
     return np.concatenate((rows, more if fill is None else np.full_like(more, fill)))
+
+
+def _held(rows: FloatArray, counts: Sequence[int]) -> FloatArray:
+    """Rows (t, 2, ...) of two robots, in which the waiting of the shorter log repeats its last own row."""
+    held = rows.copy()
+    for number, count in enumerate(counts):
+        held[count:, number] = rows[count - 1, number]
+    return held
 
 
 def _own_steps(smoothed: SmoothedRun, replays: tuple[Replay, Replay]) -> tuple[FloatArray, FloatArray]:
