@@ -92,6 +92,8 @@ class SuddenChangeConfig(Bounded):
         once.
     unsure, lost, lost_contradicted
         The estimate is unsure or lost with this evidence. Less suffices to be lost if a place contradicts the map.
+    clear
+        With less evidence than this by the change itself, the next comparison must confirm that the robot is lost.
     """
 
     begin: Positive = 1.0
@@ -103,6 +105,7 @@ class SuddenChangeConfig(Bounded):
     unsure: Positive = 8.0
     lost: Positive = 12.0
     lost_contradicted: Positive = 10.0
+    clear: NonNegative = 6.0
 
 
 @dataclass(frozen=True)

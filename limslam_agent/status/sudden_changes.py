@@ -138,7 +138,7 @@ class SuddenChanges:
     ) -> None:
         self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
         self._sights: list[tuple[int, Sight]] = []
-        self._latest = -1
+        self._latest, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.suspicions: list[Suspicion] = []
@@ -148,13 +148,31 @@ class SuddenChanges:
         """The suspicion with the most evidence; None if there is none."""
         return max(self.suspicions, key=lambda each: each.evidence, default=None)
 
-    def is_certain(self, suspicion: Suspicion) -> bool:
-        """Whether the evidence suffices to say that the robot was carried away."""
-        config = self._config
-        return suspicion.evidence >= (config.lost_contradicted if suspicion.contradicted else config.lost)
+    @property
+    def certain(self) -> Suspicion | None:
+        """The suspicion that is true, if there is enough evidence for one; None otherwise.
+
+        If little of the evidence is due to the change, the latest steps, which wait for the next call, may have changed
+        more.
+        """
+        found = self._found()
+        return found if found is None or found.change >= self._config.clear or self._was_found else None
+
+    def _found(self) -> Suspicion | None:
+        """The suspicion with the largest change, if there is enough evidence for one.
+
+        What follows a change speaks for every suspicion of the last steps.
+        """
+        config, strongest = self._config, self.strongest
+        if strongest is None:
+            return None
+        if strongest.evidence < (config.lost_contradicted if strongest.contradicted else config.lost):
+            return None
+        return max((each for each in self.suspicions if each.evidence >= config.unsure), key=lambda each: each.change)
 
     def note(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
         """Follow the suspicions through the steps since the last call, with their numbers, and look for new ones."""
+        self._was_found = self._found() is not None
         self.suspicions = [each for each in self.suspicions if self._is_open(each, moment.place)]
         for each in self.suspicions:
             self._weigh(each, sights[-1][1], moment)
