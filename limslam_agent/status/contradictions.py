@@ -50,10 +50,13 @@ class ExpectedRanges:
     stds
         Standard deviation of the difference between reading and expected range (m, n_beams), m, with the uncertainty of
         the pose.
+    walls
+        Number of that wall (m, n_beams). It means nothing if the range is infinite.
     """
 
     ranges: FloatArray
     stds: FloatArray
+    walls: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,14 +133,14 @@ def expected_ranges(
     """
     shape = len(poses), len(robot.beams)
     if not len(segments):
-        return ExpectedRanges(np.full(shape, np.inf), np.full(shape, np.inf))
+        return ExpectedRanges(np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(shape, dtype=np.int64))
     crossed = crossings(robot, poses, segments, np.arange(len(robot.beams)))
     first, reached = crossed.first(config.inset)
     cosines = crossed.cosines[(*np.indices(shape), first)]
     ranges = np.where((cosines > config.least_cosine) & (reached < robot.max_ranges), reached, np.inf)
     lever = np.where(np.isfinite(ranges), ranges, 0.0)
     variances = range_std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
-    return ExpectedRanges(ranges, np.sqrt(variances) / np.maximum(cosines, LEAST_COSINE))
+    return ExpectedRanges(ranges, np.sqrt(variances) / np.maximum(cosines, LEAST_COSINE), first)
 
 
 @dataclass(frozen=True, eq=False)
