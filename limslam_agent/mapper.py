@@ -209,19 +209,15 @@ class Mapper:
     def finish(self) -> None:
         """Use the readings that are still buffered. Call this after the last step; a second call does nothing.
 
-        A robot that is still lost then gets the map back that it was lost from.
+        A robot that is still lost then gets the map back that it was lost from. There is no last search for its place:
+        without further driving, a match would agree with the one before, and say nothing new.
         """
         if self._is_finished:
             return
         self._is_finished = True
         self.slam.finish()
-        # A match right after another one would agree with it, and say nothing new.
-        if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
-            self._look_up(self._lookup)
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.end("no match was good and unambiguous")
-        if self._recovery is not None and self._recovery.is_lost and self._recovery.is_due():
-            self._seek(self._recovery)
         if self._recovery is not None and self._recovery.is_lost:
             self._give_up(self._recovery)
         self.slam.finish()

@@ -88,10 +88,12 @@ class SuddenChangeConfig(Bounded):
         Distance after which a suspicion ends, m. A turn by one radian counts like ``turn_length``, m.
     contradiction, fit, place
         Evidence of a place that contradicts the map of the time before the step, half as much for each further place by
-        the same beam, and loss of evidence at a place where a reading fits that map. Each place of this size, m, counts
-        once.
+        the same beam, and loss of evidence by a wall of that map which a reading fits. Each wall, and each place of the
+        size ``place``, m, counts once.
     unsure, lost, lost_contradicted
         The estimate is unsure or lost with this evidence. Less suffices to be lost if a place contradicts the map.
+    clear
+        With less evidence than this by the change itself, the next comparison must confirm that the robot is lost.
     """
 
     begin: Positive = 1.0
@@ -103,6 +105,7 @@ class SuddenChangeConfig(Bounded):
     unsure: Positive = 8.0
     lost: Positive = 12.0
     lost_contradicted: Positive = 10.0
+    clear: NonNegative = 6.0
 
 
 @dataclass(frozen=True)

@@ -88,23 +88,23 @@ def crossing(ray: tuple[float, float, float, float], walls: FloatArray, wall: in
 
 
 @compiled
-def first_wall(ray: tuple[float, float, float, float], walls: FloatArray, inset: float) -> tuple[float, float]:
-    """Distance, m, to the first wall that a beam meets at least ``inset`` inside its ends, and the cosine there.
+def first_wall(ray: tuple[float, float, float, float], walls: FloatArray, inset: float) -> tuple[float, float, int]:
+    """Distance, m, to the first wall that a beam meets at least ``inset`` inside its ends, the cosine there, and which.
 
-    The distance is infinite if there is no such wall.
+    The distance is infinite if there is no such wall, and the number of the wall is then 0.
     """
-    nearest, steepness = math.inf, 1.0
+    nearest, steepness, first = math.inf, 1.0, 0
     for wall in range(len(walls)):
         distance, beyond, cosine = crossing(ray, walls, wall)
         if 0.0 < distance < nearest and beyond < -inset:
-            nearest, steepness = distance, cosine
-    return nearest, steepness
+            nearest, steepness, first = distance, cosine, wall
+    return nearest, steepness, first
 
 
 @lean_entry
 def predict_ranges(
     poses: FloatArray, covariance: FloatArray, segments: FloatArray, beams: FloatArray, std: float, inset: float,
-    least_cosine: float, walls: FloatArray, ranges: FloatArray, stds: FloatArray,
+    least_cosine: float, walls: FloatArray, ranges: FloatArray, stds: FloatArray, first: IntArray,
 ) -> None:  # fmt: skip
     """Find the ranges that walls predict.
 
@@ -125,11 +125,13 @@ def predict_ranges(
         Scratch (k, 5).
     ranges, stds
         Set to the ranges (m, b), and to their standard deviations (m, b), m.
+    first
+        Set to the numbers (m, b) of the walls that the beams meet first; 0 where there is none.
     """
     fill_table(segments, walls)
     for i in range(len(poses)):
         for beam in range(len(beams)):
-            distance, cosine = first_wall(beam_ray(poses[i], beams, beam), walls, inset)
+            distance, cosine, first[i, beam] = first_wall(beam_ray(poses[i], beams, beam), walls, inset)
             is_met = cosine > least_cosine and distance < beams[beam, FARTHEST]
             lever = distance if is_met else 0.0
             variance = std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
@@ -165,7 +167,7 @@ def compare_steps(
         for beam in range(ranges.shape[1]):
             predicted[i, beam], stds[i, beam], misfit[i, beam] = 0.0, 1.0, 0.0
             ray, reading = beam_ray(poses[i], beams, beam), ranges[i, beam]
-            distance, cosine = first_wall(ray, walls, inset)
+            distance, cosine, _ = first_wall(ray, walls, inset)
             is_wall, is_steep = distance < beams[beam, FARTHEST], cosine > least_cosine
             ended[i, beam], known[i, beam] = reading < beams[beam, TOO_FAR], is_wall and is_steep
             if known[i, beam]:

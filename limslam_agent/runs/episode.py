@@ -438,17 +438,6 @@ def _in_shared_frame(columns: dict[str, Any], joined: Joined | None) -> dict[str
     return columns
 
 
-def _finished(row: _Row, team: LimSlamTeam) -> _Row:
-    """Finish a run. Its last row is in the frame in which the run has ended."""
-    frame = team.mapper.frame
-    team.finish()
-    mapper = team.mapper
-    if mapper.frame == frame:
-        return row
-    levels = [LEVELS.index(status.level) for status in mapper.statuses]
-    return replace(row, estimated=mapper.poses, covariances=mapper.covariances, levels=levels, odometry=mapper.odometry)
-
-
 def _drive(
     config: RunConfig,
     env: LimSlamParallelEnv,
@@ -486,7 +475,7 @@ def _drive(
         if watch is not None:
             watch(team, env, truth["time"], truth["coverage"])
         if team.done or len(rows) > max_steps:
-            rows[-1] = _finished(rows[-1], team)
+            team.finish()
             return rows
         if len(rows) == kidnapped_at:
             draws = np.random.default_rng([config.seed, kidnapped_at])

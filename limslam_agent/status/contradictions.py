@@ -11,7 +11,7 @@ import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
@@ -47,10 +47,13 @@ class ExpectedRanges:
     stds
         Standard deviation of the difference between reading and expected range (m, n_beams), m, with the uncertainty of
         the pose.
+    walls
+        Number of that wall (m, n_beams). It means nothing if the range is infinite.
     """
 
     ranges: FloatArray
     stds: FloatArray
+    walls: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +132,9 @@ def expected_ranges(
 
     rules, shape = (float(config.inset), float(config.least_cosine)), (len(poses), len(robot.beams))
     walls, ranges, stds = np.empty((len(segments), WALL_COLUMNS)), np.empty(shape), np.empty(shape)
-    predict_ranges(poses, covariance, segments, robot.beam_table, range_std, *rules, walls, ranges, stds)
-    return ExpectedRanges(ranges, stds)
+    first = np.empty(shape, dtype=np.int64)
+    predict_ranges(poses, covariance, segments, robot.beam_table, range_std, *rules, walls, ranges, stds, first)
+    return ExpectedRanges(ranges, stds, first)
 
 
 def compare(

@@ -156,8 +156,7 @@ class StatusMonitor:
     @property
     def carried(self) -> Suspicion | None:
         """The suspicion by which the robot was carried away; None if nothing suffices to say so."""
-        strongest = self._sudden_changes.strongest
-        return strongest if strongest is not None and self._sudden_changes.is_certain(strongest) else None
+        return self._sudden_changes.certain
 
     def _first_doubt(self) -> int:
         """The step of the first comparison in the last metres that contradicts the map, or the present step."""

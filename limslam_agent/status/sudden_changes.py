@@ -26,6 +26,7 @@ LASTING = 4
 """Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
 
 _MAPS = 4
+_SHARP = 1.5  # a reading fits sharply if the map makes it so much likelier, as a logarithm
 _NOTHING = 0.5  # likelihood that a beam sees nothing at a random place
 _LEAST_STD = 0.01  # m
 # How much a reading changes with the distance driven, and with the angle turned times the range: standard deviations of
@@ -86,8 +87,8 @@ class Suspicion:
         Number of readings that changed.
     begin
         Where in the drive the suspicion began, m.
-    places
-        Where the map has been contradicted or confirmed so far. Each place counts once.
+    places, walls
+        Where the map has been contradicted so far, and the walls that have been confirmed. Each counts once.
     beams
         At how many places each beam has contradicted the map.
     """
@@ -98,7 +99,8 @@ class Suspicion:
     change: float
     changed: int
     begin: float
-    places: set[tuple[bool, int, int]]
+    places: set[tuple[int, int]]
+    walls: set[int] = field(default_factory=set)
     beams: Counter[int] = field(default_factory=Counter)
 
     @property
@@ -138,7 +140,7 @@ class SuddenChanges:
     ) -> None:
         self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
         self._sights: list[tuple[int, Sight]] = []
-        self._latest = -1
+        self._latest, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.suspicions: list[Suspicion] = []
@@ -148,13 +150,31 @@ class SuddenChanges:
         """The suspicion with the most evidence; None if there is none."""
         return max(self.suspicions, key=lambda each: each.evidence, default=None)
 
-    def is_certain(self, suspicion: Suspicion) -> bool:
-        """Whether the evidence suffices to say that the robot was carried away."""
-        config = self._config
-        return suspicion.evidence >= (config.lost_contradicted if suspicion.contradicted else config.lost)
+    @property
+    def certain(self) -> Suspicion | None:
+        """The suspicion that is true, if there is enough evidence for one; None otherwise.
+
+        If little of the evidence is due to the change, the latest steps, which wait for the next call, may have changed
+        more.
+        """
+        found = self._found()
+        return found if found is None or found.change >= self._config.clear or self._was_found else None
+
+    def _found(self) -> Suspicion | None:
+        """The suspicion with the largest change, if there is enough evidence for one.
+
+        What follows a change speaks for every suspicion of the last steps.
+        """
+        config, strongest = self._config, self.strongest
+        if strongest is None:
+            return None
+        if strongest.evidence < (config.lost_contradicted if strongest.contradicted else config.lost):
+            return None
+        return max((each for each in self.suspicions if each.evidence >= config.unsure), key=lambda each: each.change)
 
     def note(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
         """Follow the suspicions through the steps since the last call, with their numbers, and look for new ones."""
+        self._was_found = self._found() is not None
         self.suspicions = [each for each in self.suspicions if self._is_open(each, moment.place)]
         for each in self.suspicions:
             self._weigh(each, sights[-1][1], moment)
@@ -205,7 +225,7 @@ class SuddenChanges:
         change = float(np.minimum(evidence, self._unexplained(sight, outcome, expected)).sum())
         if change <= self._config.begin:
             return
-        places = {(False, *cell) for number, points in moment.seen if number < step for cell in self._cells(points)}
+        places = {cell for number, points in moment.seen if number < step for cell in self._cells(points)}
         changed = int(np.count_nonzero(evidence > 1.0))
         suspicion = Suspicion(step, known, change, change, changed, moment.place, places)
         self._count(suspicion, sight, outcome, expected)
@@ -227,30 +247,32 @@ class SuddenChanges:
         self._count(suspicion, sight, outcome, expected)
 
     def _count(self, suspicion: Suspicion, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> None:
-        """Count what readings say about the map, once at each place."""
-        config, robot = self._config, self._robot
+        """Count what readings say about the map: once for each wall that they fit, and each place that contradicts."""
         contradicts = outcome.through | outcome.in_free
-        for beam in np.flatnonzero(contradicts | outcome.fits).tolist():
-            is_fit = not contradicts[beam]
-            reach = float(sight.ranges[beam] if outcome.in_free[beam] else expected.ranges[0, beam])
-            end = robot.beam_origins[beam] + min(reach, robot.max_ranges[beam]) * robot.beam_directions[beam]
-            row, column = self._cells(transform_points(sight.pose, end[None]))[0]
-            around = 0 if is_fit else 1
-            near = {
-                (is_fit, row + down, column + right)
-                for down in range(-around, around + 1)
-                for right in range(-around, around + 1)
-            }
-            if near & suspicion.places:
-                continue
-            suspicion.places.add((is_fit, row, column))
-            if is_fit:
-                sharp = _sharpness(expected.stds[0, beam], robot.max_ranges[beam])
-                suspicion.evidence -= config.fit * min(max(float(sharp), 0.0), 1.5) / 1.5
-            else:
-                # A beam alone may be broken: what it says again counts half as much each time.
-                suspicion.evidence += config.contradiction / 2.0 ** suspicion.beams[beam]
-                suspicion.beams[beam] += 1
+        for beam in np.flatnonzero(contradicts).tolist():
+            self._count_contradiction(suspicion, sight, beam, outcome, expected)
+        for beam in np.flatnonzero(outcome.fits & ~contradicts).tolist():
+            wall = int(expected.walls[0, beam])
+            if wall not in suspicion.walls:
+                suspicion.walls.add(wall)
+                sharp = float(_sharpness(expected.stds[0, beam], self._robot.max_ranges[beam]))
+                suspicion.evidence -= self._config.fit * min(max(sharp, 0.0), _SHARP) / _SHARP
+
+    def _count_contradiction(
+        self, suspicion: Suspicion, sight: Sight, beam: int, outcome: Comparison, expected: ExpectedRanges
+    ) -> None:
+        """Count a beam that contradicts the map, unless the map was contradicted there before."""
+        robot = self._robot
+        reach = float(sight.ranges[beam] if outcome.in_free[beam] else expected.ranges[0, beam])
+        end = robot.beam_origins[beam] + min(reach, robot.max_ranges[beam]) * robot.beam_directions[beam]
+        row, column = self._cells(transform_points(sight.pose, end[None]))[0]
+        near = {(row + down, column + right) for down in (-1, 0, 1) for right in (-1, 0, 1)}
+        if near & suspicion.places:
+            return
+        suspicion.places.add((row, column))
+        # A beam alone may be broken: what it says again counts half as much each time.
+        suspicion.evidence += self._config.contradiction / 2.0 ** suspicion.beams[beam]
+        suspicion.beams[beam] += 1
 
     def _cells(self, points: FloatArray) -> list[tuple[int, int]]:
         """The places of points (k, 2) on a coarse grid."""

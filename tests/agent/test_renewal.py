@@ -1,5 +1,6 @@
 """Renewal of the online estimate: a stretch is smoothed and joined with the map from before."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -55,6 +56,19 @@ def driven(settings, told):
 def long_drive():
     told, true = rounds(8)
     return told, true, driven(config(ROUND_S), told)
+
+
+def test_the_time_of_a_renewal_is_that_of_the_slam(monkeypatch):
+    told, _ = rounds(1)
+    spent = []
+    for settings in (NEVER, config(ROUND_S)):
+        mapper = Mapper(ROBOT, settings, START)
+        clock = itertools.count()
+        monkeypatch.setattr("limslam_agent.mapper.time.perf_counter", lambda clock=clock: float(next(clock)))
+        mapper.step(told[0])
+        monkeypatch.undo()
+        spent.append(mapper.slam_ms)
+    assert spent == [1e3, 2e3]
 
 
 def test_a_renewed_estimate_stays_accurate_and_honest(long_drive):

@@ -14,7 +14,7 @@ from limslam_agent.kernels.crossings import (
     predict_ranges,
     sum_gains,
 )
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
@@ -49,12 +49,12 @@ def crossed(poses: FloatArray, segments: FloatArray) -> Crossed:
     return Crossed(away, away > 0.0, np.maximum(-along, along - sizes), np.abs(cosines))
 
 
-def first_walls(met: Crossed) -> tuple[FloatArray, FloatArray]:
-    """Distance to the first wall, and the cosine there (m, b); infinite and 1 without a wall."""
+def first_walls(met: Crossed) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Distance to the first wall, the cosine there, and its number (m, b); infinite, 1 and 0 without a wall."""
     reached = np.where(met.ahead & (met.beyond < -INSET), met.distances, np.inf)
     nearest = reached.min(axis=2)
     cosines = np.take_along_axis(met.cosines, reached.argmin(axis=2)[..., None], axis=2)[..., 0]
-    return nearest, np.where(np.isfinite(nearest), cosines, 1.0)
+    return nearest, np.where(np.isfinite(nearest), cosines, 1.0), reached.argmin(axis=2)
 
 
 def drawn(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, FloatArray]:
@@ -62,7 +62,7 @@ def drawn(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, Flo
     generator = np.random.default_rng(seed)
     poses = np.cumsum(generator.normal(0.0, [0.02, 0.02, 0.03], (90, 3)), axis=0)
     segments = generator.normal(0.0, 1.5, (12, 4))
-    nearest, _ = first_walls(crossed(poses, segments))
+    nearest, _, _ = first_walls(crossed(poses, segments))
     delayed = np.vstack((nearest[:6], nearest[:-6]))
     delayed[:, 1:] = nearest[:, 1:]
     ranges = np.minimum(delayed + generator.normal(0.0, STD, delayed.shape), ROBOT.max_ranges)
@@ -74,11 +74,12 @@ def test_predicted_ranges(seed: int) -> None:
     poses, segments, _, _, _ = drawn(seed)
     covariance = np.diag([1e-4, 2e-4, 3e-4])
     ranges, stds = np.empty((len(poses), BEAMS)), np.empty((len(poses), BEAMS))
-    walls = np.empty((len(segments), WALL_COLUMNS))
-    predict_ranges(poses, covariance, segments, ROBOT.beam_table, STD, INSET, LEAST, walls, ranges, stds)
-    nearest, cosines = first_walls(crossed(poses, segments))
+    walls, first = np.empty((len(segments), WALL_COLUMNS)), np.empty(ranges.shape, dtype=np.int64)
+    predict_ranges(poses, covariance, segments, ROBOT.beam_table, STD, INSET, LEAST, walls, ranges, stds, first)
+    nearest, cosines, numbers = first_walls(crossed(poses, segments))
     expected = np.where((cosines > LEAST) & (nearest < ROBOT.max_ranges), nearest, np.inf)
     np.testing.assert_allclose(ranges, expected)
+    np.testing.assert_array_equal(first, numbers)
     lever = np.where(np.isfinite(expected), expected, 0.0)
     variances = STD**2 + 3e-4 + 3e-4 * lever**2
     np.testing.assert_allclose(stds, np.sqrt(variances) / np.maximum(cosines, LEAST_COSINE))
@@ -90,7 +91,7 @@ def test_steps_beside_a_map(seed: int) -> None:
     poses, segments, ranges, usable, variances = drawn(seed)
     seen = compared(poses, variances, ranges, usable, segments)
     met = crossed(poses, segments)
-    nearest, cosines = first_walls(met)
+    nearest, cosines, _ = first_walls(met)
     is_wall, ended = nearest < ROBOT.max_ranges, ranges < ROBOT.too_far
     known = is_wall & (cosines > LEAST)
     np.testing.assert_array_equal(seen.known, known)

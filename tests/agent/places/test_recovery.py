@@ -12,7 +12,7 @@ from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.revisions import Revision, revised
 from limslam_agent.runs.episode import RunConfig, run_episode
-from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.results import score, write_episode
 from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
 from limslam_env.geometry.se2 import compose, wrap_angle
@@ -64,6 +64,12 @@ def test_the_smoothed_path_is_right_on_both_sides(episode):
     assert np.median(errors(poses, episode.true)) < 0.1
 
 
+def test_the_map_is_aligned_by_the_poses_in_its_frame(episode):
+    scores = score(episode)
+    for end in ("", "_online"):
+        assert scores[f"wall_f1_aligned{end}"] > scores[f"wall_f1{end}"] - 0.05
+
+
 def test_the_folder_says_what_happened(episode, tmp_path):
     result = write_episode(tmp_path, episode)
     lost, found = json.loads((tmp_path / "result.json").read_text())["record"]["places"][:2]
@@ -94,6 +100,10 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path):
     np.testing.assert_array_equal(episode.smoothed.poses[after], episode.estimated[after])
     std = np.sqrt(np.trace(episode.snapshot.covariances[0, :2, :2]))
     assert std > errors(episode.estimated, episode.true)[after]
+    # The map is aligned by the poses that belong to it, and not by those of the local frame.
+    scores = score(episode)
+    assert scores["wall_f1_aligned"] > scores["wall_f1"] - 0.05
+    assert scores["wall_f1_aligned_online"] > scores["wall_f1_online"] - 0.05
 
 
 def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_away():

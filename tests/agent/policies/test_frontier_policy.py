@@ -25,6 +25,7 @@ from support.beliefs import (
 from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
+from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score
 from limslam_env.geometry import FloatArray
@@ -38,6 +39,23 @@ def test_without_a_frontier_it_stops_at_once() -> None:
     assert policy.stop_reason == "explored: no frontier is left"
     np.testing.assert_array_equal(actions, [[0.0, 0.0]])
     assert len(policy.plan) == 0
+
+
+@pytest.mark.parametrize("kind", [FrontierPolicy, WallPolicy])
+def test_in_another_frame_it_plans_anew(kind) -> None:
+    policy = kind(ROBOT, CONFIG)
+    actions_until_stopped(policy, belief_of(place(4, 4), CLOSED))
+    assert policy.stop_reason is not None
+    lost = replace(belief_of(place(4, 4), CUT_OFF), frame=1)
+    policy.act(lost)
+    assert policy.stop_reason is None
+    assert policy.goal is not None
+    goal, flipped = policy.goal, replace(CUT_OFF, values=CUT_OFF.values[:, ::-1].copy())
+    mirrored = replace(lost, grid=flipped, pose=place(4, 13))
+    policy.act(mirrored)
+    np.testing.assert_array_equal(policy.goal, goal)
+    policy.act(replace(mirrored, frame=2))
+    assert abs(policy.goal[0] - goal[0]) > 0.5
 
 
 def test_what_no_way_leads_to_is_looked_at_from_the_nearest_place_and_then_left() -> None:

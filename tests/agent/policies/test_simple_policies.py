@@ -1,6 +1,7 @@
 """Laps, WallFollower and RandomPolicy: how they drive, and when and why they stop."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,15 @@ def test_a_wall_follower_stops_when_there_is_nothing_new() -> None:
     assert policy.stop_reason == "stopped: nothing new was seen along the wall for 20 s"
     assert len(actions) == 202
     np.testing.assert_array_equal(policy.act(belief_of(place(4, 4), CLOSED)), [0.0, 0.0])
+
+
+def test_in_another_frame_the_map_is_new() -> None:
+    policy, belief = WallFollower(ROBOT, CONFIG, patience=20.0), belief_of(place(4, 4), CLOSED)
+    for _ in range(190):
+        policy.act(belief)
+    actions_until_stopped(policy, replace(belief, frame=1))
+    assert policy._since == 201
+    assert policy.stop_reason is not None
 
 
 def seeing(**distances: float) -> Belief:

@@ -13,7 +13,7 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.status.contradictions import KnownMap, Sight
 from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
 from limslam_agent.status.status import Status, status_scores, worst
-from limslam_agent.status.sudden_changes import change_evidence
+from limslam_agent.status.sudden_changes import Moment, SuddenChanges, Suspicion, change_evidence
 from limslam_env.geometry.se2 import between
 
 CONFIG = StatusConfig()
@@ -196,6 +196,22 @@ def test_few_readings_that_change_at_once_suffice_if_the_map_is_contradicted_too
     # Walls that are where the map has them speak against it.
     walls = np.array([[-5.0, -1.1, 5.0, -1.1]])
     assert changing(3, (0.02, 0.0), walls=walls).status.level == "ok"
+
+
+def test_of_several_suspicions_the_largest_change_counts():
+    config, nowhere = CONFIG.sudden_changes, KnownMap(np.zeros((0, 4)), UNKNOWN)
+    changes = SuddenChanges(ROBOT, config, CONFIG.contradictions, 0.02)
+    weak, strong = (
+        Suspicion(step, nowhere, evidence, change, 3, 0.0, set())
+        for step, evidence, change in ((5, config.lost + 1.0, 2.0), (9, config.unsure, config.clear))
+    )
+    changes.suspicions = [weak]
+    moment = Moment(0.1, SURE, nowhere, EVERY, ~EVERY, [])
+    assert changes.certain is None
+    changes.note([(9, blind(0.1))], moment)
+    assert changes.certain is weak
+    changes.suspicions = [weak, strong]
+    assert changes.certain is strong
 
 
 def test_a_suspicion_does_not_last():
