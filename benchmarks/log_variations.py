@@ -7,7 +7,8 @@ settings are the fields of :class:`Variation`. Only the smoothing is done, witho
 
 import sys
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -66,8 +67,8 @@ def variation(text: str) -> Variation:
     ValueError
         If a setting is not known.
     """
-    known = {field.name: type(field.default) for field in fields(Variation)}
-    found: dict[str, object] = {}
+    known = asdict(Variation())
+    found: dict[str, Any] = {}
     for part in text.split():
         name, _, value = part.partition("=")
         if name not in known:
@@ -75,8 +76,8 @@ def variation(text: str) -> Variation:
         if name == "beams":
             found[name] = tuple(float(each) for each in value.split(","))
         else:
-            found[name] = True if known[name] is bool else known[name](value)
-    return replace(Variation(), **found)  # type: ignore[arg-type]
+            found[name] = True if isinstance(known[name], bool) else type(known[name])(value)
+    return Variation(**found)
 
 
 def varied(data: LogData, relations: Relations, how: Variation) -> tuple[LogData, Relations]:
