@@ -132,6 +132,7 @@ BENCHMARKS = {
     "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
     "benchmarks.speed": set(),
     "benchmarks.right_angles": set(),
+    "benchmarks.log_variations": set(),
     "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -2,8 +2,8 @@
 
 A right path does not pass through the walls that its own readings draw, and different visits of a place agree about
 what is there. On variations of the log ``csail``, other visits contradicted 5 to 10 % of the points that they had seen
-if the path was at most 0.3 m off, and 17 to 35 % if it was more than 1.6 m off; of these paths only those that were
-10 m off crossed walls. On ``fr079`` the crossings are at the times at which the path is metres off.
+if the path was at most 0.3 m off, and 17 to 35 % if it was more than 1.6 m off. Only paths that were 10 m off crossed
+walls. On ``fr079`` the crossings are at the times at which the path is metres off.
 """
 
 from dataclasses import dataclass
