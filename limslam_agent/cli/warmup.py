@@ -24,7 +24,8 @@ def warmup() -> None:
 def _single() -> None:
     from limslam_agent.runs.episode import RunConfig, run_episode
 
-    run_episode(RunConfig("square", 0.02, max_time=0.5))
+    # Late beams are looked for after some seconds, and by then all else has been used.
+    run_episode(RunConfig("square", 0.02, max_time=30.0))
 
 
 def _batch() -> None:
@@ -73,7 +74,7 @@ def _smoothers() -> None:
 
 
 STEPS: dict[str, tuple[int, Callable[[], None]]] = {
-    "simulator": (15, _single),
+    "simulator": (25, _single),
     "batch": (30, _batch),
     "BatchSlam": (90, _batch_slam),
     "smoothers": (90, _smoothers),

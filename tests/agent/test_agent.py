@@ -121,7 +121,7 @@ def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
 
 WITHOUT_PHYSICS = """
 import sys
-blocked = ["pymunk", "numba", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymnasium.envs.box2d",
+blocked = ["pymunk", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymnasium.envs.box2d",
            "limslam_env.simulation.physics", "limslam_env.kernels.rays", "limslam_env.simulation.sensors",
            "limslam_env.simulation.simulation",           "limslam_env.envs.env", "limslam_env.worlds.world"]
 for name in blocked:

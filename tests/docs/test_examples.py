@@ -19,7 +19,6 @@ EXAMPLE = EXAMPLES / "live_robot.py"
 # Modules of the simulator, which a robot does not need.
 SIMULATOR = {
     "pymunk",
-    "numba",
     "pygame",
     "limslam_env.worlds.world",
     "limslam_env.simulation.simulation",
