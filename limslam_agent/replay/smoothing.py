@@ -57,6 +57,9 @@ class Smoothed:
         Covariances of the poses (n, 3, 3). None from the graph of local maps, which computes none.
     status
         Whether the smoothed path and map can be trusted. None from the graph of local maps.
+    graph
+        For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
+        smoother.
     """
 
     poses: FloatArray
@@ -65,6 +68,7 @@ class Smoothed:
     seconds: float
     covariances: FloatArray | None = None
     status: Status | None = None
+    graph: dict[str, list[float]] | None = None
 
 
 def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
@@ -77,7 +81,8 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config, report)
     found, landmarks, signals = _trusted(found, config, log, range_std)
     seconds = time.process_time() - begin
-    smoothed = Smoothed(found.poses, {**_figures(found), **signals.figures}, _loops(found, log), seconds)
+    figures = {**_figures(found), **signals.figures}
+    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=_graph(found, log))
     grid = draw_grid(replay, found.poses)
     return replace(replay, landmarks=landmarks, segments=_ends(landmarks), grid=grid, smoothed=smoothed)
 
@@ -230,6 +235,11 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "loops_kept": sum(verdict.kept for verdict in found.verdicts),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
+
+
+def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:
+    places = {"key_pose_times": found.keys.first_event, "local_map_times": found.chunk_events}
+    return {name: log.time[events].tolist() for name, events in places.items()}
 
 
 def _loops(found: GraphResult, log: RecordedLog) -> list[dict[str, Any]]:
