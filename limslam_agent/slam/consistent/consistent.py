@@ -15,12 +15,11 @@ import numpy as np
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.explanation import segment_ends, tested
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
@@ -283,8 +282,7 @@ class ConsistentEstimator(Estimator):
             if not self._closes_loop(candidates[0].landmark, candidates[1].landmark, step):
                 break
             candidates = self._candidates(readings, segment)
-        if self.on_comparison is not None:
-            self.on_comparison(self._comparison(robot, step, readings, segment, candidates))
+        self._explain(robot, step, readings, segment, candidates)
         best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
         if second <= settings.gate and second - best < settings.ambiguity:
             return True
@@ -301,8 +299,9 @@ class ConsistentEstimator(Estimator):
     def _candidates(self, readings: Readings, segment: WallSegment) -> list[_Candidate]:
         """Landmarks that a wall segment may show, best first."""
         settings = self._settings.association
+        loose = 2.0 * math.atan2(2.0 * self._std, max(segment.length, SHORTEST))
         found = []
-        for index in self._near(segment.theta, segment.middle, self._max_angle(segment), settings.max_offset):
+        for index in self._near(segment.theta, segment.middle, settings.max_angle + loose, settings.max_offset):
             along, (low, high) = self._map.along(index, segment.points), self._map[index].extent.ends
             if max(along.min() - high, low - along.max()) > settings.max_end_gap:
                 continue
@@ -310,23 +309,6 @@ class ConsistentEstimator(Estimator):
             if disagreement is not None:
                 found.append(_Candidate(*disagreement, index))
         return sorted(found)
-
-    def _max_angle(self, segment: WallSegment) -> float:
-        """Largest difference of direction, rad, at which a landmark is compared with a wall segment."""
-        loose = 2.0 * math.atan2(2.0 * self._std, max(segment.length, SHORTEST))
-        return self._settings.association.max_angle + loose
-
-    def _comparison(
-        self, robot: int, step: int, readings: Readings, segment: WallSegment, candidates: list[_Candidate]
-    ) -> Comparison:
-        """A wall segment and all landmarks, with the test that threw each of them out, as diagnostics."""
-        settings, known = self._settings.association, {each.landmark: each.of_line for each in candidates}
-        limits = self._max_angle(segment), settings.max_offset, settings.max_end_gap, settings.gate
-        tests = [
-            tested(self._filter, self._map, segment, index, known.get(index, math.nan), limits)
-            for index in range(len(self._map))
-        ]
-        return Comparison(robot, step, segment_ends(segment), readings.sources, tuple(tests))
 
     def _near(self, theta: float, point: FloatArray, angle: float, offset: float) -> list[int]:
         """Landmarks with a direction within ``angle``, rad, that pass a point (2,) at less than ``offset``, m."""
@@ -414,3 +396,15 @@ class ConsistentEstimator(Estimator):
         self.last_extraction = Extraction(
             number, side, step, pose, transform_points(back, points), to_frame(found, pose), ends
         )  # fmt: skip
+
+    def _explain(
+        self, robot: int, step: int, readings: Readings, segment: WallSegment, candidates: list[_Candidate]
+    ) -> None:
+        """Tell the listener, if there is one, with which landmarks a wall segment was compared."""
+        if self.on_comparison is None:
+            return
+        from limslam_agent.slam.consistent.explanation import comparison
+
+        distances = {each.landmark: each.of_line for each in candidates}
+        settings = self._settings.association
+        self.on_comparison(comparison(robot, step, readings, segment, distances, self._filter, self._map, settings))
