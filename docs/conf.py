@@ -24,11 +24,12 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
 ]
-exclude_patterns = ["_build", "images/*.py"]
+exclude_patterns = ["_build", "images/*.py", "paper"]
 html_theme = "furo"
 html_title = "LimSLAM"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
+html_js_files = ["accessibility.js"]
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#1f5f99", "color-brand-content": "#1f5f99"},
     "dark_css_variables": {"color-brand-primary": "#7fb6e6", "color-brand-content": "#7fb6e6"},

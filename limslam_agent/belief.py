@@ -32,6 +32,9 @@ class Belief:
         Goals (k, 2), m, of those other robots that have a goal.
     status
         Whether the estimate can be trusted.
+    frame
+        Number of times that the frame of poses and map has changed (:class:`~limslam_agent.mapper.Mapper`). Plans that
+        were made in another frame mean nothing.
     """
 
     pose: FloatArray
@@ -42,3 +45,4 @@ class Belief:
     other_poses: FloatArray = field(default_factory=lambda: no_rows(3))
     other_goals: FloatArray = field(default_factory=lambda: no_rows(2))
     status: Status = field(default_factory=Status)
+    frame: int = 0

@@ -34,6 +34,8 @@ UNKNOWN = np.diag([100.0, 100.0, np.pi**2])
 class Joined:
     """The steps until two robots were joined, by what was known then, in the shared frame.
 
+    Of robots that parted again: the same steps, each in its own frame.
+
     Attributes
     ----------
     poses, covariances, odometry
@@ -62,7 +64,9 @@ class JoiningMapper(Mapper):
     Attributes
     ----------
     joined
-        The steps until the robots were joined; None before.
+        The steps until the robots were joined; None before, and after a joining was taken back.
+    parted
+        The steps until a joining was taken back, as the robots know them by themselves; None without it.
 
     Raises
     ------
@@ -77,24 +81,25 @@ class JoiningMapper(Mapper):
         """Forget everything. The poses (2, 3): the first robot's in the world, the second one's in its own frame."""
         self._apart: list[Mapper] | None = None
         self._placed: tuple[FloatArray, FloatArray] | None = None
+        self.joined: Joined | None = None
+        self.parted: Joined | None = None
         super().reset(start_pose)
         places = self.config.recovery
         if places is None or len(self._starts) != 2:
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
-        self._apart = [Mapper(self.robot, self.config, start) for start in self._starts]
-        self._apart[0].on_restart = self._forget_associations
+        self._own = self._starts
+        self._apart = self._separate_mappers()
         self.slam = self._apart[0].slam
         self._meeting, self._steps = Meeting(places), list[tuple[Observation, ...]]()
-        self.joined: Joined | None = None
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""
         if self._apart is None:
             super().step(*observations)
             self._meeting.drive(self.slam.increments)
-            if self._meeting.is_to_be_confirmed and worst(super().statuses).level == "ok":
-                is_complete = not frontier_cells(self.grid, self.config.policy.min_frontier).any()
-                self._meeting.confirm(place_map(self.slam.segments, self.grid), is_complete=is_complete)
+            if self._meeting.is_doubtful:
+                self._keep(observations)
+                self._check_joining()
             return
         if len(observations) != len(self._apart):
             raise ValueError(f"{len(observations)} observations for {len(self._apart)} robots")
@@ -104,8 +109,7 @@ class JoiningMapper(Mapper):
             mapper.step(observation)
         self._follow_both(self._apart)
         if self._meeting.is_open:
-            copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
-            self._steps.append(cast("tuple[Observation, ...]", tuple(copies)))
+            self._keep(observations)
         self._meeting.drive([mapper.slam.increments[0] for mapper in self._apart])
         if self._meeting.is_due:
             self._seek_other(self._apart)
@@ -114,7 +118,10 @@ class JoiningMapper(Mapper):
         """Use the readings that are still buffered, and look once more whether the maps fit together."""
         if self._apart is None:
             super().finish()
-            return
+            if self._meeting.is_doubtful:
+                self._check_joining(is_over=True)
+            if self._apart is None:
+                return
         for mapper in self._apart:
             mapper.finish()
         if self._meeting.is_open and self._seek_other(self._apart):
@@ -174,8 +181,8 @@ class JoiningMapper(Mapper):
         """How the search ended. The second robot's own map is known after :meth:`finish`, if it was not placed."""
         return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
 
-    def _new_slam(self, config: AgentConfig) -> LineSlam:
-        slam = super()._new_slam(config)
+    def _new_slam(self) -> LineSlam:
+        slam = super()._new_slam()
         if self._placed is not None:
             slam.relocate(*self._placed, robot=1)
         return slam
@@ -186,7 +193,8 @@ class JoiningMapper(Mapper):
 
     def _follow_both(self, apart: Sequence[Mapper]) -> None:
         """Take over what the robots know by themselves."""
-        self.slam, self.frame = apart[0].slam, sum(mapper.frame for mapper in apart)
+        changes = 0 if self.parted is None else 2  # the shared frame came and went
+        self.slam, self.frame = apart[0].slam, changes + sum(mapper.frame for mapper in apart)
         self.slam_ms = sum(mapper.slam_ms for mapper in apart)
         self.odometry = np.concatenate([mapper.odometry for mapper in apart])
         self.odometry.setflags(write=False)
@@ -229,5 +237,44 @@ class JoiningMapper(Mapper):
         self.joined = Joined(*(np.array(column) for column in zip(*replayed, strict=True)))
         self.frame = 1  # both have never been lost
         self._meeting.has_joined(start, place_map(apart[1].slam.segments, apart[1].grid))
-        self._steps = []
         return True
+
+    def _separate_mappers(self) -> list[Mapper]:
+        """Mappers that begin at the robots' own starts."""
+        mappers = [Mapper(self.robot, self.config, start) for start in self._own]
+        mappers[0].on_restart = self._forget_associations
+        return mappers
+
+    def _keep(self, observations: Sequence[Observation]) -> None:
+        """Keep the observations of a step: they are processed again at a joining, and when it is taken back."""
+        copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
+        self._steps.append(cast("tuple[Observation, ...]", tuple(copies)))
+
+    def _check_joining(self, *, is_over: bool = False) -> None:
+        """Confirm a joining, or take it back if a robot is lost in the shared map or if another place fits as well."""
+        level = worst(super().statuses).level
+        if level == "lost":
+            self._part("the readings contradict the shared map")
+        elif level == "ok" and (is_over or self._meeting.is_to_be_confirmed):
+            is_complete = not frontier_cells(self.grid, self.config.policy.min_frontier).any()
+            whole = place_map(self.slam.segments, self.grid)
+            ambiguity = self._meeting.confirm(whole, is_complete=is_complete)
+            if ambiguity and is_complete:
+                self._part(ambiguity)
+        if not self._meeting.is_doubtful:
+            self._steps = []
+
+    def _part(self, reason: str) -> None:
+        """Take a joining back: each robot has the map again that it would have made by itself."""
+        self._forget_associations(0)
+        listener, parted = self.slam.on_association, list[tuple[FloatArray, ...]]()
+        self._apart, self._placed, self._starts, self.joined = self._separate_mappers(), None, self._own, None
+        self._apart[0].slam.on_association = listener
+        for observations in self._steps:
+            for mapper, observation in zip(self._apart, observations, strict=True):
+                mapper.step(observation)
+            odometry = np.concatenate([mapper.odometry for mapper in self._apart])
+            parted.append((self.poses, self.covariances, odometry))
+        self.parted = Joined(*(np.array(column) for column in zip(*parted, strict=True)))
+        self._meeting.take_back(reason)
+        self._follow_both(self._apart)

@@ -18,12 +18,13 @@ from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.renewal import Renewal
+from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import Extraction, LineSlam
-from limslam_agent.status.contradictions import KnownMap
-from limslam_agent.status.monitor import Sight, StatusMonitor
+from limslam_agent.status.contradictions import KnownMap, Sight
+from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
@@ -33,7 +34,10 @@ NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not foun
 """The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
 
 RESTART_WITHIN = 600
-"""Number of first steps within which a mapper starts again when the SLAM finds constant errors of the odometry."""
+"""Number of first steps within which a mapper starts again when the SLAM finds errors of odometry or sensor."""
+
+MOST_RESTARTS = 6
+"""A mapper starts again at most this often. Later estimates of the errors only act from then on."""
 
 TOO_FAST = 300.0
 """A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused.
@@ -155,7 +159,9 @@ class Mapper:
         if not np.isfinite(starts).all():
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
         self._starts, self._slam_config, self._is_finished = starts, self.config, False
-        self.slam = self._new_slam(self._slam_config)
+        self._sensor: RangeSensor | None = None
+        self.slam, self._restarts = self._new_slam(), 0
+        self._sensor = self.slam.sensor
         self._grid = OccupancyGrid(self.config.grid)
         self._early = list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
@@ -182,18 +188,20 @@ class Mapper:
         """
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             self.check(observation, front)
-        may_restart, self.slam_ms = self.slam.may_calibrate and not self.frame, 0.0
+        may_calibrate, self.slam_ms = self.slam.may_calibrate, 0.0
+        may_restart = self._may_restart and len(self._early) < RESTART_WITHIN
         motions = self._process(observations)
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.note(self._logged(observations[0], motions[0]))
-        if may_restart and len(self._early) < RESTART_WITHIN:
+        if may_restart:
             copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
             self._early.append(cast("tuple[Observation, ...]", tuple(copies)))
-            if not self.slam.may_calibrate:
+            if self.slam.may_calibrate != may_calibrate or self.slam.sensor != self._sensor:
                 self._restart()
                 return
+        self._sensor = self.slam.sensor
         if self._recovery is not None and "wheels" in observations[0]:
             self._follow(self._recovery, observations[0], motions[0])
         if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
@@ -208,11 +216,12 @@ class Mapper:
             return
         self._is_finished = True
         self.slam.finish()
-        if self._lookup is not None and self._lookup.is_open:
+        # A match right after another one would agree with it, and say nothing new.
+        if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
             self._look_up(self._lookup)
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.end("no match was good and unambiguous")
-        if self._recovery is not None and self._recovery.is_lost:
+        if self._recovery is not None and self._recovery.is_lost and self._recovery.is_due():
             self._seek(self._recovery)
         if self._recovery is not None and self._recovery.is_lost:
             self._give_up(self._recovery)
@@ -230,8 +239,9 @@ class Mapper:
         poses, covariances, segments, statuses = slam.poses, self.covariances, slam.segments, self.statuses
         return [
             Belief(
-                poses[number], covariances[number], front.ranges, segments, grid, np.delete(poses, number, axis=0),
-                status=statuses[number],
+                poses[number], covariances[number], front.ranges, segments, grid,
+                np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0], status=statuses[number],
+                frame=self.frame,
             )
             for number, front in enumerate(slam.robots)
         ]  # fmt: skip
@@ -307,7 +317,7 @@ class Mapper:
         """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
         begin = time.perf_counter()
         self.slam.step(*observations)
-        self.slam_ms += 1e3 * (time.perf_counter() - begin)
+        self._count_time(begin)
         motions, poses = self.slam.increments, self.slam.poses
         extraction, self._extraction = self._extraction, self.slam.last_extraction
         for number, motion in enumerate(motions):
@@ -321,32 +331,51 @@ class Mapper:
         """Smooth the last minutes and renew the estimate, if that is due and possible."""
         if not self._renewal.is_possible or "wheels" not in observation:
             return
+        begin = time.perf_counter()
         self._renewal.note(observation)
         # A lost robot goes on in a local frame, where there is a search for its place.
         self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level)
+        self._count_time(begin)
+
+    def _count_time(self, begin: float) -> None:
+        """Add the time since ``begin`` to that of the SLAM in this step."""
+        self.slam_ms += 1e3 * (time.perf_counter() - begin)
 
     def _restart(self) -> None:
-        """Process all observations again, by a filter that has estimated the odometry's calibration from the start.
+        """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.
 
-        The filter that has just found out that it needs a calibration has mapped the first metres with large errors of
-        the heading, and the linear correction of its state leaves errors of second order.
+        The filter that has just found out that they are not as specified has mapped the first metres with large errors
+        of the heading, and the linear correction of its state leaves errors of second order.
         """
         if self.on_restart is not None:
             self.on_restart(0)
-        listener, early = self.slam.on_association, self._early
-        self._slam_config = self_calibrating(self.config)
-        self.slam = self._new_slam(self._slam_config)
-        self.slam.on_association, self._grid, self._early = listener, OccupancyGrid(self.config.grid), []
+        listener = self.slam.on_association
+        if self.slam.odometry_calibration is not None:
+            self._slam_config = self_calibrating(self.config)
+        self._sensor, self._restarts = self.slam.sensor, self._restarts + 1
+        self.slam = self._new_slam()
+        self.slam.on_association, self._grid = listener, OccupancyGrid(self.config.grid)
         self._begin_anew()
         self._recovery = self._new_recovery()
-        for observations in early:
+        for observations in self._early:
             motions = self._process(observations)
+            if self.slam.sensor != self._sensor and self._may_restart:
+                self._restart()
+                return
             if self._recovery is not None:
                 self._follow(self._recovery, observations[0], motions[0])
 
-    def _new_slam(self, config: AgentConfig) -> LineSlam:
+    @property
+    def _may_restart(self) -> bool:
+        return not self.frame and self.slam.sensor is not None and self._restarts < MOST_RESTARTS
+
+    def _new_slam(self) -> LineSlam:
         """The SLAM with an empty map, and the robots at their starts."""
-        return LineSlam(self.robot, config, self._starts)
+        return self._slam_at(self._starts)
+
+    def _slam_at(self, start: FloatArray) -> LineSlam:
+        """The SLAM with an empty map, with what is known of odometry and sensor, and the robots at these poses."""
+        return LineSlam(self.robot, self._slam_config, start, self._sensor)
 
     def _new_recovery(self) -> Recovery | None:
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
@@ -375,7 +404,7 @@ class Mapper:
         segments, grid = self.slam.segments, self.grid
         if self.on_restart is not None:
             self.on_restart(0)
-        slam = LineSlam(self.robot, self._slam_config, start)
+        slam = self._slam_at(start)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
         slam.relocate(start, covariance)
         slam.on_association = self.slam.on_association
@@ -398,7 +427,8 @@ class Mapper:
             jump = math.sqrt(own.added_covariance[0, 0])
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
-            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid)
+            is_dated = own.carried is not None
+            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid, is_dated=is_dated)
             self._go_on_locally(recovery)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
@@ -417,7 +447,7 @@ class Mapper:
         assert absence is not None  # noqa: S101 (the robot is lost)
         listener = self.slam.on_association
         self._listener = listener or self._listener
-        slam = LineSlam(self.robot, self._slam_config, log[absence.first - 1].pose)
+        slam = self._slam_at(log[absence.first - 1].pose)
         self._use(slam, OccupancyGrid(self.config.grid))
         self.slam.robots[0].step = absence.first - 1
         self._play(recovery, absence.first)
@@ -435,16 +465,15 @@ class Mapper:
             self.on_restart(slam.associated)
         slam.on_association = self._listener
         self._use(slam, grid)
-        self.slam.robots[0].step = log.begin - 1
-        poses = self._play(recovery, log.begin, found.step)
+        begin = found.carried_at if found.gone else log.begin
+        self.slam.robots[0].step = (found.step if found.gone else begin) - 1
+        poses = list(found.gone) or self._play(recovery, begin, found.step)
         self.slam.relocate(found.pose, found.covariance)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._begin_anew()
         poses += self._play(recovery, found.step)
-        self._revisions.append(
-            Revision(log.begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses]))
-        )
+        self._revisions.append(Revision(begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses])))
         recovery.has_joined(found)
 
     def _give_up(self, recovery: Recovery) -> None:

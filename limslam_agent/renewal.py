@@ -30,6 +30,11 @@ class Renewal:
         The SLAM, after the first observation.
     config
         Its settings, with those of the renewal.
+
+    Attributes
+    ----------
+    is_possible
+        Whether estimates of this SLAM can be renewed at all.
     """
 
     def __init__(self, slam: LineSlam, config: AgentConfig) -> None:
@@ -40,12 +45,8 @@ class Renewal:
         self._closures = self._first_step = self._tried = 0
         self._level: Level = "ok"
         self._is_wanted = self._began_lost = False
-
-    @property
-    def is_possible(self) -> bool:
-        """Whether estimates of this SLAM can be renewed at all."""
-        wanted = self._config.renewal is not None and self._config.run_smoothing is not None
-        return wanted and self._slam.is_renewable
+        wanted = config.renewal is not None and config.run_smoothing is not None
+        self.is_possible = wanted and slam.is_renewable
 
     def note(self, observation: Observation) -> None:
         """Store an observation that the SLAM has just processed."""

@@ -204,10 +204,17 @@ class LimSlamTeam:
     def _new_policy(self, number: int) -> Policy:
         return explorer(self.robot, self.config, number)
 
+    def _policy_in_new_frame(self, number: int) -> Policy:
+        """What a robot does in another frame: a lost robot hurries to see as much as possible."""
+        if self.mapper.statuses[number].level != "lost":
+            return self._new_policy(number)
+        fast = replace(self.config.policy, speed=self.robot.max_wheel_speed)
+        return explorer(self.robot, replace(self.config, policy=fast), number)
+
     def _renew_in_another_frame(self) -> None:
         """Plan anew where the frame of the map has changed. Policies that were given keep their plans."""
         if self._frame != self.mapper.frame and self._given_policies is None:
-            self.policies = [self._new_policy(number) for number in range(self.num_robots)]
+            self.policies = [self._policy_in_new_frame(number) for number in range(self.num_robots)]
         self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:

@@ -29,6 +29,9 @@ _ROUNDING = 1e-6
 LARGEST_BODY = 5.0
 """Largest radius of a robot, and largest coordinate of a beam on it, m. A larger number is in another unit."""
 
+LARGEST_CONE = 0.25 * math.pi
+"""Largest half opening angle of a beam, rad. A wider one says too little about where a wall is."""
+
 LARGEST_RANGE = 1000.0
 """Longest range of a beam, m. A larger number is in another unit."""
 
@@ -145,6 +148,9 @@ class RobotSpec:
         Time between two observations, s.
     beams
         The range sensors, in the order of the observation.
+    cone
+        Half the opening angle of the beams, rad, as the data sheet gives it: a beam reads the nearest of what lies
+        inside it. 0 is a ray, as the beams of laser sensors nearly are.
     """
 
     radius: float = 0.10
@@ -152,6 +158,7 @@ class RobotSpec:
     max_wheel_speed: float = 0.30
     control_period: float = 0.1
     beams: tuple[SensorSpec, ...] = beams_on_rim(PAPER_BEAMS_DEG, 0.10)
+    cone: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("radius", "axle", "max_wheel_speed", "control_period"):
@@ -164,6 +171,11 @@ class RobotSpec:
                 raise ValueError(
                     f"a robot's {name} is at most {largest:g} {unit}, not {getattr(self, name):g}: is it in {unit}?"
                 )
+        if not 0.0 <= self.cone <= LARGEST_CONE:
+            raise ValueError(
+                f"a robot's cone is half the opening angle of its beams, from 0 to {LARGEST_CONE:.2f} rad, "
+                f"not {self.cone:g}: is it in rad?"
+            )
         object.__setattr__(self, "beams", tuple(self.beams))
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
@@ -204,6 +216,16 @@ class RobotSpec:
     def too_far(self) -> FloatArray:
         """Readings (n_beams,), m, from which on nothing was seen: the longest, rounding allowed."""
         return _read_only(list(self.max_ranges * (1.0 - _ROUNDING)))
+
+    @cached_property
+    def beam_table(self) -> FloatArray:
+        """The beams as compiled functions read them, (n_beams, 8).
+
+        The columns are the origin's x and y, m, the direction's x and y, ``too_near``, ``too_far``, the angle, rad, and
+        the longest reading, m.
+        """
+        columns = self.beam_origins, self.beam_directions, self.too_near, self.too_far, self.beam_angles
+        return _read_only(list(np.column_stack((*columns, self.max_ranges))))
 
     @cached_property
     def reach(self) -> float:

@@ -54,20 +54,22 @@ AGENT = {
     "limslam_agent.readings": {GEOMETRY},
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
-    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "readings")},
+    "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
+    "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
-    "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
+    "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "slam.core")},
     "limslam_agent.slam.batch": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
-        *agent("config", "readings", "slam.core", "slam.consistent", "grid"),
+        *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
+    "limslam_agent.slam.merging": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
-    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config")},
-    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid")},
+    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels")},
+    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status", "safe_files"),
@@ -84,7 +86,7 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("belief", "config", "grid", "mapper", "places", "slam", "slam.core", "status"),
     },
-    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid")},
+    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "kernels")},
     "limslam_agent.policies.learned": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
     },
@@ -102,9 +104,12 @@ AGENT = {
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
-        *agent("status"),
+        *agent("slam.merging", "status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
+    "limslam_agent.live.ros2": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
+    },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -132,6 +137,7 @@ BENCHMARKS = {
 RULES = ENV | AGENT | BENCHMARKS
 COMPILED = {
     "limslam_env.kernels",
+    "limslam_agent.kernels",
     "limslam_agent.slam.batch",
     "limslam_agent.slam.graph",
     "limslam_agent.slam.line_graph",
@@ -275,7 +281,12 @@ def test_importing_the_env_loads_no_heavy_library():
 
 def test_importing_the_agent_loads_no_simulator():
     compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
-    compiled += ["limslam_agent.wrappers.vector", "limslam_agent.replay.smoothing"]
+    compiled += [
+        "limslam_agent.wrappers.vector",
+        "limslam_agent.replay.smoothing",
+        *PLACES["limslam_agent.slam.merging"],
+    ]
+    compiled += [f"limslam_agent.replay.{name}" for name in ("joined_lines", "two_logs", "two_logs_output")]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
     unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")

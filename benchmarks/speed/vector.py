@@ -22,6 +22,7 @@ import numpy as np
 from benchmarks.speed.env import PLAIN, counted, plain_loop, rooms, single_loop
 from benchmarks.speed.peers import irsim_loop, vmas_loop
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
+from benchmarks.speed.run import BAR, times_faster
 from limslam_env.geometry import FloatArray
 
 CARTPOLE, SINGLE = "CartPole of numpy, 1024", "single environment"
@@ -172,7 +173,7 @@ def seconds_of_starts() -> float:
     return float(np.median(times))
 
 
-def print_bars(rates: dict[str, FloatArray], batch: Loop) -> None:
+def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
     """Print what this run should reach, and what it has reached."""
     forty, thousands = (f"batch of 8192, rooms of {walls} walls" for walls in (40, 2000))
     alone = median_rate(batch)
@@ -183,6 +184,9 @@ def print_bars(rates: dict[str, FloatArray], batch: Loop) -> None:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     print("\n| bar | measured | wanted |\n|---|---|---|")
     print(f"| batch of 8192 / CartPole | {ratio(rates, 'batch of 8192', CARTPOLE):.3f} | >= 0.37 |")
+    print(
+        f"| `limslam run --world env1`: simulated time / time | {times_faster('env1', 5, clock):.0f} | >= {BAR:.0f} |"
+    )
     print(f"| batch of 1024 / single | {ratio(rates, 'batch of 1024', SINGLE):.1f} | >= 38 |")
     print(f"| 40 walls / 2000 walls | {ratio(rates, forty, thousands):.2f} | <= 1.3 |")
     print(f"| single / plain pymunk | {ratio(rates, SINGLE, PLAIN):.2f} | >= 2.3 |")
@@ -210,4 +214,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rates = rates_in_turn(candidates, options.rounds, clock)
     print_rates(rates, {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"})
     if not options.no_bars:
-        print_bars(rates, candidates["batch of 8192"])
+        print_bars(rates, candidates["batch of 8192"], clock)

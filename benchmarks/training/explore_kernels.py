@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.kernels.cells import SKIPPED, change_cells, touched_cells
 from limslam_agent.policies.collision_guard import GHOST, LOOK_AHEAD, MARGIN, MEMORY, SHARES, TOUCH, TOUCHING
 from limslam_agent.policies.learned.polar_view import FAR, FREE_COST, LEAST_UNKNOWN, TIGHT_COST
-from limslam_agent.slam.batch.grid import SKIPPED, change_cells, touched_cells
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
@@ -20,11 +20,10 @@ compiled = entry_of(
     "benchmarks.training.explore_kernels",
     "limslam_agent.policies",
     "limslam_agent.policies.learned",
-    "limslam_agent.slam.core",
-    "limslam_agent.slam.batch",
+    "limslam_agent.kernels",
 )
 
-_STOPPING_SHARES = (*SHARES, 0.0)
+_STOPPING_SHARES = (*SHARES.tolist(), 0.0)
 _FAR_AWAY = 1 << 30
 
 
@@ -138,7 +137,7 @@ def soften(
             if not is_clear:
                 break
         if is_clear:
-            return share * speed
+            return float(share * speed)
     return 0.0
 
 

@@ -27,7 +27,7 @@ def compare(
         raise ValueError(f"2 to {MOST_RUNS} folders can be compared, not {len(folders)}")
     if out is not None:
         check_target(out, force=force)
-    runs = [read_run(folder) for folder in folders]
+    runs = [read_run(folder).with_one_time() for folder in folders]
     for line in table(table_of(runs)).splitlines():
         typer.echo(printable(line))
     edges = [true_edges(run) for run in runs]

@@ -1,9 +1,9 @@
 """``limslam live``: a live robot explores, and its folder."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.protocol import Hello
-    from limslam_agent.live.session import Session
-    from limslam_agent.live.transports import Transport
+    from limslam_agent.live.session import Connection, Session
+    from limslam_agent.policies.policy import Policy
     from limslam_env.interface import RobotSpec
 
 
@@ -24,6 +24,7 @@ def live(
     serial: take.Serial = None,
     baud: take.Baud = None,
     udp: take.Udp = None,
+    ros2: take.Ros2 = None,
     robot: take.LiveRobot = None,
     patience: take.Patience = None,
     max_time: take.LiveTime = None,
@@ -35,20 +36,99 @@ def live(
     out: take.Out = None,
     force: take.Force = None,
     config: take.Config = None,
+    ros_arguments: take.RosArguments = None,
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
     arguments = locals()
+    ros_arguments = arguments.pop("ros_arguments") or []
     given = Given.read(arguments.pop("config"), arguments)
     options = given.merged(LiveOptions(), ("agent", "robot"))
-    if (options.serial is None) == (options.udp is None):
-        raise ValueError("either --serial PORT or --udp PORT is needed, the place where the robot is")
+    if (options.serial is not None) + (options.udp is not None) + options.ros2 != 1:
+        raise ValueError("either --serial PORT, --udp PORT or --ros2 is needed, the place where the robot is")
+    if ros_arguments and not options.ros2:
+        raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
     agent = _agent_config(given, options)
     for warning in given.warnings(options.preset):
         _warn(warning)
-    carry_out(options, agent, given.replay_robot())
+    with _wired(options, given.replay_robot(), ros_arguments) as wired:
+        carry_out(options, agent, wired)
 
 
-def carry_out(options: LiveOptions, config: "AgentConfig", described: "RobotSpec | None") -> None:
+class Wired(Protocol):
+    """A robot that is connected.
+
+    Attributes
+    ----------
+    place
+        Where the robot is, in words.
+    """
+
+    place: str
+
+    @property
+    def link(self) -> "Connection":
+        """The connection."""
+        ...
+
+    def robot(self, hello: "Hello") -> "RobotSpec":
+        """The description of the robot that has said hello. Raises a ValueError if it cannot be driven."""
+        ...
+
+    def policy(self, policy: "Policy | None", config: "AgentConfig", robot: "RobotSpec") -> "Policy | None":
+        """The policy that drives, from the one that was asked for; None is that of the agent itself."""
+        ...
+
+    def watch(self, session: "Session") -> None:
+        """Called after each decision."""
+        ...
+
+
+class WiredByLines:
+    """A robot that speaks the line protocol.
+
+    Parameters
+    ----------
+    link
+        The connection.
+    place
+        Where the robot is, in words.
+    described
+        Description of the robot. None if a shipped robot has the robot's name.
+    """
+
+    def __init__(self, link: "Connection", place: str, described: "RobotSpec | None") -> None:
+        self.link, self.place, self._described = link, place, described
+
+    def robot(self, hello: "Hello") -> "RobotSpec":
+        """The robot of ``--robot``, else the shipped robot that it says it is.
+
+        Raises
+        ------
+        ValueError
+            If there is no such robot, or it has another number of beams.
+        """
+        from limslam_env.robots import ROBOTS
+
+        described = self._described
+        if described is None and hello.name not in ROBOTS:
+            raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
+        robot = described or robot_named(hello.name)
+        if len(robot.beams) != hello.beams:
+            raise ValueError(
+                f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}"
+            )
+        return robot
+
+    def policy(self, policy: "Policy | None", config: "AgentConfig", robot: "RobotSpec") -> "Policy | None":
+        """The policy that was asked for."""
+        del config, robot
+        return policy
+
+    def watch(self, session: "Session") -> None:
+        """Do nothing."""
+
+
+def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None:
     """Drive a robot, write the folder of the session, and print its summary.
 
     Raises
@@ -58,23 +138,22 @@ def carry_out(options: LiveOptions, config: "AgentConfig", described: "RobotSpec
     """
     from limslam_agent.live.folder import session_lines, write_session
     from limslam_agent.live.recording import Recording, kept
-    from limslam_agent.live.session import Link, NoRobotError, Session
+    from limslam_agent.live.session import NoRobotError, Session
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.results import versions
     from limslam_env.messages import printable
 
     target = options.out or Path("runs") / "live"
-    with new_folder(target, force=options.force, numbered=options.out is None) as folder, _transport(options) as port:
-        typer.echo(f"waiting     for a robot at {_place(options)}", err=True)
-        link = Link(port)
-        hello = link.first_hello(options.patience)
-        recording = Recording(_robot(hello, described), hello)
+    with new_folder(target, force=options.force, numbered=options.out is None) as folder:
+        typer.echo(f"waiting     for a robot {wired.place}", err=True)
+        hello = wired.link.first_hello(options.patience)
+        recording = Recording(wired.robot(hello), hello)
         _warn_about(hello)
         copy = folder.target.with_name(f"{folder.target.name}-log.npz")
         with _named(copy), kept(recording, copy) as save_if_due:
-            agent = _agent(options, config, recording.robot)
-            with _display(options, agent, save_if_due) as watch:
-                session = Session(link, hello, agent, recording, watch)
+            agent = _agent(options, config, recording.robot, wired)
+            with _display(options, agent, wired, save_if_due) as watch:
+                session = Session(wired.link, hello, agent, recording, watch)
                 reason = _driven(session, options)
             if not len(recording):
                 raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")
@@ -96,42 +175,28 @@ def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":
 
 
 @contextmanager
-def _transport(options: LiveOptions) -> "Iterator[Transport]":
+def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: Sequence[str]) -> "Iterator[Wired]":
+    """The connection that the options name."""
+    if options.ros2:
+        from limslam_agent.live.ros2.wiring import wired_by_ros
+
+        with wired_by_ros(described, ros_arguments) as robot:
+            yield robot
+        return
+    from limslam_agent.live.session import Link
     from limslam_agent.live.transports import SerialTransport, UdpTransport
 
     port = options.serial
     with closing(UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)) as transport:
-        yield transport
+        yield WiredByLines(Link(transport), f"at {port or f'UDP port {options.udp}'}", described)
 
 
-def _place(options: LiveOptions) -> str:
-    return options.serial or f"UDP port {options.udp}"
-
-
-def _robot(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
-    """The robot of ``--robot``, else the shipped robot that it says it is.
-
-    Raises
-    ------
-    ValueError
-        If there is no such robot, or it has another number of beams.
-    """
-    from limslam_env.robots import ROBOTS
-
-    if described is None and hello.name not in ROBOTS:
-        raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
-    robot = described or robot_named(hello.name)
-    if len(robot.beams) != hello.beams:
-        raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
-    return robot
-
-
-def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec") -> "LimSlamAgent":
+def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: Wired) -> "LimSlamAgent":
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.runs.oracle import policies_by_belief
 
     policies = policies_by_belief(options.policy, robot, config, robots=1, seed=0)
-    return LimSlamAgent(robot, config, policies[0] if policies else None)
+    return LimSlamAgent(robot, config, wired.policy(policies[0] if policies else None, config, robot))
 
 
 def _driven(session: "Session", options: LiveOptions) -> str:
@@ -142,11 +207,12 @@ def _driven(session: "Session", options: LiveOptions) -> str:
 
 
 @contextmanager
-def _display(options: LiveOptions, agent: "LimSlamAgent", save_if_due: Any) -> "Iterator[Any]":
+def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_due: Any) -> "Iterator[Any]":
     """The progress bar of a session, whose function is called after each decision."""
-    with progress_bar("driving", options.max_time) as advance, _watched(options, agent) as follow:
+    with progress_bar("driving", options.max_time) as advance, _watched(options, agent, wired) as follow:
 
         def watch(session: "Session") -> None:
+            wired.watch(session)
             save_if_due()
             newest = session.recording.newest
             seconds = 0.0 if newest is None else newest.time
@@ -158,14 +224,14 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", save_if_due: Any) -> "
 
 
 @contextmanager
-def _watched(options: LiveOptions, agent: "LimSlamAgent") -> "Iterator[Callable[[float], None]]":
+def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: Wired) -> "Iterator[Callable[[float], None]]":
     """What is called after each decision with the time, s, so that a browser can show the session."""
     if not options.watch:
         yield lambda _: None
         return
     from limslam_agent.inspect.live_page import Follower, live_page
 
-    with live_page(f"live, {_place(options)}") as page:
+    with live_page(f"live, {wired.place}") as page:
         typer.echo(f"watch       {page.address}", err=True)
         follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
         yield lambda seconds: follower.note(agent.mapper, [agent.policy], seconds)

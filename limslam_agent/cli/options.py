@@ -169,8 +169,11 @@ Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE
 
 # Of limslam replay.
 Log = Annotated[
-    Path | None,
-    typer.Argument(help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run.", show_default=False),
+    list[Path] | None,
+    typer.Argument(
+        help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run. Two logs are joined if they fit.",
+        show_default=False,
+    ),
 ]
 Beams = Annotated[str | None, _option(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")]
 MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")]
@@ -245,18 +248,32 @@ CalibrateLog = Annotated[
     Path | None, _option(_ODOMETRY, "Estimate the bias from this log instead of the replayed log.")
 ]
 RelationsFile = Annotated[
-    Path | None, _option(_SCORE, "File of known relative poses to score the trajectory with.", None, "--relations")
+    list[Path] | None,
+    _option(
+        _SCORE,
+        "File of known relative poses to score the trajectory with. Of two logs: once for both, or once for each.",
+        None,
+        "--relations",
+    ),
 ]
 
 # Of limslam live.
 Serial = Annotated[str | None, _option(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")]
 Baud = Annotated[int | None, _option(_CONNECTION, "Bits per second of the serial port.", _LIVE.baud)]
 Udp = Annotated[int | None, _option(_CONNECTION, "UDP port on which to wait for the robot.")]
+Ros2 = Annotated[
+    bool | None,
+    _option(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.", None, "--ros2"),
+]
+RosArguments = Annotated[
+    list[str] | None,
+    typer.Argument(help="Arguments for ROS 2, after --: -- --ros-args -p NAME:=VALUE -r FROM:=TO.", show_default=False),
+]
 LiveRobot = Annotated[
     str | None,
     _option(
         _CONNECTION,
-        "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.",
+        "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings. --ros2 needs it.",
         "what the robot calls itself",
         "--robot",
     ),

@@ -49,14 +49,35 @@ def replay(
     force: take.Force = None,
     config: take.Config = None,
 ) -> None:
-    """Draw a map from a recorded log."""
-    arguments = locals()
+    """Draw a map from a recorded log, or from two logs of one building."""
+    arguments = {**locals(), **_pair("log", log, "LOG"), **_pair("relations", relations, "--relations")}
     given = Given.read(arguments.pop("config"), arguments)
     options = given.merged(ReplayOptions(), ("agent", "robot"))
     agent = replay_agent(given, options)
     for warning in given.warnings(options.preset):
         typer.echo(f"limslam: warning: {warning}", err=True)
+    if options.other_log is not None:
+        from limslam_agent.cli.two_logs import carry_out_both
+
+        carry_out_both(options, agent, given.replay_robot())
+        return
+    if options.other_relations is not None:
+        raise ValueError("--relations is given twice, which is for two logs")
     carry_out(options, agent, given.replay_robot())
+
+
+def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | None]:
+    """One or two paths by the names of their options.
+
+    Raises
+    ------
+    ValueError
+        If there are more of them.
+    """
+    if paths and len(paths) > 2:
+        raise ValueError(f"{shown}: {len(paths)} were given; one log is replayed, or two logs are joined")
+    first, second = [*(paths or []), None, None][:2]
+    return {name: first, f"other_{name}": second}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +126,7 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     job = job_of(options.log, options, agent, robot)
     target = options.out or Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}"
     count = len(job.log)
-    _warn(log_warnings(job.log))
+    warn(log_warnings(job.log))
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
         with progress_bar("replaying", count) as advance:
             result = replay_log(
@@ -113,18 +134,19 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
                 lambda stage: advance(count, f"smoothing: {stage}"),
                 None if options.map is None else read_saved_map(options.map),
             )  # fmt: skip
-        scores = _scores(job, result, options.relations)
+        scores = scores_of(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
         content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
         write_replay_settings(folder.beside, options, agent, robot)
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
     for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
-    _warn(map_warnings(result))
+    warn(map_warnings(result))
     typer.echo(printable(f"results     {folder.target}"))
 
 
-def _warn(warnings: list[str]) -> None:
+def warn(warnings: list[str]) -> None:
+    """Print warnings, one line each."""
     for warning in warnings:
         typer.echo(f"limslam: warning: {warning}", err=True)
 
@@ -174,7 +196,14 @@ def _source(log: Path, options: ReplayOptions, calibration_run: "CalibrationRun"
     return {"log": log.name, "relations": relations, **calibration_run.source}
 
 
-def _scores(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+def scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+    """Metrics of a replay against the truth and against known relative poses.
+
+    Raises
+    ------
+    ValueError
+        If none of the relations is in the log's time.
+    """
     from limslam_agent.replay.replay import relation_scores
     from limslam_agent.runs.results import trajectory_scores
 

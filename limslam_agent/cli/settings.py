@@ -64,6 +64,7 @@ class ReplayOptions(Bounded):
     """The options of ``limslam replay``; they are described there."""
 
     log: Path | None = None
+    other_log: Path | None = None
     beams: str | None = None
     max_range: float | None = None
     metres_per_tick: float = 1.0
@@ -87,6 +88,7 @@ class ReplayOptions(Bounded):
     max_events: Annotated[int, Bounds(1, 10**9)] = DEFAULT_LIMITS.max_events
     max_beams: Annotated[int, Bounds(1, 10**6)] = DEFAULT_LIMITS.max_beams
     relations: Path | None = None
+    other_relations: Path | None = None
     out: Path | None = None
     force: bool = False
 
@@ -98,6 +100,7 @@ class LiveOptions(Bounded):
     serial: str | None = None
     baud: Annotated[int, Bounds(300, 10**7)] = 115200
     udp: int | None = None
+    ros2: bool = False
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     policy: str = "frontier"

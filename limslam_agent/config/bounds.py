@@ -3,7 +3,7 @@
 import functools
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Self, get_type_hints
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,10 @@ class Bounded:
     def __post_init__(self) -> None:
         for name, bounds in bounds_of(type(self)):  # type: ignore[arg-type] # mypy takes a class for its object
             bounds.check(name, getattr(self, name))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # Settings never change, so that copies can share them.
+        return self
 
 
 @functools.cache

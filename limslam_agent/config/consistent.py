@@ -251,6 +251,39 @@ class SelfCalibrationConfig(Bounded):
 
 
 @dataclass(frozen=True)
+class RangeErrorConfig(Bounded):
+    """Estimation of the sensor's noise, its bias and the opening angle of its beams, where the data require it.
+
+    Attributes
+    ----------
+    enabled
+        False takes the sensor to be as specified.
+    gate
+        Twice the logarithm of the Bayes factor for another bias or opening angle from which on it is used.
+    noise_gate
+        Twice the logarithm of the likelihood ratio for another noise from which on it is used.
+    bias_std, cone_std
+        Standard deviations of a bias of all ranges, m, and of half the opening angle, rad.
+    least_std
+        Smaller noise is not estimated, m.
+    least_ratio
+        Noise that differs by a smaller factor is as specified.
+    further_gate, further_ratio
+        The two gates and the factor for a sensor that has already been found to differ from the specified one.
+    """
+
+    enabled: bool = True
+    gate: NonNegative = 12.0
+    noise_gate: NonNegative = 20.0
+    bias_std: NonNegative = 0.02
+    cone_std: NonNegative = 0.05
+    least_std: NonNegative = 0.005
+    least_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.25
+    further_gate: NonNegative = 8.0
+    further_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.1
+
+
+@dataclass(frozen=True)
 class ConsistentConfig:
     """Settings of the consistent estimator, one group for each stage.
 
@@ -274,6 +307,8 @@ class ConsistentConfig:
         When two landmarks are merged.
     self_calibration
         Estimation of the odometry's constant errors.
+    range_errors
+        Estimation of the sensor's noise, its bias and the opening angle of its beams.
     """
 
     pending: PendingReadingsConfig = field(default_factory=PendingReadingsConfig)
@@ -285,6 +320,7 @@ class ConsistentConfig:
     extents: ExtentConfig = field(default_factory=ExtentConfig)
     merging: MergingConfig = field(default_factory=MergingConfig)
     self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
+    range_errors: RangeErrorConfig = field(default_factory=RangeErrorConfig)
 
     def for_ranges(self, std: float) -> Self:
         """These settings with the least length of a new landmark for ranges of a standard deviation (m)."""

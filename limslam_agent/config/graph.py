@@ -18,12 +18,16 @@ class KeyPoseConfig(Bounded):
         A new key pose begins after this distance driven (m) or this turn (rad).
     scan_distance, scan_turn
         A scan gives points only after this motion (m) or turn (rad) since the last scan that gave points.
+    points_per_metre
+        Largest number of points for each metre driven. Of more points, those of every k-th beam are used, of other
+        beams in each scan.
     """
 
     distance: Positive = 0.25
     turn: Angle = 12.0 * _DEGREE
     scan_distance: NonNegative = 0.015
     scan_turn: Angle = 1.0 * _DEGREE
+    points_per_metre: Positive = 200.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,10 @@ class MotionConfig(Bounded):
         Prior standard deviation of the missing heading of odometry per metre, rad/m.
     scale_std, turn_gain_std
         Prior standard deviations of the relative errors of distances and turns.
+    delay_std
+        Prior standard deviation of the time by which ranges are older than odometry, s.
+    direction_std
+        Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad.
     """
 
     along: NonNegative = 0.05
@@ -56,6 +64,8 @@ class MotionConfig(Bounded):
     bias_std: Positive = 1.5 * _DEGREE
     scale_std: Positive = 0.03
     turn_gain_std: Positive = 0.03
+    delay_std: Positive = 0.1
+    direction_std: Angle = 2.0 * _DEGREE
 
 
 @dataclass(frozen=True)
@@ -392,7 +402,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
-    doubtful_share: NonNegative = 0.2
+    doubtful_share: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
@@ -422,6 +432,9 @@ class RoundConfig(Bounded):
         Rounds end when the last two rounds together have raised the score by less than this.
     same_path
         Two searches have found the same path if 90 % of their key poses lie within this distance, m.
+    synchronisations, synchronous
+        Largest number of times that the delay of the ranges is estimated and corrected before the search; a correction
+        of less than ``synchronous`` s is the last.
     restart, restarts
         If odometry misses at least this much heading per metre, rad/m, its errors are corrected and the log is
         smoothed again, at most this number of times. The result is kept if its score is higher.
@@ -438,6 +451,8 @@ class RoundConfig(Bounded):
     tie: NonNegative = 0.003
     settled: NonNegative = 0.002
     same_path: NonNegative = 0.5
+    synchronisations: Count = 3
+    synchronous: NonNegative = 0.02
     restart: Angle = 3.0 * _DEGREE
     restarts: CountOrNone = 3
 

@@ -41,6 +41,8 @@ class PlaceConfig(Bounded):
     first, spacing
         Distance that a robot drives before its local map is matched for the first time, and between two matches, m.
         Two matches in succession must agree.
+    lost_first, lost_spacing, turn_length
+        The same for a lost robot, m, whose turn by one radian counts like ``turn_length``, m.
     checkpoint, checkpoints, margin
         Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by
         which a copy must be older than the first doubt about the estimate.
@@ -69,6 +71,9 @@ class PlaceConfig(Bounded):
     heading_std: Angle = math.radians(2.0)
     first: NonNegative = 1.5
     spacing: Positive = 0.5
+    lost_first: NonNegative = 0.8
+    lost_spacing: Positive = 0.35
+    turn_length: NonNegative = 0.1
     checkpoint: Count = 50
     checkpoints: Count = 6
     margin: Count = 100

@@ -75,31 +75,34 @@ class LateBeamConfig(Bounded):
 class SuddenChangeConfig(Bounded):
     """When readings change so suddenly that the robot must have been carried away.
 
+    Evidence is the logarithm of a likelihood ratio: of "the robot was carried away in this step" against "it was not".
+
     Attributes
     ----------
-    change, sigmas
-        A reading has changed if it differs from that of the step before by more than ``change``, m, plus this number of
-        standard deviations.
-    fewest, share
-        The robot is lost if at least this number of readings, and at least this share of them, change in one step.
-    max_distance, max_turn
-        Only steps with a smaller motion count, m and rad.
-    fewest_misfits, fewest_expected
-        With this number of changes the robot is also lost, if at least ``fewest_expected`` readings should end at walls
-        of the map afterwards.
-    fitting
-        The robot is not lost if a larger share of the readings that should end at walls of the map do so afterwards.
+    begin
+        A suspicion begins with a step whose readings give more evidence than this. It ends when its evidence is used
+        up, or after ``longest``.
+    most
+        Largest number of suspicions at the same time.
+    longest
+        Distance after which a suspicion ends, m. A turn by one radian counts like ``turn_length``, m.
+    contradiction, fit, place
+        Evidence of a place that contradicts the map of the time before the step, half as much for each further place by
+        the same beam, and loss of evidence at a place where a reading fits that map. Each place of this size, m, counts
+        once.
+    unsure, lost, lost_contradicted
+        The estimate is unsure or lost with this evidence. Less suffices to be lost if a place contradicts the map.
     """
 
-    change: NonNegative = 0.20
-    sigmas: NonNegative = 5.0
-    fewest: Count = 4
-    share: Share = 0.6
-    max_distance: NonNegative = 0.05
-    max_turn: Angle = 0.08
-    fewest_misfits: Count = 3
-    fewest_expected: Count = 2
-    fitting: Share = 0.34
+    begin: Positive = 1.0
+    most: Count = 3
+    longest: Positive = 4.0
+    contradiction: NonNegative = 4.0
+    fit: NonNegative = 1.0
+    place: Positive = 0.3
+    unsure: Positive = 8.0
+    lost: Positive = 12.0
+    lost_contradicted: Positive = 10.0
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 Source: B. Yamauchi, "A frontier-based approach for autonomous exploration", 1997.
 """
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -31,23 +30,24 @@ def frontier_cells(
     pocket
         Least number of cells of an unknown region that makes frontiers.
     """
-    # Cells beyond the grid's edge are unknown.
-    unknown = np.pad(grid.unknown, 1, constant_values=True)
-    if close_gaps:
-        unknown &= ~_closed_walls(np.pad(grid.occupied, 1))
-    if pocket > 1:
-        unknown = _without_small(unknown, pocket)
-    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
-    frontier = grid.free & beside
-    if ignored is not None:
-        frontier &= ~ignored
-    return _without_small(frontier, min_size)
+    from limslam_agent.kernels.regions import mark_frontier
+
+    # One kind of array, or the kernel would be compiled for each kind: views are read-only and not contiguous.
+    values = np.array(grid.values)
+    if ignored is None:
+        ignored = np.zeros((0, 0), dtype=bool)
+    unknown = np.ones((values.shape[0] + 2, values.shape[1] + 2), dtype=bool)
+    beside, chosen = np.empty(values.shape, dtype=bool), np.empty(values.shape, dtype=bool)
+    found = np.empty((max(min_size, pocket, 1), 2), dtype=np.int64)
+    mark_frontier(values, ignored, min_size, pocket, close_gaps, unknown, beside, chosen, found)
+    return chosen
 
 
 def group_of(frontier: BoolArray, cell: IntArray) -> IntArray:
     """The cells (n, 2) of the group that a cell (2,), row and column, belongs to."""
-    labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
-    return np.argwhere(labels == labels[tuple(cell)])
+    from limslam_agent.kernels.regions import group_around
+
+    return np.argwhere(group_around(frontier, int(cell[0]), int(cell[1]), corners=True))
 
 
 def group_places(grid: GridView, frontier: BoolArray) -> FloatArray:
@@ -72,25 +72,3 @@ def sight_begins(grid: GridView, path: FloatArray, distance: float) -> int:
 
 def _middle(cells: IntArray) -> IntArray:
     return np.asarray(cells[int(np.argmin(np.hypot(*(cells - cells.mean(axis=0)).T)))])
-
-
-def _closed_walls(occupied: BoolArray) -> BoolArray:
-    """Cells (rows, columns) between two occupied ones, on opposite sides of them."""
-    around = np.pad(occupied, 1)
-    rows, columns = occupied.shape
-    side = {
-        (down, right): around[1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
-        for down in (-1, 0, 1)
-        for right in (-1, 0, 1)
-    }
-    pairs = [side[way] & side[-way[0], -way[1]] for way in ((0, 1), (1, 0), (1, 1), (1, -1))]
-    return np.asarray(pairs[0] | pairs[1] | pairs[2] | pairs[3])
-
-
-def _without_small(cells: BoolArray, min_size: int) -> BoolArray:
-    """The cells in groups, corners touching, of at least ``min_size``."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= min_size
-    # Label 0 is that of all other cells.
-    keep[0] = False
-    return np.asarray(keep[labels])

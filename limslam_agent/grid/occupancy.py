@@ -8,15 +8,10 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.presets import GridConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32
 _MAX_CELLS = 20_000
-_ANGLES = np.arange(8) * (np.pi / 4)
-
-BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))
-"""Points (9, 2) of the robot's body that are certainly free, in shares of its radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +61,7 @@ class OccupancyGrid:
 
     A cell's value increases when a beam crosses the cell, and decreases when a beam ends in it, as in the published
     method, so that single wrong readings have little effect. Each cell changes once a step, however many beams touch
-    it. ``slam.batch.grid`` is the compiled counterpart.
+    it.
 
     Parameters
     ----------
@@ -79,6 +74,9 @@ class OccupancyGrid:
         # Cells are counted from the world's origin. The known cells lie between the two corners.
         self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
         self._values = np.zeros((0, 0), dtype=np.int16)
+        self._rules = np.array([config.seen_through, config.hit, config.limit])
+        # Each cell has the number of the update that has changed it last.
+        self._stamps, self._stamp = np.zeros((0, 0), dtype=np.int32), 0
 
     @classmethod
     def of(cls, view: GridView, config: GridConfig) -> "OccupancyGrid":
@@ -95,6 +93,7 @@ class OccupancyGrid:
         grid._low = grid._known_low = np.rint(view.low / config.cell).astype(np.int64)
         grid._known_high = grid._low + np.array(view.values.shape[::-1])
         grid._values = np.array(view.values, dtype=np.int16)
+        grid._stamps = np.zeros_like(grid._values, dtype=np.int32)
         return grid
 
     def copied(self) -> "OccupancyGrid":
@@ -126,54 +125,25 @@ class OccupancyGrid:
         ValueError
             If the map has become so large that the pose must be wrong.
         """
-        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
-        beams = np.nonzero(usable & (ranges > robot.too_near))[0]
-        origins, directions = robot.beam_origins[beams], robot.beam_directions[beams]
-        hit = ranges[beams] < robot.too_far[beams]
-        length = ranges[beams]
-        ends = transform_points(pose, origins + length[:, None] * directions)
-        passed = transform_points(pose, self._samples(origins, directions, length))
-        body = pose[:2] + robot.radius * BODY
-        self._reach(np.concatenate((passed, body, ends)))
-        crossed = self._indices(np.concatenate((passed, body)))
-        ended = self._indices(ends[hit])
-        # All new values are computed before any value changes, so that a cell changes once, however often it is listed.
-        seen_through, hits = self._added(crossed, self._config.seen_through), self._added(ended, -self._config.hit)
-        flat = self._values.reshape(-1)
-        flat[crossed] = seen_through
-        flat[ended] = hits
+        from limslam_agent.kernels.cells import update_grid
 
-    def _samples(self, origins: FloatArray, directions: FloatArray, lengths: FloatArray) -> FloatArray:
-        step = 0.5 * self._config.cell
-        counts = np.floor(lengths / step).astype(np.int64)
-        owner = np.repeat(np.arange(len(lengths)), counts)
-        position = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) * step
-        return origins[owner] + position[:, None] * directions[owner]
-
-    def _indices(self, points: FloatArray) -> IntArray:
-        cells = np.floor(points / self._config.cell).astype(np.int64) - self._low
-        return np.asarray(cells[:, 1] * self._values.shape[1] + cells[:, 0])
-
-    def _added(self, indices: IntArray, amount: int) -> IntArray:
-        """The values of some cells after an amount has been added."""
-        limit = self._config.limit
-        value = np.minimum(np.maximum(self._values.reshape(-1)[indices] + amount, -limit), limit)
-        # The value 0 is reserved for unknown cells.
-        value[value == 0] = 1 if amount > 0 else -1
-        return value
-
-    def _reach(self, points: FloatArray) -> None:
-        """Extend the grid to cover points (n, 2), m, with a margin so that it seldom has to grow."""
-        low = np.floor(points.min(axis=0) / self._config.cell).astype(np.int64)
-        high = np.floor(points.max(axis=0) / self._config.cell).astype(np.int64) + 1
-        rows, columns = self._values.shape
-        end = self._low + np.array([columns, rows])
-        known = (np.minimum(self._known_low, low), np.maximum(self._known_high, high)) if rows else (low, high)
-        if not rows or (low < self._low).any() or (high > end).any():
+        touched = np.empty((2, 2), dtype=np.int64)
+        while True:
+            self._stamp += 1
+            is_done = update_grid(
+                pose, np.asarray(ranges, dtype=float), usable, robot.beam_table, robot.radius, self._config.cell,
+                self._values, self._low, self._rules, self._stamps, self._stamp, touched,
+            )  # fmt: skip
+            low, high = touched
+            if is_done:
+                break
             self._grow(low, high)
-        self._known_low, self._known_high = known
+        is_first = (self._known_low == self._known_high).all()
+        self._known_low = low if is_first else np.minimum(self._known_low, low)
+        self._known_high = high if is_first else np.maximum(self._known_high, high)
 
     def _grow(self, low: IntArray, high: IntArray) -> None:
+        """Extend the grid to cells from ``low`` to before ``high`` (2,), with a margin, so that it seldom grows."""
         rows, columns = self._values.shape
         end = self._low + np.array([columns, rows])
         old_low, old_high = (self._low, end) if rows else (low, high)
@@ -185,7 +155,7 @@ class OccupancyGrid:
         grown = np.zeros((rows_new, columns_new), dtype=np.int16)
         column, row = old_low - new_low
         grown[row : row + rows, column : column + columns] = self._values
-        self._low, self._values = new_low, grown
+        self._low, self._values, self._stamps = new_low, grown, np.zeros_like(grown, dtype=np.int32)
 
 
 def drawn_grid(

@@ -1,24 +1,21 @@
 """Shortest paths on the occupancy grid by Dijkstra's algorithm."""
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _TIGHT = 20.0
 # A step where no wall is in sight costs this many times as much.
 _OPEN = 3.0
-# A step in each of these directions, its length in cells; the slots 7 to 4 hold the same steps backwards.
-_STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 # No path is this long. SciPy ignores steps of infinite cost only if a search has a limit.
 _ANYWHERE = 1e15
 _WIDER = 2.5
@@ -84,19 +81,20 @@ def routes(
     coast
         Distance from occupied cells beyond which a step costs three times as much, m.
     """
+    from limslam_agent.kernels.paths import price_cells
+
     row, column = (int(index) for index in grid.cells(start[None])[0])
     open_cells = grid.free if closed is None else grid.free & ~closed
     rows, columns = open_cells.shape
     if not (0 <= row < rows and 0 <= column < columns):
         return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1))
     open_cells[row, column] = True
-    distance = wall_distance(grid)
-    factor = 1.0 + 2.0 * np.clip((radius + comfort - distance) / comfort, 0.0, 1.0) + _TIGHT * (distance < radius)
-    factor[distance > coast] *= _OPEN
+    prices = np.empty(open_cells.shape)
+    price_cells(wall_distance(grid), radius, comfort, coast, grid.cell, _TIGHT, _OPEN, prices)
     wanted = np.zeros(0, dtype=np.int64) if targets is None else np.flatnonzero(targets)
     limit = _first_limit(wanted, (row, column), columns, grid.cell) if wanted.size else _ANYWHERE
     while True:
-        ways = _within(open_cells, factor * grid.cell, (row, column), limit, grid.cell)
+        ways = _within(open_cells, prices, (row, column), limit, grid.cell)
         if limit >= _ANYWHERE or np.isfinite(ways.cost.flat[wanted]).any():
             return ways
         limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE
@@ -111,32 +109,17 @@ def wall_distance(grid: GridView) -> FloatArray:
     return np.asarray((cells.astype(float) - 0.5) * grid.cell)
 
 
-def _graph(open_cells: BoolArray, factor: FloatArray) -> "sparse.csr_array[Any, Any]":
+def _graph(open_cells: BoolArray, price: FloatArray) -> "sparse.csr_array[Any, Any]":
     """Costs of the steps from each cell to its eight neighbours; infinite for steps that are not possible."""
+    from limslam_agent.kernels.paths import price_steps
+
     rows, columns = open_cells.shape
-    price = np.where(open_cells, factor, np.inf)
-    weights = np.full((rows, columns, 8), np.inf)
-    for slot, (down, right, length) in enumerate(_STEPS):
-        here = (slice(0, rows - down), slice(max(-right, 0), columns - max(right, 0)))
-        there = (slice(down, rows), slice(max(right, 0), columns - max(-right, 0)))
-        step = 0.5 * length * (price[here] + price[there])
-        if down and right:
-            # A diagonal step must not pass between two occupied cells: they may be one wall.
-            step[~(open_cells[here[0], there[1]] & open_cells[there[0], here[1]])] = np.inf
-        weights[(*here, slot)] = step
-        weights[(*there, 7 - slot)] = step
-    indices, pointers = _neighbours(rows, columns)
-    return sparse.csr_array((weights.reshape(-1), indices, pointers), shape=(rows * columns, rows * columns))
-
-
-@functools.lru_cache(maxsize=4)
-def _neighbours(rows: int, columns: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Columns and row pointers of the graph of a grid. Neighbours beyond the edge are replaced by any cell."""
-    ahead = np.array([down * columns + right for down, right, _ in _STEPS])
-    offsets = np.concatenate((ahead, -ahead[::-1]))
-    size = rows * columns
-    indices = np.clip(np.arange(size)[:, None] + offsets, 0, size - 1).astype(np.int32).reshape(-1)
-    return indices, np.arange(0, 8 * size + 1, 8, dtype=np.int32)
+    weights = np.empty((rows, columns, 2 * len(STEPS)))
+    neighbours = np.empty(weights.shape, dtype=np.int32)
+    # One kind of array, or the kernel would be compiled for each kind.
+    price_steps(np.ascontiguousarray(open_cells), np.ascontiguousarray(price), weights, neighbours)
+    pointers = np.arange(0, weights.size + 1, 2 * len(STEPS), dtype=np.int32)
+    return sparse.csr_array((weights.ravel(), neighbours.ravel(), pointers), shape=(rows * columns, rows * columns))
 
 
 def _first_limit(wanted: IntArray, start: tuple[int, int], columns: int, cell: float) -> float:

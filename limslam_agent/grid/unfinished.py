@@ -7,7 +7,6 @@ of the map is drawn there.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.sparse import coo_array, csgraph
 from scipy.spatial import cKDTree
 
@@ -66,11 +65,11 @@ def border_faces(grid: GridView, ground: BoolArray) -> Faces:
 
 def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
     """Free cells (rows, columns) that are connected to the cell of a place (2,), m. All free cells, if it has none."""
-    labels, _ = ndimage.label(grid.free)
-    row, column = grid.cells(place[None])[0]
-    inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
-    own = labels[row, column] if inside else 0
-    return np.asarray(labels == own) if own else grid.free
+    from limslam_agent.kernels.regions import group_around
+
+    free, (row, column) = grid.free, grid.cells(place[None])[0].tolist()
+    inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
+    return group_around(free, row, column, corners=False) if inside and free[row, column] else free
 
 
 def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArray:

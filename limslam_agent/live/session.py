@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -49,6 +50,51 @@ class NoRobotError(ValueError):
     """No robot that can be driven has answered."""
 
 
+class Connection(Protocol):
+    """A connection to a robot, for a session.
+
+    Attributes
+    ----------
+    clock
+        The host's clock, s.
+    bad_lines
+        Number of lines, or messages, that could not be read.
+    late, doubled
+        Numbers of measurements that the connection itself has left out, because they came after a later one, or twice.
+    """
+
+    clock: Callable[[], float]
+
+    @property
+    def bad_lines(self) -> int: ...  # noqa: D102 (the class describes it)
+
+    @property
+    def late(self) -> int: ...  # noqa: D102
+
+    @property
+    def doubled(self) -> int: ...  # noqa: D102
+
+    def first_hello(self, patience: float) -> Hello:
+        """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience`` s."""
+        ...
+
+    def receive(self, timeout: float) -> list[Message]:
+        """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
+        ...
+
+    def next_seq(self) -> int:
+        """A sequence number for the next command."""
+        ...
+
+    def send(self, command: Command) -> None:
+        """Send a command. It is lost if there is no connection."""
+        ...
+
+    def greet(self) -> None:
+        """Ask the robot to say hello."""
+        ...
+
+
 class Link:
     """Messages instead of lines, over a transport.
 
@@ -63,7 +109,11 @@ class Link:
     ----------
     bad_lines
         Number of lines that were no messages.
+    late, doubled
+        Always 0. Such lines are found by their sequence numbers, in the recording.
     """
+
+    late = doubled = 0
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
         self.transport, self.clock, self.bad_lines = transport, clock, 0
@@ -151,11 +201,18 @@ class Session:
         Takes everything that the robot has measured.
     watch
         Called after each decision.
+
+    Attributes
+    ----------
+    is_paused
+        Whether the robot only maps. The wheels are stopped once, and then get no command, so that a person can drive.
+    asked_to_end
+        Why the session shall end, in words. None while it goes on.
     """
 
     def __init__(
         self,
-        link: Link,
+        link: Connection,
         hello: Hello,
         agent: LimSlamAgent,
         recording: Recording,
@@ -166,7 +223,8 @@ class Session:
         agent.mapper.longest_travel = math.inf  # the recording knows the times, and checks the travel
         self._observed: Row | None = None
         self._last_new = self._last_command = link.clock()
-        self._was_stopped = self._is_connected = False
+        self._was_stopped = self._is_connected = self.is_paused = self._is_silent = False
+        self.asked_to_end: str | None = None
         self._sent: deque[tuple[int, float]] = deque(maxlen=200)
         self._delays: deque[float] = deque(maxlen=_DELAYS)
 
@@ -211,8 +269,8 @@ class Session:
         return {
             "packets": len(self.recording),
             "packets_lost": self.recording.lost,
-            "packets_late": self.recording.late,
-            "packets_doubled": self.recording.doubled,
+            "packets_late": self.recording.late + self.link.late,
+            "packets_doubled": self.recording.doubled + self.link.doubled,
             "packets_implausible": self.recording.implausible,
             "lines_bad": self.link.bad_lines,
             "reconnections": self.counts.reconnections,
@@ -231,8 +289,14 @@ class Session:
         for row in fresh:
             self.agent.observe(self.recording.observation(row, self._observed))
             self._observed = row
-        self._answer(fresh[-1])
+        if self.is_paused:
+            self._rest(fresh[-1])
+        else:
+            self._answer(fresh[-1])
+        self._watch(self)
         self._last_new = self.link.clock()  # silence is what the host has listened to, not what it has computed for
+        if self.asked_to_end is not None:
+            return self.asked_to_end
         if self.agent.done:
             return self.agent.stop_reason
         return OUT_OF_TIME if fresh[-1].time >= max_time else None
@@ -293,7 +357,14 @@ class Session:
         left, right = (round(self.recording.robot.max_wheel_speed * share / MM) for share in action.tolist())
         self._sent.append((seq, row.time))
         self._command(Speeds(seq, self.recording.newest_seq, left, right))
-        self._watch(self)
+        self._is_silent = False
+
+    def _rest(self, row: Row) -> None:
+        """While paused: stop the wheels once."""
+        self.recording.note_action(row, np.zeros(2))
+        if not self._is_silent:
+            self._command(Stop(self.link.next_seq()))
+        self._is_silent = True
 
     def _command(self, command: Command) -> None:
         self._last_command = self.link.clock()
@@ -306,14 +377,19 @@ class Session:
         if silence > SILENT_AFTER or self._observed is None:
             self._is_connected = False
             self.link.greet()
-        if self._observed is None or silence < HEARTBEAT_AFTER * period or now - self._last_command < period:
+        if (
+            self._is_silent
+            or self._observed is None
+            or silence < HEARTBEAT_AFTER * period
+            or now - self._last_command < period
+        ):
             return
         seq = self.link.next_seq()
         self._command(Heartbeat(seq) if silence < HOLD * period else Stop(seq))
 
     def _stop_wheels(self) -> None:
         """Send stops until the robot says that it has obeyed one, for a second at most."""
-        for _ in range(_STOP_ATTEMPTS):
+        for _ in range(0 if self._is_silent else _STOP_ATTEMPTS):
             seq = self.link.next_seq()
             self.link.send(Stop(seq))
             messages = self.link.receive(_STOP_WAIT)

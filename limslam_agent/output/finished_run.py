@@ -47,6 +47,8 @@ class FinishedRun:
         Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
     covariances, smoothed_covariances
         Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
+    times
+        Times of each log, s, where ``time`` is that of the first log only. Empty where all robots have the same times.
     """
 
     folder: Path
@@ -59,6 +61,24 @@ class FinishedRun:
     smoothed: list[FloatArray]
     covariances: list[FloatArray] = field(default_factory=list)
     smoothed_covariances: list[FloatArray] = field(default_factory=list)
+    times: list[FloatArray] = field(default_factory=list)
+
+    def elapsed(self, number: int) -> FloatArray:
+        """Time since a robot's first pose (n,), s."""
+        time = self.times[number] if self.times else self.time
+        return np.asarray(time - time[0])
+
+    def with_one_time(self) -> "FinishedRun":
+        """The run itself.
+
+        Raises
+        ------
+        FolderError
+            If it is of two logs, of which each has times of its own.
+        """
+        if self.times:
+            raise FolderError(f"{self.folder}: is of two logs with times of their own; use {self.folder / 'log_0'}")
+        return self
 
     @property
     def is_replay(self) -> bool:
@@ -123,8 +143,10 @@ def read_run(folder: Path) -> FinishedRun:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
     true, odometry, smoothed = (_trajectories(folder, kind) for kind in ("true", "odometry", "smoothed"))
     time = estimated[0][:, 0]
+    times = [table[:, 0] for table in estimated] if "logs" in _part(result, "config") else []
+    counts = [len(each) for each in times] if times else [len(time)] * len(estimated)
     for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry), ("smoothed", smoothed)):
-        if tables and (len(tables) != len(estimated) or any(len(table) != len(time) for table in tables)):
+        if tables and [len(table) for table in tables] != counts:
             raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
     poses, true_poses, by_odometry, at_the_end = (
         [table[:, 1:] for table in tables] for tables in (estimated, true, odometry, smoothed)
@@ -133,7 +155,7 @@ def read_run(folder: Path) -> FinishedRun:
         by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
     covariances, of_smoothed = _covariances(folder / COVARIANCES, len(poses), len(time))
     return FinishedRun(
-        folder, result, segments, time, poses, by_odometry, true_poses, at_the_end, covariances, of_smoothed
+        folder, result, segments, time, poses, by_odometry, true_poses, at_the_end, covariances, of_smoothed, times
     )
 
 

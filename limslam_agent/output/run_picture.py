@@ -68,7 +68,6 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     """Plot the errors against the truth. Without truth, plot the distance of the estimate from odometry."""
     reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
     colours = path_colours(len(run.estimated))
-    time = run.time - run.time[0]
     curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, "-", "estimated online")]
     if run.smoothed:
         curves.append((run.smoothed, 0, _DOTS, "smoothed"))
@@ -78,9 +77,16 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         for number, (poses, other) in enumerate(zip(kind, reference, strict=False)):
             of_whom = f"robot {number + 1}, {name}" if len(kind) > 1 else name
             colour = colours[number][which]
-            upper.plot(time, position_error(poses, other), color=colour, linestyle=style, linewidth=1.2, label=of_whom)
+            upper.plot(
+                run.elapsed(number),
+                position_error(poses, other),
+                color=colour,
+                linestyle=style,
+                linewidth=1.2,
+                label=of_whom,
+            )
             turned = np.degrees(heading_error(poses, other))
-            lower.plot(time, _without_jumps(turned), color=colour, linestyle=style, linewidth=1.2)
+            lower.plot(run.elapsed(number), _without_jumps(turned), color=colour, linestyle=style, linewidth=1.2)
     if run.true:
         _draw_bands(upper, lower, run)
     upper.set_ylabel(f"position {compared}, m", fontsize=9)

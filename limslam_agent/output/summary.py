@@ -80,6 +80,10 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
     if event == "not joined":
         where = "the map of the second robot is in map_unplaced.json, in its own frame"
         return f"not joined: {details.get('reason')}; {where}"
+    if event == "joined" and "reason" in details:
+        x, y, heading = details["start"]
+        where = f"the second log begins at x {x:.2f} m, y {y:.2f} m, heading {np.degrees(heading):.1f} deg"
+        return f"joined: {details['reason']}; {where}"
     if not event.startswith("not found"):
         return f"{event} at {details['time_s']:.1f} s"
     own_frame = f": {details.get('reason')}; the results are in the run's own frame"
@@ -148,8 +152,8 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _status(metrics) + _smoothed_status(metrics) + _errors(metrics)
     trajectories = {
-        "smoothed_": "smoothed, at the end", "": "filter, while driving", "odometry_": "odometry, corrected",
-        "raw_odometry_": "odometry, raw",
+        "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs", "": "filter, while driving",
+        "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
     }  # fmt: skip
     texts = {
         prefix: _relation_text(metrics, prefix)

@@ -61,10 +61,11 @@ class StepLog:
         """The steps from a number on."""
         return self.steps[number - self.begin :]
 
-    def forget_before(self, number: int) -> None:
-        """Remove the steps before a number."""
-        if number > self.begin:
-            self.steps, self.begin = self.steps[number - self.begin :], number
+    def forget_before(self, number: int) -> list[LoggedStep]:
+        """Remove the steps before a number; the removed steps."""
+        gone = self.steps[: max(number - self.begin, 0)]
+        self.steps, self.begin = self.steps[len(gone) :], self.begin + len(gone)
+        return gone
 
     def driven_back(self, pose: FloatArray, number: int) -> FloatArray:
         """Poses (m, 3) after each step from the first one kept to the one before ``number``, by the odometry alone.

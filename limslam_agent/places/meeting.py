@@ -107,16 +107,33 @@ class Meeting:
             and self._driven - self._joined_at >= self._config.confirmed
         )
 
-    def confirm(self, whole: PlaceMap, *, is_complete: bool) -> None:
-        """End the doubt if the shared map is complete, or much of it was seen, and has no other place that fits."""
+    def confirm(self, whole: PlaceMap, *, is_complete: bool) -> str:
+        """End the doubt if the shared map is complete, or much of it was seen, and has no other place that fits.
+
+        Returns
+        -------
+        ambiguity
+            Why the doubt remains although so much was seen, in words; empty otherwise.
+        """
         self._sought = self._driven
         is_known = is_complete or self._driven - self._joined_at >= self._config.far_confirmed
         if self._unconfirmed is None or not is_known:
-            return
+            return ""
         fits = best_fits(whole, self._unconfirmed, self._config)
-        if fits and runner_up(fits, self._config) <= self._config.runner_up:
+        share = runner_up(fits, self._config) if fits else 0.0
+        if fits and share <= self._config.runner_up:
             self.records.append({"event": "confirmed", "step": max(self._steps - 1, 0)})
             self._unconfirmed = None
+        return (
+            f"ambiguous: another place of the shared map has {share:.0%} of the score"
+            if share > self._config.runner_up
+            else ""
+        )
+
+    def take_back(self, reason: str) -> None:
+        """The robots are no team any more, and the search has ended."""
+        self._unconfirmed = None
+        self.end(f"joined, and taken back: {reason}")
 
     def end(self, reason: str) -> None:
         """End a search that found nothing."""

@@ -16,7 +16,7 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.decision import Decision, agree, find_place, placed_covariance, runner_up
+from limslam_agent.places.decision import CLEAN_MATCHES, Decision, agree, find_place, placed_covariance, runner_up
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap, place_map
@@ -63,8 +63,12 @@ class Absence:
         Why the robot is lost, in words.
     jump
         Standard deviation of the position at the beginning, m.
-    driven, sought
-        Distance since the robot was lost, and at the latest match, m.
+    driven, moved, sought
+        Distance since the robot was lost, m, the same with turns, and the latter at the latest match.
+    gone
+        Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
+    is_dated
+        Whether the readings have said in which step the robot was carried away.
     place
         The map of the known frame.
     decisions
@@ -79,7 +83,10 @@ class Absence:
     jump: float
     place: PlaceMap
     driven: float = 0.0
+    moved: float = 0.0
     sought: float = 0.0
+    gone: list[FloatArray] = field(default_factory=list)
+    is_dated: bool = False
     decisions: list[tuple[int, Decision]] = field(default_factory=list)
     placed: float | None = None
     local: PlaceMap | None = None
@@ -96,17 +103,26 @@ class Placement(NamedTuple):
     Attributes
     ----------
     step
-        First step after the robot was carried away.
+        First step after the robot was carried away, of the steps that are kept.
     pose, covariance
         Its pose (3,) before that step, in the known frame, and the covariance (3, 3).
     local
         The local map that was matched.
+    gone
+        Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
+        away, if it was lost for so long that these steps are no longer kept; empty otherwise.
     """
 
     step: int
     pose: FloatArray
     covariance: FloatArray
     local: PlaceMap
+    gone: list[tuple[FloatArray, FloatArray]]
+
+    @property
+    def carried_at(self) -> int:
+        """First step after the robot was carried away."""
+        return self.step - len(self.gone)
 
 
 class Recovery:
@@ -176,22 +192,30 @@ class Recovery:
         self.log.steps.append(step)
         absence = self.absence or self._arrival
         if absence is not None:
-            absence.driven += math.hypot(*step.motion[:2].tolist())
+            x, y, turn = step.motion.tolist()
+            absence.driven += math.hypot(x, y)
+            absence.moved += math.hypot(x, y) + self._config.turn_length * abs(turn)
         if self.absence is not None:
-            self.log.forget_before(self.log.end - self._config.longest)
+            begin = self.log.begin
+            gone = self.log.forget_before(self.log.end - self._config.longest)
+            self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
-    def lose(self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
+    def lose(
+        self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid, *, is_dated: bool = False
+    ) -> None:
         """The robot is lost, and its estimate was doubtful for some steps.
 
-        A robot that had found its place without being sure of it goes back to the frame as it was before.
+        A robot that had found its place without being sure of it goes back to the frame as it was before. If the
+        readings have said in which step the robot was carried away, the map until then is good.
         """
         first = self.log.end - 1 - doubted
         before, self._arrival = self.absence, None
         if before is None:
-            old = [copy for copy in self._copies if copy.step <= first - self._config.margin]
+            margin = 1 if is_dated else self._config.margin
+            old = [copy for copy in self._copies if copy.step <= first - margin]
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
             view = known.grid.view
             self.absence = Absence(known, first, status.reason, jump, place_map(known.slam.segments, view))
@@ -200,24 +224,26 @@ class Recovery:
         else:
             if before.is_placed:
                 self.breaks.pop()
-            self.absence = replace(before, first=first, placed=None, local=None)
+            self.absence = replace(before, first=first, placed=None, local=None, gone=[])
         self.absence.first = max(self.absence.first, self.log.begin + 1)
-        self.absence.sought = self.absence.driven + self._config.first - self._config.spacing
+        self.absence.is_dated = is_dated
+        self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies = []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
     def is_due(self) -> bool:
         """Whether the local map is to be matched now, or a place to be confirmed."""
         absence = self.absence or self._arrival
-        return absence is not None and absence.driven - absence.sought >= self._config.spacing
+        spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
+        return absence is not None and absence.moved - absence.sought >= spacing
 
     def seek(self, segments: FloatArray, grid: GridView) -> Placement | None:
         """Match the local map with the known map. The placement if two matches in succession find the same place."""
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
-        absence.sought = absence.driven
+        absence.sought = absence.moved
         local = place_map(segments, grid)
-        decision = find_place(absence.place, local, self._config)
+        decision = find_place(absence.place, local, self._config, CLEAN_MATCHES)
         absence.decisions.append((self.log.end - 1, decision))
         earlier = [found for step, found in absence.decisions[:-1] if step >= absence.first]
         if not earlier or not agree(earlier[-1], decision, local, self._config):
@@ -227,10 +253,10 @@ class Recovery:
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
         assert self.absence is not None  # noqa: S101
-        self.absence.placed = self.absence.sought = self.absence.driven
+        self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
         self.absence.local = placement.local
-        self.breaks.append(placement.step)
-        self._note_event("found", step=self.log.end - 1, carried_at=placement.step)
+        self.breaks.append(placement.carried_at)
+        self._note_event("found", step=self.log.end - 1, carried_at=placement.carried_at)
 
     def arrive(self, segments: FloatArray, grid: GridView) -> None:
         """The robot's place in the map of an earlier run was found by a local map, and has to be confirmed."""
@@ -241,7 +267,7 @@ class Recovery:
         """End an absence if nothing speaks against the place any more."""
         absence, config = self.absence or self._arrival, self._config
         assert absence is not None  # noqa: S101 (a place is to be confirmed)
-        absence.sought = absence.driven
+        absence.sought = absence.moved
         driven = absence.driven - (absence.placed or 0.0)
         is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
         if own.level != "ok" or driven < config.confirmed or not is_closed:
@@ -263,17 +289,21 @@ class Recovery:
     def _placement(self, absence: Absence, local: PlaceMap, decision: Decision) -> Placement:
         """Where the robot was before it was carried away, as far as its steps are kept."""
         assert decision.fit is not None  # noqa: S101 (an accepted decision has a fit)
-        log = self.log
+        log, frame = self.log, decision.fit.pose
         last = max(absence.first - 1, log.begin)
-        placed = log.driven_back(compose(decision.fit.pose, log[last].pose), last + 1)
+        placed = log.driven_back(compose(frame, log[last].pose), last + 1)
         step = last + 1
-        if absence.known is not None and log.begin == absence.known.step:
+        if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
                 log, placed, self._robot, absence.place.segments, self._agent.range_std,
                 self._agent.status.contradictions,
             )  # fmt: skip
         pose = placed[step - 1 - log.begin]
-        return Placement(step, pose, placed_covariance(local, decision, pose, self._config), local)
+        # If the first steps are gone, there is none before the robot was carried away.
+        lost = [*absence.gone, log[log.begin].pose] if absence.gone else []
+        poses = [pose, *(compose(frame, each) for each in lost)]
+        covariances = [placed_covariance(local, decision, each, self._config) for each in poses]
+        return Placement(step, pose, covariances[0], local, list(zip(poses[1:], covariances[1:], strict=True)))
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

@@ -8,7 +8,6 @@ import math
 import numpy as np
 
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 # Number of steps for which a measured point is remembered, and a point of a beam that reads its minimum range.
@@ -19,7 +18,7 @@ LOOK_AHEAD = 0.3  # s
 MARGIN = 0.025  # m
 # A point that lies deeper (m) inside the body is wrong: it is noise, or the pose has been corrected since.
 GHOST = 0.02
-SHARES = (1.0, 0.5, 0.25)
+SHARES = np.array([1.0, 0.5, 0.25])
 
 
 class CollisionGuard:
@@ -36,18 +35,18 @@ class CollisionGuard:
 
     def __init__(self, robot: RobotSpec) -> None:
         self._robot = robot
-        self._seen: list[FloatArray] = []
-        self._touched: list[FloatArray] = []
+        self._seen = np.full((MEMORY, len(robot.beams), 2), np.nan)
+        self._touched = np.full((TOUCH, len(robot.beams), 2), np.nan)
+        self._steps = 0
 
     def add_readings(self, pose: FloatArray, ranges: FloatArray) -> None:
         """Remember the readings (n_beams,), m, that were taken at an estimated pose (3,)."""
-        robot = self._robot
-        reading, near = np.where(np.isfinite(ranges), ranges, robot.max_ranges), robot.too_near
-        hit, touched = (reading > near) & (reading < robot.too_far), reading <= near
-        ends = robot.beam_origins + np.where(touched, TOUCHING * near, reading)[:, None] * robot.beam_directions
-        points = transform_points(pose, ends)
-        self._seen = [*self._seen[1 - MEMORY :], points[hit]]
-        self._touched = [*self._touched[1 - TOUCH :], points[touched]]
+        from limslam_agent.kernels.nearness import place_readings
+
+        # The oldest readings are replaced.
+        seen, touched = self._seen[self._steps % MEMORY], self._touched[self._steps % TOUCH]
+        place_readings(pose, np.asarray(ranges, dtype=float), self._robot.beam_table, TOUCHING, seen, touched)
+        self._steps += 1
 
     def limit_speed(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
         """Reduce wheel speeds (2,), fractions of the maximum, until the next 0.3 s are free of contact.
@@ -55,16 +54,13 @@ class CollisionGuard:
         The rate of turn stays the same. The forward speed is scaled by 1, 1/2, 1/4 or 0, whichever is the largest that
         keeps the body away from all remembered points.
         """
+        from limslam_agent.kernels.nearness import safe_share
+
         robot = self._robot
-        left, right = wheels * robot.max_wheel_speed
+        left, right = (wheels * robot.max_wheel_speed).tolist()
         speed, turn = 0.5 * (left + right), (right - left) / robot.axle
-        points = np.vstack(self._seen + self._touched) - pose[:2]
-        before = np.hypot(*points.T)
-        points, before = points[before > robot.radius - GHOST], before[before > robot.radius - GHOST]
         heading = float(pose[2]) + 0.5 * turn * LOOK_AHEAD
         way = speed * LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
-        least = np.minimum(before, robot.radius + MARGIN)
-        for share in SHARES:
-            if (np.hypot(*(points - share * way).T) >= least).all():
-                return np.asarray(wheels - (1.0 - share) * wheels.mean())
-        return np.asarray(wheels - wheels.mean())
+        nearest = robot.radius - GHOST, robot.radius + MARGIN
+        share = safe_share(pose, way, self._seen, self._touched, *nearest, SHARES)
+        return np.asarray(wheels - (1.0 - share) * wheels.mean())

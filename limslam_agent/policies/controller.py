@@ -32,6 +32,17 @@ def steer(
     return wheel_speeds(speed, _turn_rate(error, config), robot)
 
 
+def point_ahead(path: FloatArray, away: FloatArray, lookahead: float) -> tuple[int, FloatArray]:
+    """Which point of a path (k, 2), m, is nearest, and the point (2,) to steer for.
+
+    The latter is the first point after the nearest one that is farther away than ``lookahead`` (m), or the last one.
+    ``away`` (k,) has the distances of the points from the robot, m.
+    """
+    nearest = int(np.argmin(away))
+    ahead = np.flatnonzero(away[nearest:] > lookahead)
+    return nearest, path[nearest + ahead[0]] if ahead.size else path[-1]
+
+
 def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
     """Wheel speeds (2,) that turn the robot on the spot by ``error`` (rad), positive counter-clockwise."""
     return wheel_speeds(0.0, _turn_rate(error, config), robot)
@@ -44,7 +55,7 @@ def bearing_of(pose: FloatArray, place: FloatArray) -> float:
 
 
 def _turn_rate(error: float, config: PolicyConfig) -> float:
-    return float(np.clip(_TURN_GAIN * error, -config.turn_rate, config.turn_rate))
+    return min(max(_TURN_GAIN * error, -config.turn_rate), config.turn_rate)
 
 
 def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
@@ -52,19 +63,9 @@ def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
 
     A beam without a finite reading is ignored. If all front beams are without a finite reading, the distance is zero.
     """
-    angles = robot.beam_angles
-    ahead = np.abs(wrap_angle(angles)) <= _FRONT
-    front = ahead & np.isfinite(ranges)
-    if ahead.any() and not front.any():
-        return 0.0
-    reading = np.where(front, ranges, 0.0)
-    seen = front & (reading < robot.too_far)
-    x, y = (robot.beam_origins + reading[:, None] * robot.beam_directions).T
-    in_the_way = seen & (np.abs(y) < robot.radius + _BODY_MARGIN) & (x > 0.0)
-    if not in_the_way.any():
-        return math.inf
-    lateral = np.minimum(np.abs(y[in_the_way]), robot.radius)
-    return float((x[in_the_way] - np.sqrt(robot.radius**2 - lateral**2)).min())
+    from limslam_agent.kernels.nearness import room_ahead
+
+    return room_ahead(np.asarray(ranges, dtype=float), robot.beam_table, _FRONT, robot.radius, _BODY_MARGIN)
 
 
 def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray:
@@ -72,9 +73,9 @@ def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray
 
     If the wheels cannot do both, the rate of turn is kept and the speed is reduced.
     """
-    turn = float(np.clip(0.5 * turn_rate * robot.axle, -robot.max_wheel_speed, robot.max_wheel_speed))
+    turn = min(max(0.5 * turn_rate * robot.axle, -robot.max_wheel_speed), robot.max_wheel_speed)
     room = robot.max_wheel_speed - abs(turn)
-    forward = float(np.clip(speed, -room, room))
+    forward = min(max(speed, -room), room)
     return np.array([forward - turn, forward + turn]) / robot.max_wheel_speed
 
 

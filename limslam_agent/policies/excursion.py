@@ -15,8 +15,6 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import routes, wall_distance
 from limslam_agent.policies.targets import Target, coast_of, sight_of
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import transform_points
-from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 
 # A reading that ends this close (m) to a wall of the map is of this wall. So many readings in a step show a wall.
@@ -72,13 +70,10 @@ class Excursion:
         return shore
 
     def _sees_wall(self, belief: Belief) -> bool:
-        robot, segments = self._robot, belief.segments
-        hits = np.flatnonzero((belief.ranges > robot.too_near) & (belief.ranges < robot.too_far))
-        if len(hits) < _FEWEST or not len(segments):
-            return False
-        ends = robot.beam_origins[hits] + belief.ranges[hits, None] * robot.beam_directions[hits]
-        away = distances(transform_points(belief.pose, ends), segments)
-        return int(np.count_nonzero(away.min(axis=1) < _ON_WALL)) >= _FEWEST
+        from limslam_agent.kernels.nearness import count_on_walls
+
+        beams = self._robot.beam_table
+        return count_on_walls(belief.pose, belief.ranges, beams, belief.segments, _ON_WALL) >= _FEWEST
 
     def _is_too_far(self, belief: Belief, target: Target) -> bool:
         """Whether the way to a target and from there to the nearest wall would be too long without a wall in sight."""

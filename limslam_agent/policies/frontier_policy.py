@@ -11,7 +11,7 @@ from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import back_off, nearest_beam, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import back_off, nearest_beam, point_ahead, steer, turn_by, wheel_speeds
 from limslam_agent.policies.excursion import Excursion
 from limslam_agent.policies.goal_memory import GoalMemory
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED
@@ -86,17 +86,23 @@ class FrontierPolicy:
         robot = robot or RobotSpec()
         config = config or PolicyConfig()
         self.robot, self._robot, self._config = robot, robot, config
+        self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
+        self._step = 0
+        self._wall_follower: WallFollower | None = None
+        self._begin(frame=0)
+
+    def _begin(self, frame: int) -> None:
+        """Begin without plans in a frame of the map, and forget those of another frame."""
+        robot, config, self._frame = self._robot, self._config, frame
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
         self._memory = GoalMemory(config.aside_steps)
         self._excursion = Excursion(robot, config)
         self._collision_guard = CollisionGuard(robot)
-        self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
-        self._step = self._until_plan = self._backing = self._turning = self._rounds = 0
+        self._until_plan = self._backing = self._turning = self._rounds = 0
         # Number of steps without progress towards any goal, and largest number of known cells so far.
         self._idle = self._known = 0
-        self._wall_follower: WallFollower | None = None
 
     @property
     def goal(self) -> FloatArray | None:
@@ -106,6 +112,8 @@ class FrontierPolicy:
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
         self._step += 1
+        if belief.frame != self._frame:
+            self._begin(belief.frame)
         if self.stop_reason is not None:
             return np.zeros(2)
         if self._step == 1 and self._robot.reach < least_reach(self._robot, belief.grid.cell):
@@ -206,9 +214,7 @@ class FrontierPolicy:
         away = np.linalg.norm(self.plan - belief.pose[:2], axis=1)
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
-        nearest = int(np.argmin(away))
-        ahead = np.flatnonzero(away[nearest:] > self._config.lookahead)
-        aim = self.plan[nearest + ahead[0]] if ahead.size else self.plan[-1]
+        nearest, aim = point_ahead(self.plan, away, self._config.lookahead)
         action = steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
         left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
         if self._is_stuck(belief.grid, pursuit, left, action):

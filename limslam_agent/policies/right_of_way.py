@@ -22,6 +22,8 @@ def separation_cost(grid: GridView, pose: FloatArray, other_poses: FloatArray, o
     cost = np.zeros(grid.values.shape)
     for place in np.vstack((other_poses[:, :2], other_goals)):
         cost += _PART_WEIGHT * np.clip(_PART_WITHIN - _away(grid, place), 0.0, None)
+    if not len(other_poses):
+        return cost
     own = _away(grid, pose)
     for place in other_poses:
         cost += np.clip(own - _away(grid, place), 0.0, None)
@@ -68,6 +70,8 @@ class RightOfWay:
         """
         if self._count < 0:
             self._count += 1
+            return False
+        if not self._index:
             return False
         first = other_poses[: self._index, :2] - pose[:2]
         bearing = wrap_angle(np.arctan2(first[:, 1], first[:, 0]) - pose[2])

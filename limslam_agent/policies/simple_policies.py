@@ -94,12 +94,16 @@ class ReactivePolicy:
         self._config = config or PolicyConfig()
         self._collision_guard = CollisionGuard(self.robot)
         self._patience, self._where = patience, where
-        self._known = self._since = 0
+        self._known = self._since = self._frame = 0
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,). Zero after the policy has stopped."""
+        if belief.frame != self._frame:
+            # The map begins anew, or is another one.
+            self._frame, self._known, self._since = belief.frame, 0, 0
+            self._collision_guard = CollisionGuard(self.robot)
         if self.stop_reason is None and self._has_seen_nothing_new(belief.grid):
             self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
         if self.stop_reason is not None:

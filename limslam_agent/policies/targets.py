@@ -222,7 +222,10 @@ def _unreachable(
 def _aim(grid: GridView, cell: IntArray) -> FloatArray:
     """Centre (2,), m, of the unknown cells that are adjacent to a cell (2,)."""
     row, column = (int(index) for index in cell)
-    unknown = np.pad(grid.unknown, 1, constant_values=True)
+    rows, columns = grid.values.shape
     beside = [(row + down, column + right) for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0))]
-    there = [place for place in beside if unknown[place[0] + 1, place[1] + 1]] or [(row, column)]
+    inside = [0 <= place[0] < rows and 0 <= place[1] < columns for place in beside]
+    # Cells beyond the grid are unknown.
+    is_unknown = [not known or grid.values[place] == 0 for place, known in zip(beside, inside, strict=True)]
+    there = [place for place, chosen in zip(beside, is_unknown, strict=True) if chosen] or [(row, column)]
     return np.asarray(grid.centres(np.array(there)).mean(axis=0))

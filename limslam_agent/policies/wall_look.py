@@ -7,7 +7,7 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.controller import nearest_beam, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import nearest_beam, point_ahead, steer, turn_by, wheel_speeds
 from limslam_agent.policies.wall_views import View, is_unfinished, path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -148,9 +148,7 @@ class Look:
         if away[-1] < _ARRIVED or len(self.path) == 1:
             self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot, self._std), 0
             return np.zeros(2)
-        nearest = int(np.argmin(away))
-        ahead = np.flatnonzero(away[nearest:] > self._config.lookahead)
-        aim = self.path[nearest + ahead[0]] if ahead.size else self.path[-1]
+        nearest, aim = point_ahead(self.path, away, self._config.lookahead)
         self._count_idle(float(away[nearest]) + (len(self.path) - nearest) * belief.grid.cell)
         return steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
 

@@ -60,9 +60,14 @@ class WallPolicy:
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
         self._robot, self._config, self._std = robot, config, range_std
-        self._frontiers = FrontierPolicy(robot, config, index)
-        self._collision_guard = CollisionGuard(robot)
+        self._index = index
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
+        self._begin(frame=0)
+
+    def _begin(self, frame: int) -> None:
+        """Begin without plans in a frame of the map, and forget those of another frame."""
+        self._frame, self._frontiers = frame, FrontierPolicy(self._robot, self._config, self._index)
+        self._collision_guard = CollisionGuard(self._robot)
         self._memory = LookMemory()
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -76,6 +81,8 @@ class WallPolicy:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
+        if belief.frame != self._frame:
+            self._begin(belief.frame)
         if self.stop_reason is not None:
             return np.zeros(2)
         self._collision_guard.add_readings(belief.pose, belief.ranges)

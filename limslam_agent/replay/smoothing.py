@@ -6,7 +6,7 @@ A log of odometry poses is smoothed by the graph of local maps, a log of wheel t
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -57,6 +57,8 @@ class Smoothed:
         Covariances of the poses (n, 3, 3). None from the graph of local maps, which computes none.
     status
         Whether the smoothed path and map can be trusted. None from the graph of local maps.
+    basis
+        What two logs are joined from: the graph of local maps, or the run of the line smoother.
     graph
         For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
         smoother.
@@ -68,6 +70,7 @@ class Smoothed:
     seconds: float
     covariances: FloatArray | None = None
     status: Status | None = None
+    basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
     graph: dict[str, list[float]] | None = None
 
 
@@ -82,9 +85,10 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     found, landmarks, signals = _trusted(found, config, log, range_std)
     seconds = time.process_time() - begin
     figures = {**_figures(found), **signals.figures}
-    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=_graph(found, log))
+    graph = _graph(found, log)
+    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found)
     grid = draw_grid(replay, found.poses)
-    return replace(replay, landmarks=landmarks, segments=_ends(landmarks), grid=grid, smoothed=smoothed)
+    return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
 
 
 def _trusted(
@@ -108,11 +112,11 @@ def _signals(
     reach, loops = float(log.robot.max_ranges.max()), sum(verdict.kept for verdict in found.verdicts)
     agreement = agreement_of_visits(keys, trajectory, config, reach) if len(keys) > 1 else (0.0, 0.0)
     time = log.time[keys.first_event] - log.time[0]
-    crossed = time[1:][crossings(trajectory.poses[:, :2], _ends(landmarks))]
+    crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     return landmarks, PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *agreement, loops)
 
 
-def _ends(landmarks: list[Landmark]) -> FloatArray:
+def ends_of(landmarks: list[Landmark]) -> FloatArray:
     """Ends (k, 4) of the walls, m."""
     return np.array([mark.ends.ravel() for mark in landmarks]).reshape(-1, 4)
 
@@ -201,7 +205,7 @@ def smoothed_by_lines(
             replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
     seconds = time.process_time() - begin
-    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status)
+    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, drawn), smoothed=smoothed
     )
@@ -225,12 +229,15 @@ def _line_figures(found: SmoothedRun) -> dict[str, Any]:
 
 def _figures(found: GraphResult) -> dict[str, Any]:
     reasons = [verdict.reason for verdict in found.verdicts]
+    turn, scale, gain, delay, direction = found.errors.tolist()
     return {
         "smoothed_score": found.score,
         "smoothed_start": found.start,
-        "smoothed_turn_deg_per_m": math.degrees(found.turn_bias),
-        "smoothed_scale": 1.0 + found.scale,
-        "smoothed_turn_gain": 1.0 + found.turn_gain,
+        "smoothed_turn_deg_per_m": math.degrees(turn),
+        "smoothed_scale": 1.0 + scale,
+        "smoothed_turn_gain": 1.0 + gain,
+        "smoothed_delay_s": delay,
+        "smoothed_direction_deg": math.degrees(direction),
         "loops_found": len(reasons),
         "loops_kept": sum(verdict.kept for verdict in found.verdicts),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},

@@ -271,6 +271,12 @@ class Episode:
     joined: Joined | None = None
 
     @property
+    def placed_steps(self) -> slice:
+        """The steps in which the poses are known in the frame of the map. A lost robot may end in another one."""
+        known = self.places.placed
+        return known if self.config.robots == 1 and known.stop != 0 else slice(None)
+
+    @property
     def placed_robots(self) -> int:
         """Number of robots whose place in the map is known at the end: the first ones."""
         return 1 if self.config.unknown_starts and self.joined is None else self.config.robots
@@ -351,7 +357,9 @@ def run_episode(
     team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, note_association, watch)
-    joined = team.mapper.joined if isinstance(team.mapper, JoiningMapper) else None
+    joined, parted = (
+        (team.mapper.joined, team.mapper.parted) if isinstance(team.mapper, JoiningMapper) else (None, None)
+    )
     return Episode(
         config=config,
         world=world,
@@ -366,7 +374,9 @@ def run_episode(
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         joined=joined,
-        **_in_shared_frame(_in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined),
+        **_in_shared_frame(
+            _in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined or parted
+        ),
     )
 
 
@@ -428,6 +438,17 @@ def _in_shared_frame(columns: dict[str, Any], joined: Joined | None) -> dict[str
     return columns
 
 
+def _finished(row: _Row, team: LimSlamTeam) -> _Row:
+    """Finish a run. Its last row is in the frame in which the run has ended."""
+    frame = team.mapper.frame
+    team.finish()
+    mapper = team.mapper
+    if mapper.frame == frame:
+        return row
+    levels = [LEVELS.index(status.level) for status in mapper.statuses]
+    return replace(row, estimated=mapper.poses, covariances=mapper.covariances, levels=levels, odometry=mapper.odometry)
+
+
 def _drive(
     config: RunConfig,
     env: LimSlamParallelEnv,
@@ -465,7 +486,7 @@ def _drive(
         if watch is not None:
             watch(team, env, truth["time"], truth["coverage"])
         if team.done or len(rows) > max_steps:
-            team.finish()
+            rows[-1] = _finished(rows[-1], team)
             return rows
         if len(rows) == kidnapped_at:
             draws = np.random.default_rng([config.seed, kidnapped_at])

@@ -4,7 +4,7 @@ The estimate is compared with the truth only here, after the run is over.
 """
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,7 @@ def score(episode: Episode) -> dict[str, Any]:
     config = episode.config
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
+    known, online = episode.placed_steps, None if episode.smoothed is None else online_map(episode)
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
@@ -72,9 +73,9 @@ def score(episode: Episode) -> dict[str, Any]:
             config.robot,
             episode.coverage_grid,
             episode.final_map,
-            episode.true[:, placed],
-            episode.final_map.poses[:, placed],
-            None if episode.smoothed is None else online_map(episode),
+            episode.true[known, placed],
+            episode.final_map.poses[known, placed],
+            None if online is None else replace(online, poses=online.poses[known]),
         ),
         **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
         **association_metrics(events, len(episode.world.edges)),

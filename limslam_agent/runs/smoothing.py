@@ -84,7 +84,9 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
 def online_map(episode: "Episode") -> FinalMap:
     """The map as the robots knew it when the run stopped."""
     known = episode.snapshot
-    return FinalMap(known.segments, known.landmarks, known.grid, episode.estimated)
+    # While a robot was lost, its poses were in a frame of their own.
+    poses, _ = revised(episode.estimated, episode.covariances, episode.places.revisions)
+    return FinalMap(known.segments, known.landmarks, known.grid, poses)
 
 
 def final_map(episode: "Episode") -> FinalMap:

@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
+from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
@@ -33,6 +34,9 @@ class LineSlam:
         Settings of every stage, and which estimator is used.
     start_pose
         Start pose of the robot (3,), m, m, rad, by default the origin of the map; of several robots (n, 3).
+    sensor
+        How the ranges are measured, if that is known to differ from ``robot`` and ``config``. Only the consistent
+        estimator uses it.
 
     Attributes
     ----------
@@ -43,12 +47,18 @@ class LineSlam:
         frame of the robot before it.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, start_pose: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        robot: RobotSpec,
+        config: AgentConfig,
+        start_pose: FloatArray | None = None,
+        sensor: RangeSensor | None = None,
+    ) -> None:
         self.robot, self.config = robot, config
         start = np.atleast_2d(np.zeros(3) if start_pose is None else start_pose)
         self.robots = [FrontEnd(robot) for _ in start]
         self.increments: list[FloatArray] = []
-        self._estimator = _estimator_of(robot, config, start)
+        self._estimator = _estimator_of(robot, config, start, sensor)
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot: predict, drop beams that may have hit teammates, and use the others.
@@ -99,7 +109,8 @@ class LineSlam:
         kept = estimator.on_association, estimator.recent_associations, estimator.on_comparison
         estimator.on_association = estimator.recent_associations = estimator.on_comparison = None
         try:
-            return copy.deepcopy(self)
+            # The robot and the settings never change, so that copies can share them.
+            return copy.deepcopy(self, {id(shared): shared for shared in (self.robot, self.config)})
         finally:
             estimator.on_association, estimator.recent_associations, estimator.on_comparison = kept
 
@@ -221,6 +232,11 @@ class LineSlam:
         return self._estimator.odometry_calibration(0)
 
     @property
+    def sensor(self) -> RangeSensor | None:
+        """How the sensor measures, as specified or as the data require; None for the published estimator."""
+        return self._estimator.sensor if isinstance(self._estimator, ConsistentEstimator) else None
+
+    @property
     def ranges(self) -> FloatArray:
         """The first robot's latest readings (n_beams,), m."""
         return self.robots[0].ranges
@@ -250,9 +266,9 @@ class LineSlam:
             )  # fmt: skip
 
 
-def _estimator_of(robot: RobotSpec, config: AgentConfig, start: FloatArray) -> Estimator:
+def _estimator_of(robot: RobotSpec, config: AgentConfig, start: FloatArray, sensor: RangeSensor | None) -> Estimator:
     """The estimator that the settings choose by their type, for robots at start poses (n, 3)."""
     settings, std = config.estimator, config.range_std
     if isinstance(settings, PublishedConfig):
         return PublishedEstimator(robot, settings, std, start)
-    return ConsistentEstimator(robot, settings, std, start)
+    return ConsistentEstimator(robot, settings, std, start, sensor)

@@ -4,19 +4,36 @@ A beam contradicts the map in two cases. It should end at a wall, and its readin
 map is known to be free. In a correct map nearly no beam does so.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 
-LEAST_COSINE = 0.2
-"""A beam that meets a wall at a smaller cosine to its normal grazes the wall."""
+
+class Sight(NamedTuple):
+    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
+
+    Attributes
+    ----------
+    pose
+        Estimated pose (3,), m and rad.
+    ranges, measured
+        Readings (n_beams,), m, and a mask of the new readings.
+    increment
+        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
+    """
+
+    pose: FloatArray
+    ranges: FloatArray
+    measured: BoolArray
+    increment: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +67,11 @@ class KnownMap:
 
     segments: FloatArray
     grid: GridView
+
+    @property
+    def frozen(self) -> "KnownMap":
+        """The map as it is now, which later steps do not change. The values of the grid's view change with the grid."""
+        return KnownMap(self.segments, replace(self.grid, values=self.grid.values.copy()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,65 +125,12 @@ def expected_ranges(
     range_std
         Standard deviation of a range, m.
     """
-    shape = len(poses), len(robot.beams)
-    if not len(segments):
-        return ExpectedRanges(np.full(shape, np.inf), np.full(shape, np.inf))
-    crossed = crossings(robot, poses, segments, np.arange(len(robot.beams)))
-    first, reached = crossed.first(config.inset)
-    cosines = crossed.cosines[(*np.indices(shape), first)]
-    ranges = np.where((cosines > config.least_cosine) & (reached < robot.max_ranges), reached, np.inf)
-    lever = np.where(np.isfinite(ranges), ranges, 0.0)
-    variances = range_std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
-    return ExpectedRanges(ranges, np.sqrt(variances) / np.maximum(cosines, LEAST_COSINE))
+    from limslam_agent.kernels.crossings import WALL_COLUMNS, predict_ranges
 
-
-@dataclass(frozen=True, eq=False)
-class Crossings:
-    """Where n beams at each of m poses meet the lines of k walls (m, n, k).
-
-    Attributes
-    ----------
-    distances
-        Distance along the beam, m.
-    ahead
-        Whether the beam meets the line ahead of it, and not at a grazing angle.
-    beyond
-        How far beyond the wall's end it meets the line, m; negative between the ends.
-    cosines
-        Cosine, without sign, of the angle between the beam and the wall's normal.
-    """
-
-    distances: FloatArray
-    ahead: BoolArray
-    beyond: FloatArray
-    cosines: FloatArray
-
-    def first(self, inset: float) -> tuple[IntArray, FloatArray]:
-        """The first wall (m, n) that each beam meets at least ``inset`` inside its ends, and the distance (m, n), m.
-
-        The distance is infinite if there is no such wall.
-        """
-        reached = np.where(self.ahead & (self.beyond < -inset), self.distances, np.inf)
-        first = reached.argmin(axis=2)
-        return first, reached[(*np.indices(first.shape), first)]
-
-
-def crossings(robot: RobotSpec, poses: FloatArray, segments: FloatArray, beams: IntArray) -> Crossings:
-    """Where some beams (n,) of a robot at poses (m, 3) meet the lines of walls (k, 4), m."""
-    origins = np.array([transform_points(pose, robot.beam_origins[beams]) for pose in poses])
-    headings = poses[:, 2, None] + robot.beam_angles[beams]
-    towards = np.stack((np.cos(headings), np.sin(headings)), axis=-1)
-    spans = segments[:, 2:] - segments[:, :2]
-    sizes = np.hypot(spans[:, 0], spans[:, 1])
-    tangents = spans / np.maximum(sizes, 1e-9)[:, None]
-    normals = np.column_stack((-tangents[:, 1], tangents[:, 0]))
-    cosines = towards @ normals.T
-    is_crossing = np.abs(cosines) > LEAST_COSINE
-    to_wall = np.sum(segments[:, :2] * normals, axis=1) - origins @ normals.T
-    distances = np.where(is_crossing, to_wall / np.where(is_crossing, cosines, 1.0), -1.0)
-    # Positions along the wall: of the beam's origin, and of the point where the beam meets the line.
-    along = origins @ tangents.T - np.sum(segments[:, :2] * tangents, axis=1) + distances * (towards @ tangents.T)
-    return Crossings(distances, distances > 0.0, np.maximum(-along, along - sizes), np.abs(cosines))
+    rules, shape = (float(config.inset), float(config.least_cosine)), (len(poses), len(robot.beams))
+    walls, ranges, stds = np.empty((len(segments), WALL_COLUMNS)), np.empty(shape), np.empty(shape)
+    predict_ranges(poses, covariance, segments, robot.beam_table, range_std, *rules, walls, ranges, stds)
+    return ExpectedRanges(ranges, stds)
 
 
 def compare(
@@ -207,6 +176,23 @@ def compare(
         ended=ended,
         in_free=in_free,
     )
+
+
+def compared(
+    robot: RobotSpec,
+    sight: Sight,
+    usable: BoolArray,
+    known: KnownMap,
+    covariance: FloatArray,
+    range_std: float,
+    config: ContradictionConfig,
+) -> tuple[Comparison, ExpectedRanges]:
+    """The readings of one step that count (n_beams,) beside a map, and the ranges that the map predicts for it."""
+    expected = expected_ranges(robot, sight.pose[None], covariance, known.segments, range_std, config)
+    outcome = compare(
+        robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], range_std, config
+    )
+    return outcome, expected
 
 
 def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, near: float) -> BoolArray:

@@ -8,15 +8,17 @@ and each of several delays, the readings of the last seconds are compared with b
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig, LateBeamConfig
-from limslam_agent.status.contradictions import LEAST_COSINE, Crossings, crossings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import RobotSpec
+
+if TYPE_CHECKING:
+    from limslam_agent.kernels.crossings import Predicted
 
 _MOST_BEAMS = 8
 """Number of beams of one search; robots with more beams search among them in turn."""
@@ -70,30 +72,6 @@ class _Look(NamedTuple):
     variances: tuple[float, float]
 
 
-class _Model(NamedTuple):
-    """The readings of n steps and b beams (n, b), and what the map predicts for their poses.
-
-    Attributes
-    ----------
-    ranges, usable, ended
-        Readings, m, those that count, and those that ended at anything.
-    predicted, known, stds
-        Distance to the wall at which the beam should end, m, whether there is such a wall, and the standard deviation
-        of the difference, m.
-    misfit
-        Squared residual of the reading against the present pose, in variances, at most the clip. It is 0 if nothing can
-        be said.
-    """
-
-    ranges: FloatArray
-    usable: BoolArray
-    ended: BoolArray
-    predicted: FloatArray
-    known: BoolArray
-    stds: FloatArray
-    misfit: FloatArray
-
-
 class LateBeams:
     """Watches all beams of a robot.
 
@@ -145,24 +123,27 @@ class LateBeams:
 
     def search(self, segments: FloatArray) -> None:
         """Look for a late beam by the walls (k, 4), m, of the map as it is now."""
+        from limslam_agent.kernels.crossings import evidence_of_delays, sum_gains
+
         if len(self._looks) < 2 * self._delays[0] or not len(segments):
             return
         if self.found is not None:
-            beams = np.array([self.found.beam])
-            gains = self._gains(self._model(segments, beams), self._lag)[-max(self._since, 1) :]
-            if gains.sum() < -_COUNTER_EVIDENCE * self._config.evidence:
+            seen = self._compared(segments, np.array([self.found.beam]))
+            gained = sum_gains(seen, 0, self._lag, max(self._since, 1), *self._limits)
+            if gained < -_COUNTER_EVIDENCE * self._config.evidence:
                 self.found = None
             return
         count = len(self._robot.beams)
         beams = np.unique((self._first_beam + np.arange(min(count, _MOST_BEAMS))) % count)
         self._first_beam = (self._first_beam + _MOST_BEAMS) % count
-        model = self._model(segments, beams)
+        seen = self._compared(segments, beams)
         delays = self._delays[self._delays < len(self._looks) - 2]
-        evidence = np.array([self._evidence(model, lag) for lag in delays.tolist()]).reshape(-1, len(beams))
+        evidence = np.empty((len(delays), len(beams)))
+        evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS, evidence)
         if evidence.size and evidence.max() > self._config.evidence:
             row, column = np.unravel_index(evidence.argmax(), evidence.shape)
             self._lag, self._since = int(delays[row]), 0
-            delay, std = self._delay(model, int(column), self._lag)
+            delay, std = self._delay(seen, int(column), self._lag)
             beam = int(beams[column])
             self.found = LateBeam(beam, float(self._robot.beam_angles[beam]), delay, std)
 
@@ -171,65 +152,34 @@ class LateBeams:
         turned = abs(wrap_angle(float(off[2])))
         return math.hypot(off[0], off[1]) > self._config.max_correction or turned > self._config.max_turn_correction
 
-    def _model(self, segments: FloatArray, beams: IntArray) -> _Model:
+    def _compared(self, segments: FloatArray, beams: IntArray) -> "Predicted":
         """The last steps beside the map, for some beams."""
-        robot, clip = self._robot, self._config.sigmas**2
-        poses, ranges, usable = (np.array([look[part] for look in self._looks]) for part in (0, 2, 3))
-        ranges, usable = ranges[:, beams], usable[:, beams]
-        position, heading = np.array([look.variances for look in self._looks]).T[..., None, None]
-        crossed = crossings(robot, poses, segments, beams)
-        variances = self._std**2 + position + heading * np.where(crossed.ahead, crossed.distances, 0.0) ** 2
-        stds = np.sqrt(variances) / np.maximum(crossed.cosines, LEAST_COSINE)
-        first, predicted = crossed.first(self._walls.inset)
-        at_first = (*np.indices(first.shape), first)
-        is_wall, is_steep = predicted < robot.max_ranges[beams], crossed.cosines[at_first] > self._walls.least_cosine
-        known, ended = is_wall & is_steep, ranges < robot.too_far[beams]
-        predicted, std = np.where(known, predicted, 0.0), stds[at_first]
-        misfit = np.where(ended, self._to_walls(crossed, ranges, stds), np.where(known, clip, 0.0))
-        misfit[ended & is_wall & ~is_steep] = 0.0
-        misfit[~ended & known & (ranges - predicted < self._walls.sigmas * std)] = 0.0
-        return _Model(ranges, usable, ended, predicted, known, std, np.minimum(misfit, clip))
+        from limslam_agent.kernels.crossings import WALL_COLUMNS, Predicted, compare_steps
 
-    def _to_walls(self, crossed: Crossings, ranges: FloatArray, stds: FloatArray) -> FloatArray:
-        """Squared residuals (n, b) to the nearest wall in variances. Walls may go on beyond their known ends."""
-        may_end = crossed.ahead & (crossed.beyond < self._config.beyond_end)
-        residuals = np.where(may_end, (ranges[..., None] - crossed.distances) / stds, np.inf)
-        return np.asarray((residuals**2).min(axis=2))
-
-    def _gains(self, model: _Model, lag: int) -> FloatArray:
-        """By how much each reading (n - lag, b) fits the prediction of ``lag`` steps before better, in variances."""
-        clip = self._config.sigmas**2
-        ranges, ended, misfit = model.ranges[lag:], model.ended[lag:], model.misfit[lag:]
-        known, std, excess = model.known[:-lag], model.stds[:-lag], ranges - model.predicted[:-lag]
-        then = np.where(
-            ended, np.minimum((excess / std) ** 2, clip), np.where(excess < self._walls.sigmas * std, 0.0, clip)
+        poses, ranges, usable, variances = (np.array([look[part] for look in self._looks]) for part in (0, 2, 3, 4))
+        walls, table = self._walls, np.array(self._robot.beam_table[beams])
+        ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
+        rules = np.array([walls.inset, walls.least_cosine, *self._limits, self._config.beyond_end])
+        seen = Predicted.of(ranges, usable)
+        compare_steps(
+            poses, variances, segments, table, self._std, rules, np.empty((len(segments), WALL_COLUMNS)), seen
         )
-        gains = misfit - np.where(known, then, 0.0)
-        # A reading where the earlier beam should have met no known wall only counts if the present prediction fits.
-        fits_now = model.known[lag:] & (misfit < clip)
-        gains = np.where(ended & ~known, np.where(fits_now, misfit - clip, 0.0), gains)
-        return np.asarray(np.where(model.usable[lag:], gains, 0.0))
+        return seen
 
-    def _evidence(self, model: _Model, lag: int) -> FloatArray:
-        """The evidence (b,) that each beam has been late by ``lag`` steps since some moment (Page's cumulative sum)."""
-        gains = self._gains(model, lag)
-        sums = np.cumsum(np.vstack((np.zeros(gains.shape[1]), gains)), axis=0)
-        since = np.arange(len(gains))[:, None] >= sums.argmin(axis=0)
-        too_long = model.known[lag:] & (model.ranges[lag:] > model.predicted[lag:])
-        long, short = (np.where(since & side, gains, 0.0).sum(axis=0) for side in (too_long, ~too_long))
-        return np.asarray(np.minimum(long + short, _BOTH_SIGNS * np.minimum(long, short)))
+    @property
+    def _limits(self) -> tuple[float, float]:
+        """Number of standard deviations within which a reading fits, and the largest squared residual that counts."""
+        return float(self._walls.sigmas), float(self._config.sigmas**2)
 
-    def _delay(self, model: _Model, column: int, lag: int) -> tuple[float, float]:
+    def _delay(self, seen: "Predicted", column: int, lag: int) -> tuple[float, float]:
         """The delay of a beam and its standard deviation, s: by the derivative of the predicted range with time."""
-        before, at, after = slice(0, -lag - 1), slice(1, -lag), slice(2, len(model.ranges) - lag + 1)
+        before, at, after = slice(0, -lag - 1), slice(1, -lag), slice(2, len(seen.ranges) - lag + 1)
         period = self._robot.control_period
-        known, ranges = model.known[:, column], model.predicted[:, column]
+        known, ranges = seen.known[:, column], seen.predicted[:, column]
         slope = (ranges[after] - ranges[before]) / (2.0 * period)
-        residual = model.ranges[lag + 1 :, column] - ranges[at]
-        std = model.stds[at, column]
-        both = (
-            known[before] & known[at] & known[after] & model.usable[lag + 1 :, column] & model.ended[lag + 1 :, column]
-        )
+        residual = seen.ranges[lag + 1 :, column] - ranges[at]
+        std = seen.stds[at, column]
+        both = known[before] & known[at] & known[after] & seen.usable[lag + 1 :, column] & seen.ended[lag + 1 :, column]
         fits = both & (np.abs(residual) < 3.0 * std)
         weights = np.where(fits, (slope / std) ** 2, 0.0)
         total = float(weights.sum())

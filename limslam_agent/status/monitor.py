@@ -2,16 +2,15 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from limslam_agent.config.status import StatusConfig
-from limslam_agent.status.contradictions import Comparison, KnownMap, compare, expected_ranges
+from limslam_agent.status.contradictions import KnownMap, Sight, compared
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
-from limslam_agent.status.sudden_changes import changed_at_once, passing
+from limslam_agent.status.sudden_changes import LASTING, Moment, SuddenChanges, Suspicion
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -19,28 +18,8 @@ from limslam_env.interface import RobotSpec
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
 
-_LASTING = 4  # steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor
 _MOST_SIGHTS = 100
 _FEWEST_BEAMS = 2
-
-
-class Sight(NamedTuple):
-    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
-
-    Attributes
-    ----------
-    pose
-        Estimated pose (3,), m and rad.
-    ranges, measured
-        Readings (n_beams,), m, and a mask of the new readings.
-    increment
-        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
-    """
-
-    pose: FloatArray
-    ranges: FloatArray
-    measured: BoolArray
-    increment: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,15 +78,13 @@ class StatusMonitor:
         self._step, self._place, self._checked = -1, 0.0, -math.inf
         # The latest steps that no comparison has used.
         self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
-        self._before: tuple[int, Sight] | None = None
         self._checks: deque[_Check] = deque()
         self._count = 0
         self._late_beams = LateBeams(robot, config.late_beams, config.contradictions, range_std)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted = 0
-        # How many readings changed at once, of how many, and how many then should have ended at a wall, and did.
-        self._changed = (0, 0, 0, 0)
+        self._sudden_changes = SuddenChanges(robot, config.sudden_changes, config.contradictions, range_std)
         self.status = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -149,7 +126,8 @@ class StatusMonitor:
             The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        self._look_for_sudden_changes(covariance, self._reference or present)
+        if self._reference is None:
+            self._look_for_sudden_changes(covariance, present)
         self._compare(covariance, self._reference or present)
         self._look_for_late_beams(covariance, present.segments)
         longest = max(self._config.window, self._config.recovery.window)
@@ -175,28 +153,41 @@ class StatusMonitor:
         """For how many steps the estimate of a lost robot has been doubtful; 0 if the doubt began in this step."""
         return self._step - self._doubted
 
+    @property
+    def carried(self) -> Suspicion | None:
+        """The suspicion by which the robot was carried away; None if nothing suffices to say so."""
+        strongest = self._sudden_changes.strongest
+        return strongest if strongest is not None and self._sudden_changes.is_certain(strongest) else None
+
     def _first_doubt(self) -> int:
         """The step of the first comparison in the last metres that contradicts the map, or the present step."""
-        if self._jump or self._by_contradictions().level != "lost":
+        if self._jump:
             return self._step
+        if self.carried is not None:
+            return self.carried.step
         return next(check.step for check in self._recent(self._config.window) if check.counts[1])
 
     def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap) -> None:
-        """Note how many readings changed at once since the last comparison, and how many fitted the map after that."""
-        sights = [sight for _, sight in self._sights]
-        if self._before is not None and self._before[0] == self._sights[0][0] - 1:
-            sights.insert(0, self._before[1])
-        self._before = self._sights[-1]
-        if len(sights) > 1:
-            ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
-            measured &= ~passing(ranges >= self._robot.too_far)
-            motions = np.array([each.increment for each in sights[1:]])
-            motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))
-            changed, count, step = changed_at_once(ranges, measured, motions, self._std, self._config.sudden_changes)
-            self._changed = (changed, count, 0, 0)
-            if changed >= self._config.sudden_changes.fewest_misfits:
-                counts = self._compared(sights[step], measured[step], covariance, known)[0].counts
-                self._changed = (changed, count, *counts[2:])
+        """Follow the suspicions that the robot was carried away, until it is lost."""
+        if len(self._sights) == self._sights.maxlen:
+            self._sudden_changes.forget()
+        seen = [(check.step, check.points) for check in self._checks if len(check.points)]
+        moment = Moment(self._place, covariance, known, self._usable(), self._ignored(), seen)
+        self._sudden_changes.note(list(self._sights), moment)
+
+    def _ignored(self) -> BoolArray:
+        """The beam that reports late, if there is one, as a mask (n_beams,)."""
+        late = self._late_beams.found
+        return np.asarray(np.arange(len(self._robot.beams)) == (-1 if late is None else late.beam))
+
+    def _usable(self) -> BoolArray:
+        """The latest readings (n_beams,) that can be compared with a map.
+
+        A reading that saw nothing, shortly after one that saw a wall, may be a dropout of the sensor.
+        """
+        sights = list(self._sights)[-LASTING:]
+        nothing = np.array([sight.ranges >= self._robot.too_far for _, sight in sights])
+        return np.asarray(sights[-1][1].measured & ~(nothing[-1] & ~nothing.all(axis=0)) & ~self._ignored())
 
     def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
         """Compare the latest readings with a map, and note the outcome.
@@ -204,29 +195,14 @@ class StatusMonitor:
         Readings of neighbouring steps show nearly the same, so that only the latest ones count.
         """
         robot, last = self._robot, self._sights[-1][1]
-        # A reading that saw nothing, shortly after one that saw a wall, may be a dropout of the sensor.
-        saw_nothing = np.array([sight.ranges >= robot.too_far for _, sight in list(self._sights)[-_LASTING:]])
-        measured = last.measured & ~(saw_nothing[-1] & ~saw_nothing.all(axis=0))
-        if self._late_beams.found is not None:
-            measured[self._late_beams.found.beam] = False
-        outcome, predicted = self._compared(last, measured, covariance, known)
+        walls = self._config.contradictions
+        outcome, expected = compared(robot, last, self._usable(), known, covariance, self._std, walls)
         beams = np.flatnonzero(outcome.through | outcome.in_free)
-        reached = np.where(outcome.through, np.minimum(predicted, robot.max_ranges), last.ranges)[beams]
+        reached = np.where(outcome.through, np.minimum(expected.ranges[0], robot.max_ranges), last.ranges)[beams]
         points = transform_points(
             last.pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams]
         )
         self._checks.append(_Check(self._place, outcome.counts, beams, points, self._step))
-
-    def _compared(
-        self, sight: Sight, measured: BoolArray, covariance: FloatArray, known: KnownMap
-    ) -> tuple[Comparison, FloatArray]:
-        """The readings of one step beside a map, and the ranges (n_beams,), m, that the map predicts."""
-        settings, robot = self._config.contradictions, self._robot
-        predicted = expected_ranges(robot, sight.pose[None], covariance, known.segments, self._std, settings)
-        expected = predicted.ranges[0], predicted.stds[0]
-        return compare(
-            robot, sight.pose, sight.ranges, measured, known, *expected, self._std, settings
-        ), predicted.ranges[0]
 
     def _look_for_late_beams(self, covariance: FloatArray, segments: FloatArray) -> None:
         """Pass the steps since the last comparison to the search for late beams, which is made now and then."""
@@ -244,9 +220,7 @@ class StatusMonitor:
         self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
         if self.status.level == "lost":
             self._doubted = self._first_doubt()
-            # The values of the grid's view change with the grid.
-            frozen = replace(present.grid, values=present.grid.values.copy())
-            self._reference = KnownMap(present.segments, frozen)
+            self._reference = self.carried.known if self.carried is not None else present.frozen
             self._driven, self._since = 0.0, self._place
             self._checks.clear()
 
@@ -254,16 +228,20 @@ class StatusMonitor:
         """The status by the last metres of the drive, with the most serious reason."""
         if self._jump:
             return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
-        changes, (changed, count, expected, fitting) = self._config.sudden_changes, self._changed
-        is_misfit = changed >= changes.fewest_misfits and expected >= changes.fewest_expected
-        are_many = changed >= max(changes.fewest, changes.share * count)
-        if (is_misfit or are_many) and fitting <= changes.fitting * expected:
-            return Status("lost", f"{changed} of {count} readings changed at once, and the robot hardly moved")
+        if self.carried is not None:
+            return Status("lost", self.carried.words)
         contradictions = self._by_contradictions()
         if contradictions.level != "lost" and self._late_beams.found is not None:
             return Status("unsure", self._late_beams.found.words)
         if contradictions.level != "ok":
             return contradictions
+        return self._doubt(heading_std)
+
+    def _doubt(self, heading_std: float) -> Status:
+        """The status of a robot whose readings fit the map."""
+        suspicion = self._sudden_changes.strongest
+        if suspicion is not None and suspicion.evidence >= self._config.sudden_changes.unsure:
+            return Status("unsure", suspicion.words)
         if heading_std > self._config.unsure_heading:
             return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")
         return Status()

@@ -1,40 +1,331 @@
-"""Readings that change at once although the robot hardly moves, as when it is carried away."""
+"""Readings that change so suddenly that the robot must have been carried away.
+
+For each step, the readings are explained in two ways: the robot is still *here*, and each beam goes on along what it
+saw before, or sweeps past an edge; or the robot is *elsewhere*, and each reading is that of a random place. The
+evidence is the logarithm of the likelihood ratio of both. A step with some evidence begins a suspicion. From then on
+the readings are compared with the map of that moment, which a wrong pose cannot change any more: walls that are not
+there speak for the suspicion, and walls that are there against it (A. Wald, "Sequential tests of statistical
+hypotheses", 1945).
+"""
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
-from limslam_agent.config.status import SuddenChangeConfig
+from limslam_agent.config.status import ContradictionConfig, SuddenChangeConfig
+from limslam_agent.status.contradictions import Comparison, ExpectedRanges, KnownMap, Sight, compared
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec
+
+LASTING = 4
+"""Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
+
+_MAPS = 4
+_NOTHING = 0.5  # likelihood that a beam sees nothing at a random place
+_LEAST_STD = 0.01  # m
+# How much a reading changes with the distance driven, and with the angle turned times the range: standard deviations of
+# two kinds of walls, those that face the beam and those at a grazing angle, and the shares of both.
+_SLOPES, _SHARES = ((1.0, 0.7), (2.0, 2.0)), (0.75, 0.25)
+# A beam that turns along a straight wall goes on as its last two readings say: from this angle on, rad, and with this
+# standard deviation, m and m for each metre and radian.
+_SWEEPS, _BENT = 0.05, (0.03, 0.2)
+_ON_LINE = 0.6
+# A beam meets an edge with this likelihood in a step, and with so much more for each radian of the turn.
+_EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
+_APPEARS = 0.04  # likelihood that a wall comes into reach in a step
+_LIMITS = -1.5, 4.5  # of a single reading
 
 
-def changed_at_once(
-    ranges: FloatArray, measured: BoolArray, motions: FloatArray, range_std: float, config: SuddenChangeConfig
-) -> tuple[int, int, int]:
-    """The largest number of readings that changed suddenly in one step, the number of readings, and the step after.
+class Moment(NamedTuple):
+    """What is believed when readings are compared.
+
+    Attributes
+    ----------
+    place
+        Where in the drive the robot is, m.
+    covariance
+        Covariance of the pose (3, 3).
+    known
+        The map.
+    usable
+        The readings (n_beams,) of the last step that count.
+    ignored
+        Beams (n_beams,) that are known to be wrong.
+    seen
+        Steps at which the map was contradicted before, and the points (k, 2), m, where it was.
+    """
+
+    place: float
+    covariance: FloatArray
+    known: KnownMap
+    usable: BoolArray
+    ignored: BoolArray
+    seen: list[tuple[int, FloatArray]]
+
+
+@dataclass(eq=False)
+class Suspicion:
+    """The suspicion that a robot was carried away before a step.
+
+    Attributes
+    ----------
+    step
+        The first step after that.
+    known
+        The map of that time.
+    evidence
+        Logarithm of the likelihood ratio so far.
+    change
+        The part of the evidence that is due to readings that changed in this step.
+    changed
+        Number of readings that changed.
+    begin
+        Where in the drive the suspicion began, m.
+    places
+        Where the map has been contradicted or confirmed so far. Each place counts once.
+    beams
+        At how many places each beam has contradicted the map.
+    """
+
+    step: int
+    known: KnownMap
+    evidence: float
+    change: float
+    changed: int
+    begin: float
+    places: set[tuple[bool, int, int]]
+    beams: Counter[int] = field(default_factory=Counter)
+
+    @property
+    def contradicted(self) -> int:
+        """Number of places that contradict the map."""
+        return self.beams.total()
+
+    @property
+    def words(self) -> str:
+        """The evidence in words."""
+        said, count = f"{_counted(self.changed, 'reading')} changed at once", self.contradicted
+        return said if not count else f"{said}, and the map is wrong at {_counted(count, 'place')}"
+
+
+class SuddenChanges:
+    """Watches the readings of one robot, and follows the suspicions that it was carried away.
 
     Parameters
     ----------
-    ranges, measured
-        Readings of m + 1 steps (m + 1, n_beams), m, and a mask of the new readings.
+    robot
+        Body and beams.
+    config
+        The evidence that is needed.
+    contradictions
+        Which walls a beam should end at.
+    range_std
+        Standard deviation of a range, m.
+
+    Attributes
+    ----------
+    suspicions
+        The suspicions that the map has not refuted so far.
+    """
+
+    def __init__(
+        self, robot: RobotSpec, config: SuddenChangeConfig, contradictions: ContradictionConfig, range_std: float
+    ) -> None:
+        self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
+        self._sights: list[tuple[int, Sight]] = []
+        self._latest = -1
+        # The map at the latest calls. A wrong pose soon changes it.
+        self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
+        self.suspicions: list[Suspicion] = []
+
+    @property
+    def strongest(self) -> Suspicion | None:
+        """The suspicion with the most evidence; None if there is none."""
+        return max(self.suspicions, key=lambda each: each.evidence, default=None)
+
+    def is_certain(self, suspicion: Suspicion) -> bool:
+        """Whether the evidence suffices to say that the robot was carried away."""
+        config = self._config
+        return suspicion.evidence >= (config.lost_contradicted if suspicion.contradicted else config.lost)
+
+    def note(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
+        """Follow the suspicions through the steps since the last call, with their numbers, and look for new ones."""
+        self.suspicions = [each for each in self.suspicions if self._is_open(each, moment.place)]
+        for each in self.suspicions:
+            self._weigh(each, sights[-1][1], moment)
+        self._known.append((sights[-1][0], moment.known.frozen))
+        self._look_for_new(sights, moment)
+        self.suspicions = sorted(self.suspicions, key=lambda each: -each.evidence)[: self._config.most]
+
+    def forget(self) -> None:
+        """Forget the steps so far, after which a step is missing."""
+        self._sights.clear()
+
+    def _is_open(self, suspicion: Suspicion, place: float) -> bool:
+        return suspicion.evidence > 0.0 and place - suspicion.begin <= self._config.longest
+
+    def _look_for_new(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
+        """Begin a suspicion at the steps in which the readings changed suddenly.
+
+        The last steps wait for the next call: what follows a reading says whether it was a dropout.
+        """
+        if self._sights and sights[0][0] != self._sights[-1][0] + 1:
+            self._sights.clear()
+        steps = [*self._sights, *sights]
+        self._sights = steps[-2 * LASTING :]
+        if len(steps) <= LASTING + 1:
+            return
+        evidence, usable = self._evidence([sight for _, sight in steps], moment.ignored)
+        for row in np.flatnonzero(evidence.sum(axis=1) > self._config.begin).tolist():
+            number, sight = steps[row + 2]
+            if number > self._latest:
+                self._suspect(number, sight, usable[row], evidence[row], moment)
+        self._latest = steps[-LASTING][0]
+
+    def _evidence(self, sights: list[Sight], ignored: BoolArray) -> tuple[FloatArray, BoolArray]:
+        """The evidence of each beam in the steps but the first two and the last few, and the readings that count."""
+        robot = self._robot
+        ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
+        measured &= ~ignored & ~dropouts(ranges >= robot.too_far)
+        last = 1 - LASTING
+        motions = np.array([each.increment for each in sights])
+        motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))
+        return change_evidence(ranges[:last], measured[:last], motions[:last], robot, self._std), measured[2:last]
+
+    def _suspect(self, step: int, sight: Sight, usable: BoolArray, evidence: FloatArray, moment: Moment) -> None:
+        """Begin a suspicion, unless the map explains how the readings changed."""
+        earlier = [known for number, known in self._known if number <= step]
+        known, robot = earlier[-1] if earlier else self._known[0][1], self._robot
+        outcome, expected = compared(robot, sight, usable, known, moment.covariance, self._std, self._walls)
+        change = float(np.minimum(evidence, self._unexplained(sight, outcome, expected)).sum())
+        if change <= self._config.begin:
+            return
+        places = {(False, *cell) for number, points in moment.seen if number < step for cell in self._cells(points)}
+        changed = int(np.count_nonzero(evidence > 1.0))
+        suspicion = Suspicion(step, known, change, change, changed, moment.place, places)
+        self._count(suspicion, sight, outcome, expected)
+        self.suspicions.append(suspicion)
+
+    def _unexplained(self, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> FloatArray:
+        """The evidence (n_beams,) that the map alone would give for each reading, at least 0."""
+        evidence = np.full(len(sight.ranges), np.inf)
+        beams = np.flatnonzero(outcome.expected)
+        stds, limits = expected.stds[0, beams], self._robot.max_ranges[beams]
+        off = (np.minimum(sight.ranges[beams], limits) - expected.ranges[0, beams]) / stds
+        evidence[beams] = np.maximum(0.5 * off**2 - _sharpness(stds, limits), 0.0)
+        return evidence
+
+    def _weigh(self, suspicion: Suspicion, sight: Sight, moment: Moment) -> None:
+        """Compare readings with the map of a suspicion."""
+        known, cov = suspicion.known, moment.covariance
+        outcome, expected = compared(self._robot, sight, moment.usable, known, cov, self._std, self._walls)
+        self._count(suspicion, sight, outcome, expected)
+
+    def _count(self, suspicion: Suspicion, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> None:
+        """Count what readings say about the map, once at each place."""
+        config, robot = self._config, self._robot
+        contradicts = outcome.through | outcome.in_free
+        for beam in np.flatnonzero(contradicts | outcome.fits).tolist():
+            is_fit = not contradicts[beam]
+            reach = float(sight.ranges[beam] if outcome.in_free[beam] else expected.ranges[0, beam])
+            end = robot.beam_origins[beam] + min(reach, robot.max_ranges[beam]) * robot.beam_directions[beam]
+            row, column = self._cells(transform_points(sight.pose, end[None]))[0]
+            around = 0 if is_fit else 1
+            near = {
+                (is_fit, row + down, column + right)
+                for down in range(-around, around + 1)
+                for right in range(-around, around + 1)
+            }
+            if near & suspicion.places:
+                continue
+            suspicion.places.add((is_fit, row, column))
+            if is_fit:
+                sharp = _sharpness(expected.stds[0, beam], robot.max_ranges[beam])
+                suspicion.evidence -= config.fit * min(max(float(sharp), 0.0), 1.5) / 1.5
+            else:
+                # A beam alone may be broken: what it says again counts half as much each time.
+                suspicion.evidence += config.contradiction / 2.0 ** suspicion.beams[beam]
+                suspicion.beams[beam] += 1
+
+    def _cells(self, points: FloatArray) -> list[tuple[int, int]]:
+        """The places of points (k, 2) on a coarse grid."""
+        return [tuple(cell) for cell in np.floor(points / self._config.place).astype(int).tolist()]
+
+
+def change_evidence(
+    ranges: FloatArray, usable: BoolArray, motions: FloatArray, robot: RobotSpec, range_std: float
+) -> FloatArray:
+    """The evidence (m, n_beams) of each reading that the robot was carried away before its step.
+
+    It is the logarithm of the likelihood of the reading at a random place, less that of the reading after the one
+    before. The likelihoods are mixtures: a beam goes on along what it saw, within the slope of walls that the motion
+    allows for, or it meets an edge. Their constants are those of recorded explorations.
+
+    Parameters
+    ----------
+    ranges, usable
+        Readings of m + 2 steps (m + 2, n_beams), m, and a mask of those that count.
     motions
-        Length and angle of the motion between two steps (m, 2), m and rad, without signs.
+        Length and angle of the motion before each of the steps (m + 2, 2), m and rad, without signs.
+    robot
+        The beams.
     range_std
         Standard deviation of a range, m.
     """
-    both = measured[1:] & measured[:-1]
-    is_still = (motions[:, 0] <= config.max_distance) & (motions[:, 1] <= config.max_turn)
-    has_changed = both & (np.abs(np.diff(ranges, axis=0)) > config.change + config.sigmas * range_std)
-    counts = np.where(is_still, np.count_nonzero(has_changed, axis=1), 0)
-    most = int(counts.argmax())
-    return int(counts[most]), int(np.count_nonzero(both[most])), most + 1
+    limits = robot.max_ranges
+    seen, nothing = np.minimum(ranges, limits), ranges >= robot.too_far
+    now, before, earlier = seen[2:], seen[1:-1], seen[:-2]
+    travel, turn = motions[2:, :1], motions[2:, 1:]
+    shorter = np.minimum(now, before)
+    base = 2.0 * range_std**2 + _LEAST_STD**2
+    stds = [np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2) for drive, spin in _SLOPES]
+    edges = _EDGES + _EDGES_PER_TURN * np.minimum(turn, _FASTEST)
+
+    goes_on = sum(share * _normal(now - before, std) for share, std in zip(_SHARES, stds, strict=True))
+    bend = np.sqrt(6.0 * range_std**2 + _BENT[0] ** 2 + (_BENT[1] * turn * shorter) ** 2)
+    is_line = (np.minimum(turn, motions[1:-1, 1:]) > _SWEEPS) & ~(nothing[2:] | nothing[1:-1] | nothing[:-2])
+    goes_on = np.where(is_line, np.maximum(goes_on, _ON_LINE * _normal(now - 2.0 * before + earlier, bend)), goes_on)
+    changes = (1.0 - edges) * goes_on + edges / limits
+    vanishes = sum(share * ndtr((before - limits) / std) for share, std in zip(_SHARES, stds, strict=True))
+    vanishes = (1.0 - edges) * vanishes + _NOTHING * edges
+    comes = sum(share * _normal(limits - now, std) for share, std in zip(_SHARES, stds, strict=True))
+    comes = 2.0 * _APPEARS * (1.0 + 3.0 * (turn > 0.5 * _FASTEST)) * comes + edges / limits
+    here = np.where(nothing[2:], vanishes, np.where(nothing[1:-1], comes, changes))
+    elsewhere = np.where(nothing[2:], _NOTHING, _NOTHING / limits)
+    evidence = np.log(elsewhere / here)
+    evidence = np.where(nothing[2:] & nothing[1:-1], math.log(_NOTHING), evidence)
+    return np.where(usable[2:] & usable[1:-1], np.clip(evidence, *_LIMITS), 0.0)
 
 
-def passing(nothing: BoolArray) -> BoolArray:
-    """Which of the readings (m, n_beams) saw nothing in one step only, as when the sensor misses what is there.
+def dropouts(nothing: BoolArray) -> BoolArray:
+    """Which of the readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
 
     Parameters
     ----------
     nothing
         Whether each beam saw nothing in each of successive steps (m, n_beams).
     """
-    around = np.pad(nothing, ((1, 1), (0, 0)))
-    return np.asarray(nothing & ~(around[:-2] | around[2:]))
+    found = nothing.copy()
+    for first in range(len(nothing) - LASTING + 1):
+        lasts = nothing[first : first + LASTING].all(axis=0)
+        found[first : first + LASTING, lasts] = False
+    return found
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def _sharpness(stds: FloatArray, limits: FloatArray) -> FloatArray:
+    """How much more likely a reading is where the map expects it than at a random place, as a logarithm."""
+    return np.asarray(-np.log(_NOTHING / limits * stds * math.sqrt(2.0 * math.pi)))
+
+
+def _normal(off: FloatArray, std: FloatArray) -> FloatArray:
+    """Density of a normal distribution."""
+    return np.asarray(np.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi)))

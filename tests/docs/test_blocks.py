@@ -46,6 +46,8 @@ OTHERS = {
     "mypy": "the project's checks, run before each change lands",
     "python3": "sets up a virtual environment; test_readme looks at it",
     ".": "enters a virtual environment",
+    "export": "sets a variable of the environment",
+    "ros2": "ROS 2's own command line, which its wheels do not have",
 }
 # How the project's quick commands are cut short. All others are parsed, not run: they take minutes or recorded data.
 SHORT = {
@@ -92,9 +94,10 @@ def parsed(app: typer.Typer, words: list[str]) -> None:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder of its own, with the world that the README describes."""
-    worlds = [block for block in blocks(ROOT / "README.md") if block.language == "toml" and "walls" in block.text]
-    (tmp_path / "bedroom.toml").write_text(worlds[0].text, encoding="utf-8")
+    """A folder of its own, with the world that the page about environments describes."""
+    page = blocks(ROOT / "docs" / "environments.md")
+    world = next(block for block in page if block.language == "toml" and "walls" in block.text)
+    (tmp_path / "bedroom.toml").write_text(world.text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

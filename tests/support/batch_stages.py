@@ -107,6 +107,7 @@ def fill_walls(state: States, plain: WallMap) -> None:
         state.walls.table[index] = extent._low, length, wall.groups, wall.readings
         state.walls.counted[index, :, :length] = extent._hits, extent._misses
         state.walls.reached[index, :, :length] = extent._least, extent._most
+        state.walls.seen[index], state.walls.behind[index] = wall.seen, wall.behind
 
 
 def covariance_of(ekf: Filter) -> FloatArray:

@@ -1,5 +1,7 @@
 """Simulated logs for the graph of local maps: laps of a corridor, with odometry that is wrong in known ways."""
 
+from dataclasses import replace
+
 import numpy as np
 from support.drives import along, drive, room
 
@@ -26,6 +28,29 @@ def walls() -> FloatArray:
     return np.vstack((outer, room(2.0, 2.0, 10.0, 7.0), *alcoves, *boxes))
 
 
+def plain_walls() -> FloatArray:
+    """The corridor without alcoves: it looks the same after half a turn."""
+    return np.vstack((room(0.0, 0.0, 12.0, 9.0), room(2.0, 2.0, 10.0, 7.0)))
+
+
+def uneven_walls() -> FloatArray:
+    """A corridor that is wider on one side, with cupboards along its walls: it fits into itself at no other place."""
+    cupboards = [
+        room(3.0, 0.0, 6.0, 0.5),
+        room(11.5, 2.5, 12.0, 3.5),
+        room(1.6, 4.0, 2.0, 6.5),
+        room(4.0, 7.0, 5.0, 7.4),
+        room(8.0, 8.5, 8.8, 9.0),
+    ]
+    return np.vstack((room(0.0, 0.0, 12.0, 9.0), room(2.0, 2.0, 8.5, 7.0), *cupboards))
+
+
+def later_part(log: LogData, first: int) -> LogData:
+    """A log from an event on, with odometry that begins at the origin."""
+    odometry = se2.between(log.odometry[first], log.odometry[first:])
+    return replace(log, time=log.time[first:], odometry=odometry, ranges=log.ranges[first:], hit=log.hit[first:])
+
+
 def corridor_log(
     laps: int = 2,
     bias: float = TURN_PER_METRE,
@@ -33,11 +58,14 @@ def corridor_log(
     seed: int = 0,
     noise: float = 0.01,
     slip: float = 0.0,
+    world: FloatArray | None = None,
 ) -> tuple[LogData, FloatArray]:
     """A log of laps and the true poses (n, 3); ``slip`` (rad) is missed by odometry once, in the middle."""
     corners = [(1.0, 1.0), (11.0, 1.0), (11.0, 8.0), (1.0, 8.0)]
     places = [*(corners * laps), corners[0], (6.0, 1.0)]
-    observations, truth = drive(walls(), np.array([1.0, 1.0, 0.0]), along(places), robot, noise, seed)
+    observations, truth = drive(
+        walls() if world is None else world, np.array([1.0, 1.0, 0.0]), along(places), robot, noise, seed
+    )
     rows = np.arange(0, len(truth), EVERY)
     ranges = np.array([observations[row]["ranges"] for row in rows], dtype=float)
     truth = truth[rows]

@@ -1,4 +1,4 @@
-"""``python -m limslam_agent.live.emulator``: a simulated robot behind a serial port or a UDP socket."""
+"""``python -m limslam_agent.live.emulator``: a simulated robot behind a serial port, UDP or topics of ROS 2."""
 
 import sys
 import time
@@ -29,6 +29,8 @@ def emulate(
     host: Annotated[str, typer.Option(help="Address of the host.")] = "127.0.0.1",
     *,
     pty: Annotated[bool, typer.Option("--pty", help="Make a serial port, and print its name.")] = False,
+    ros2: Annotated[bool, typer.Option("--ros2", help="Publish odom and a topic beam_N for each beam.")] = False,
+    scan: Annotated[bool, typer.Option("--scan", help="With --ros2: publish scan in place of the beams.")] = False,
     world: Annotated[str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")] = "env1",
     robot: Annotated[str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")] = "paper",
     noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
@@ -58,11 +60,21 @@ def emulate(
     errors = replace(NoiseConfig(), sensor_noise=noise)
     name = Path(robot).stem.replace("_", "-")
     body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed)
-    emulator, port = Emulator(body, faults), _port(udp, host, is_pty=pty)
-    sys.stdout.write(f"{port.name}\n")
-    sys.stdout.flush()
+    pace = body.robot.control_period / speed if speed else 0.0
+    if (udp is not None) + pty + ros2 != 1:
+        raise ValueError("either --udp PORT, --pty or --ros2 is needed")
+    if ros2 and faults != Faults(late_by=faults.late_by):
+        raise ValueError("--loss, --delay, --late, --double and --damage are for lines, not for --ros2")
     with nullcontext() if truth is None else truth.open("w", encoding="utf-8", buffering=1) as file:
-        run(emulator, port, body.robot.control_period / speed if speed else 0.0, file)
+        if ros2:
+            from limslam_agent.live.emulator.ros2 import RosRobot, serve
+
+            serve(RosRobot(body, has_laser=scan), pace, file)
+            return
+        emulator, port = Emulator(body, faults), _port(udp, host)
+        sys.stdout.write(f"{port.name}\n")
+        sys.stdout.flush()
+        run(emulator, port, pace, file)
 
 
 def run(emulator: "Emulator", port: "Port", pace: float, truth: IO[str] | None) -> None:
@@ -74,8 +86,7 @@ def run(emulator: "Emulator", port: "Port", pace: float, truth: IO[str] | None) 
             port.send(line)
             latest = max(latest, _number(line))
         if truth is not None:
-            x, y, heading = emulator.pose
-            truth.write(f"{emulator.time:.3f} {x:.5f} {y:.5f} {heading:.6f}\n")
+            truth.write(emulator.truth)
         if pace:
             due = max(due + pace, time.monotonic() - pace)  # no attempt to catch up
             _hear_until(emulator, port, due)
@@ -123,11 +134,9 @@ def _is_answer(line: bytes, number: int) -> bool:
     return isinstance(message, Stop) or (isinstance(message, Speeds) and message.answers >= number)
 
 
-def _port(udp: int | None, host: str, *, is_pty: bool) -> "Port":
+def _port(udp: int | None, host: str) -> "Port":
     from limslam_agent.live.emulator.ports import PtyPort, UdpPort
 
-    if (udp is not None) == is_pty:
-        raise ValueError("either --udp PORT or --pty is needed")
     return PtyPort() if udp is None else UdpPort(host, udp)
 
 

@@ -81,6 +81,11 @@ class Emulator:
         return self._steps * self._robot.control_period
 
     @property
+    def truth(self) -> str:
+        """The true pose as a line of text: time (s), x, y (m) and heading (rad)."""
+        return truth_line(self.time, self.pose)
+
+    @property
     def has_host(self) -> bool:
         """Whether a host has greeted the robot, and was heard since."""
         return self._firmware.has_host
@@ -106,6 +111,12 @@ class Emulator:
     @property
     def _now(self) -> int:
         return round(1e3 * self.time)
+
+
+def truth_line(time: float, pose: FloatArray) -> str:
+    """A true pose (3,) at a time as a line of text."""
+    x, y, heading = pose
+    return f"{time:.3f} {x:.5f} {y:.5f} {heading:.6f}\n"
 
 
 def ranges_in_mm(readings: Readings, robot: RobotSpec) -> tuple[int, ...]:

@@ -92,7 +92,7 @@ def read_exported(folder: Path) -> ExportedRun:
     FolderError
         If the folder is not that of a run, or a file in it cannot be used.
     """
-    run = read_run(folder)
+    run = read_run(folder).with_one_time()
     return ExportedRun(run, read_readings(run), _grid(folder / "map.yaml"))
 
 

@@ -8,9 +8,12 @@ import math
 
 import numpy as np
 
+from limslam_agent.kernels.algebra import sort_with, wrapped
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray, IntArray
+
+__all__ = ["sort_with", "wrapped"]
 
 
 @algebra
@@ -112,27 +115,6 @@ def quantile(ordered: FloatArray, size: int, share: float) -> float:
     high, part = min(low + 1, size - 1), place - low
     step = ordered[high] - ordered[low]
     return ordered[high] - step * (1.0 - part) if part >= 0.5 else ordered[low] + step * part
-
-
-@algebra
-def wrapped(angle: float) -> float:
-    """The angle in (-pi, pi], rad."""
-    if -math.pi < angle <= math.pi:
-        return angle
-    result = math.pi - (math.pi - angle) % (2.0 * math.pi)
-    return result if result > -math.pi else math.pi
-
-
-@algebra
-def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
-    """Sort keys in place by stable insertion, and permute ``follow`` alike."""
-    for i in range(1, size):
-        key, other = keys[i], follow[i]
-        j = i
-        while j > 0 and keys[j - 1] > key:
-            keys[j], follow[j] = keys[j - 1], follow[j - 1]
-            j -= 1
-        keys[j], follow[j] = key, other
 
 
 @algebra

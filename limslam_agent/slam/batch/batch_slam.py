@@ -272,7 +272,9 @@ def state_of(states: States, number: int) -> States:
             ekf.x[number], ekf.top[number], ekf.rest[number], ekf.anchors[number], ekf.clones[number],
             ekf.counts[number],
         ),
-        Walls(walls.table[number], walls.counted[number], walls.reached[number]),
+        Walls(
+            walls.table[number], walls.counted[number], walls.reached[number], walls.seen[number], walls.behind[number]
+        ),
         states.travel[number], states.pending[number], states.grid[number], states.window[number],
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Measurement model of a range beam that meets a line: compiled counterpart of ``consistent.beam_model``.
 
-Readings come as ``places`` (n,), the places of their clones in the state, and ``readings`` (n, 4): the beam's origin
-x, y in the robot's frame (m), its direction (rad), and its range (m).
+Readings come as ``places`` (n,), the places of their clones in the state, and ``readings`` (n, 5): the beam's origin
+x, y in the robot's frame (m), its direction (rad), its range (m), and half its opening angle (rad).
 """
 
 import math
@@ -9,9 +9,32 @@ import math
 import numpy as np
 
 from limslam_agent.slam.batch.compilation import algebra
-from limslam_agent.slam.consistent.beam_model import LEAST_COSINE
+from limslam_agent.slam.consistent.beam_model import FLATTEST, LEAST_COSINE
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray, IntArray
+
+
+@algebra
+def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
+    """Direction in the robot's frame, rad, of the ray that measures a line with its normal at ``theta`` as a beam does.
+
+    ``heading``, rad, is that of the pose that the reading was taken from.
+    """
+    angle, cone = reading[2], reading[4]
+    if cone > 0.0:
+        turn = (theta - heading - angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+        angle += min(max(turn, -cone), cone) if abs(turn) < FLATTEST else 0.0
+    return angle
+
+
+@algebra
+def towards(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
+    """The rays (n, 5) that measure a line with its normal at ``theta``, rad, as the beams do."""
+    rays = readings.copy()
+    for i in range(len(places)):
+        rays[i, 2] = ray_angle(readings[i], x[start + POSE * places[i] + 2], theta)
+        rays[i, 4] = 0.0
+    return rays
 
 
 @algebra
@@ -41,7 +64,8 @@ def expected_ranges(
             cos * readings[read, 0] - sin * readings[read, 1],
             sin * readings[read, 0] + cos * readings[read, 1],
         )
-        ux, uy = math.cos(x[at + 2] + readings[read, 2]), math.sin(x[at + 2] + readings[read, 2])
+        heading = x[at + 2] + ray_angle(readings[read], x[at + 2], line[1])
+        ux, uy = math.cos(heading), math.sin(heading)
         from_x, from_y = x[at] + offset_x - anchor[0], x[at + 1] + offset_y - anchor[1]
         cosine = nx * ux + ny * uy
         divisor = math.copysign(max(abs(cosine), LEAST_COSINE), cosine)

@@ -25,6 +25,7 @@ from limslam_agent.slam.batch.state import CLONES, LINES, NEXT_CLONE, Filter
 from limslam_agent.slam.consistent.beam_model import GRAZING
 from limslam_agent.slam.consistent.clone_ekf import EQUALITY_NOISE, FEWEST_TO_COMPARE, LEAST_RESIDUAL, LINE_PRIOR
 from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 
 
@@ -223,12 +224,12 @@ def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variance: 
 @algebra
 def disagreement(
     ekf: Filter, places: IntArray, readings: FloatArray, index: int, std: float
-) -> tuple[float, float, int]:
-    """How badly readings fit a line: chi-squares due to the line and left over, and how many were used, or 0."""
+) -> tuple[float, float, int, float, float]:
+    """The fields of ``consistent.Disagreement``; no readings were used if too few of them can be compared."""
     chosen = clear_readings(ekf, places, readings, index)
     count = len(chosen)
     if count < FEWEST_TO_COMPARE:
-        return 0.0, 0.0, 0
+        return 0.0, 0.0, 0, 0.0, 0.0
     columns, begins = involved(ekf, places, chosen, index)
     H, values = np.empty((count, 7)), np.empty((count, 3))
     expected(ekf, places, readings, chosen, index, H)
@@ -241,7 +242,16 @@ def disagreement(
     a, b, c = dot(values, 1, 1, count), dot(values, 1, 2, count), dot(values, 2, 2, count)
     along, across = dot(values, 0, 1, count), dot(values, 0, 2, count)
     of_line = (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
-    return of_line, dot(values, 0, 0, count) - of_line, count
+    return of_line, dot(values, 0, 0, count) - of_line, count, along / a, 1.0 / a
+
+
+@algebra
+def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> int:
+    """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+    total, start, theta = 0.0, clones_from(ekf), ekf.x[POSE + 2 * index + 1]
+    for i in range(len(places)):
+        total += math.cos(ekf.x[start + POSE * places[i] + 2] + readings[i, 2] - theta)
+    return POSITIVE if total < 0.0 else NEGATIVE
 
 
 @algebra

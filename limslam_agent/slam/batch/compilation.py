@@ -8,7 +8,7 @@ entry = entry_of(
     "limslam_env.interface",
     "limslam_agent.config",
     "limslam_agent.slam.core",
-    "limslam_agent.grid",
+    "limslam_agent.kernels",
     "limslam_agent.slam.consistent",
     "limslam_agent.slam.batch",
 )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.batch.algebra import sort_with, squared_distance
-from limslam_agent.slam.batch.beam_model import hit_points
+from limslam_agent.slam.batch.beam_model import hit_points, towards
 from limslam_agent.slam.batch.clone_ekf import (
     add_line,
     clone,
@@ -15,6 +15,7 @@ from limslam_agent.slam.batch.clone_ekf import (
     keep_clones,
     merge,
     observe,
+    side_of,
 )
 from limslam_agent.slam.batch.compilation import algebra, compiled
 from limslam_agent.slam.batch.hough import extract_lines
@@ -34,15 +35,29 @@ from limslam_agent.slam.batch.state import (
     Walls,
 )
 from limslam_agent.slam.batch.wall_extent import ends_of
-from limslam_agent.slam.batch.wall_map import add, along_line, along_point, clear_along_beams, grow
+from limslam_agent.slam.batch.wall_map import (
+    add,
+    along_line,
+    along_point,
+    clear_along_beams,
+    grow,
+    kinds,
+    moved_along,
+    shared,
+)
 from limslam_agent.slam.batch.wall_map import merge as merge_walls
 from limslam_agent.slam.consistent.consistent import BESIDE_CORNER, SHORTEST, STRAIGHTNESS
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES
 from limslam_agent.slam.consistent.segmentation import FEWEST
+from limslam_agent.slam.core import wall_faces
 from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _NUM_SIDES = len(SIDES)
+
+board_evidence, board_odds = compiled(wall_faces.board_evidence), compiled(wall_faces.board_odds)
+is_wall = compiled(wall_faces.is_wall)
 
 
 @algebra
@@ -67,7 +82,7 @@ def process(
     """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""
     ekf.counts[FRESH + side] = 0
     count, pending = ekf.counts[PENDING + side], pending_all[side]
-    places, readings = readings_of(pending[:count], ekf.clones[: ekf.counts[CLONES]], beams)
+    places, readings = readings_of(pending[:count], ekf.clones[: ekf.counts[CLONES]], beams, settings.cone)
     points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
     owner, most = np.empty(count, dtype=np.int64), count // max(settings.min_votes, 1) + 1
     lines, ends, consumed = np.empty((most, 2)), np.empty((most, 2, 2)), np.zeros(count, dtype=np.bool_)
@@ -80,7 +95,8 @@ def process(
         if not len(members):
             continue
         # The lines before this one have updated the filter, so the end points are computed anew.
-        now = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
+        rays = towards(ekf.x, clones_from(ekf), places, readings, lines[index, 1])
+        now = hit_points(ekf.x, clones_from(ekf), places, rays, readings[:, 3])
         segments, own = wall_segments(ekf, places, readings, now, members, lines[index], settings)
         for k in range(len(own)):
             these = own[k]
@@ -229,12 +245,61 @@ def candidates(
         along, (low, high) = along_line(ekf, index, points), ends_of(walls, index)
         if max(along.min() - high, low - along.max()) > settings.max_end_gap:
             continue
-        of_line, left, used = disagreement(ekf, places, readings, index, settings.std)
-        if used:
+        of_line, left, used, offset, variance = disagreement(ekf, places, readings, index, settings.std)
+        if used and may_show(ekf, walls, places, readings, index, along, offset, variance, settings):
             scores[size], rows[size], details[index, 0], details[index, 1] = of_line, index, left, used
             size += 1
     sort_with(scores, rows, size)
     return size
+
+
+@algebra
+def may_show(
+    ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, index: int, along: FloatArray, offset: float,
+    variance: float,
+    settings: Settings,
+) -> bool:  # fmt: skip
+    """Whether a landmark was seen from the side of readings near them, or it is a board."""
+    side, inside = side_of(ekf, places, readings, index), np.zeros(2)
+    for row in range(2):
+        low, high = walls.seen[index, row]
+        inside[row] = ((along > low - settings.end_slack) & (along < high + settings.end_slack)).mean()
+    low, high = walls.seen[index, side]
+    is_close = max(along.min() - high, low - along.max()) <= settings.max_end_gap
+    if inside[side] >= 0.5 or (inside[1 - side] < 0.5 and is_close):
+        return True
+    return is_board(ekf, walls, 1 - side, offset, variance)[0]
+
+
+@algebra
+def is_board(ekf: Filter, walls: Walls, side: int, offset: float, variance: float) -> tuple[bool, bool]:
+    """Whether a line that is seen from one side, and a line seen from the other side, are a board; or a wall."""
+    behind = -offset if side == POSITIVE else offset
+    evidence, (boards, two_faced) = board_evidence(behind, variance + STRAIGHTNESS[0]), kinds(ekf, walls)
+    return board_odds(evidence, boards, two_faced) > SURE, is_wall(evidence, behind)
+
+
+@algebra
+def is_one_line(
+    ekf: Filter, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray, settings: Settings
+) -> bool:
+    """Whether two landmarks share a stretch that is seen from one side, or are a board; notes if they are two faces."""
+    factor = 1.0 if math.cos(ekf.x[POSE + 2 * older + 1] - ekf.x[POSE + 2 * younger + 1]) > 0.0 else -1.0
+    shift = along_point(ekf, younger, ekf.anchors[older, 0], ekf.anchors[older, 1])
+    seen, other = moved_along(walls.seen[older], factor, shift), walls.seen[younger]
+    own = max(shared(seen[0], other[0]), shared(seen[1], other[1]))
+    from_positive, from_negative = shared(seen[1], other[0]), shared(seen[0], other[1])
+    opposite = max(from_positive, from_negative)
+    if own >= min(settings.min_overlap, opposite):
+        return True
+    share = covariance[0, 1] / covariance[1, 1]
+    offset, variance = off[0] - share * off[1], covariance[0, 0] - share * covariance[0, 1]
+    side = POSITIVE if from_positive >= from_negative else NEGATIVE
+    is_thin, is_face = is_board(ekf, walls, side, offset, variance)
+    if is_face:
+        walls.behind[older] = max(walls.behind[older], opposite)
+        walls.behind[younger] = max(walls.behind[younger], opposite)
+    return is_thin
 
 
 @algebra
@@ -281,8 +346,9 @@ def update(
 ) -> None:
     """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
     observe(ekf, places, readings, index, settings.std, iterations, settings.huber)
-    points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
-    grow(ekf, walls, index, points)
+    rays = towards(ekf.x, clones_from(ekf), places, readings, ekf.x[POSE + 2 * index + 1])
+    points = hit_points(ekf.x, clones_from(ekf), places, rays, readings[:, 3])
+    grow(ekf, walls, index, points, side_of(ekf, places, readings, index))
     found = True
     while found:
         found, most = False, 2.0 * settings.max_offset
@@ -327,7 +393,9 @@ def closes_loop(ekf: Filter, walls: Walls, first: int, second: int, settings: Se
         return False
     off, jacobian, columns, covariance = difference(ekf, older, younger)
     squared = squared_distance(covariance, off, STRAIGHTNESS)
-    if squared > settings.one_wall_gate or abs(off[1]) > settings.max_angle or offset > settings.max_offset:
+    if abs(off[1]) > settings.max_angle or offset > settings.max_offset:
+        return False
+    if not is_one_line(ekf, walls, older, younger, off, covariance, settings) or squared > settings.one_wall_gate:
         return False
     theta = ekf.x[POSE + 2 * younger + 1]
     nx, ny = math.cos(theta), math.sin(theta)

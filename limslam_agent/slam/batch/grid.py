@@ -1,9 +1,8 @@
-"""Occupancy grids of robots: compiled counterpart of ``limslam_agent.grid.occupancy``.
+"""Occupancy grids of robots: counterpart of ``limslam_agent.grid.occupancy`` for a batch.
 
-:func:`touched_cells` and :func:`change_cells` are shared with the training of exploration policies. The batch keeps
-each robot's grid in a window that moves along: the cell (row, column) of the world, counted from its origin, is stored
-at these numbers modulo the side of the window. When something is seen outside of the window, the window is moved, and
-the cells that leave it are forgotten.
+The batch keeps each robot's grid in a window that moves along: the cell (row, column) of the world, counted from its
+origin, is stored at these numbers modulo the side of the window. When something is seen outside of the window, the
+window is moved, and the cells that leave it are forgotten.
 """
 
 import math
@@ -12,109 +11,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.grid.occupancy import BODY
+from limslam_agent.kernels.cells import SKIPPED, GridArray, StampArray, change_cells, touched_cells
 from limslam_agent.slam.batch.compilation import compiled
-from limslam_agent.slam.batch.state import FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y, Settings
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_agent.slam.batch.state import Settings
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
 CropArray: TypeAlias = NDArray[np.uint8]
-StampArray: TypeAlias = NDArray[np.int32]
 
 FREE, OCCUPIED = 127, 255
-SKIPPED, CROSSED, ENDED = 0, 1, 2
-"""What happened in a touched cell: nothing that counts, a beam or the body crossed it, or a beam ended in it."""
-
-
-@compiled
-def touched_cells(
-    pose: FloatArray, ranges: FloatArray | ReadingArray, measured: BoolArray, beams: FloatArray, radius: float,
-    cell: float,
-) -> IntArray:  # fmt: skip
-    """The cells of the world that the beams and the body of a robot touch.
-
-    Parameters
-    ----------
-    pose
-        (3,), m, m, rad.
-    ranges, measured
-        Readings (b,), m, and which of them are new.
-    beams
-        (b, 6 or more): origin x, y (m), direction x, y, and the ranges (m) up to and from which nothing is measured.
-    radius, cell
-        Of the body, and side of a cell, m.
-
-    Returns
-    -------
-    cells
-        (n, 3): row and column, counted from the world's origin, and ``CROSSED`` or ``ENDED``. Cells may repeat, and
-        those in which a beam ended come first.
-    """
-    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    spacing, most = 0.5 * cell, len(BODY)
-    for beam in range(len(ranges)):
-        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            most += math.floor(float(ranges[beam]) / spacing) + 1
-    cells, size = np.empty((most, 3), dtype=np.int64), 0
-    for beam in range(len(ranges)):
-        length = float(ranges[beam])
-        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
-        if measured[beam] and beams[beam, TOO_NEAR] < length < beams[beam, TOO_FAR]:
-            px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
-            cells[size, 0] = math.floor((px * sin + py * cos + y) / cell)
-            cells[size, 1] = math.floor((px * cos - py * sin + x) / cell)
-            cells[size, 2] = ENDED
-            size += 1
-    for beam in range(len(ranges)):
-        length = float(ranges[beam])
-        if not (measured[beam] and length > beams[beam, TOO_NEAR]):
-            continue
-        first = size
-        for i in range(math.floor(length / spacing)):
-            px = beams[beam, FROM_X] + i * spacing * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + i * spacing * beams[beam, TOWARDS_Y]
-            row = math.floor((px * sin + py * cos + y) / cell)
-            column = math.floor((px * cos - py * sin + x) / cell)
-            # Samples are half a cell apart, so that many lie in the same cell as the one before.
-            if size > first and row == cells[size - 1, 0] and column == cells[size - 1, 1]:
-                continue
-            cells[size, 0], cells[size, 1], cells[size, 2] = row, column, CROSSED
-            size += 1
-    for k in range(len(BODY)):
-        cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)
-        cells[size, 1] = math.floor((x + radius * BODY[k, 0]) / cell)
-        cells[size, 2] = CROSSED
-        size += 1
-    return cells[:size]
-
-
-@compiled
-def change_cells(
-    values: GridArray, cells: IntArray, stamps: StampArray, stamp: int, seen_through: int, hit: int, limit: int
-) -> None:
-    """Change the values of touched cells, each of them once, however many beams touch it.
-
-    Parameters
-    ----------
-    values
-        (rows, columns), changed: positive is free, negative is occupied, 0 is unknown.
-    cells
-        (n, 3): row and column in ``values``, and what happened there. Of a cell that repeats, the first row counts.
-    stamps, stamp
-        Scratch (rows, columns), and a number that it does not contain yet.
-    seen_through, hit, limit
-        What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value.
-    """
-    for i in range(len(cells)):
-        row, column = cells[i, 0], cells[i, 1]
-        if cells[i, 2] == SKIPPED or stamps[row, column] == stamp:
-            continue
-        stamps[row, column] = stamp
-        amount = -hit if cells[i, 2] == ENDED else seen_through
-        value = min(max(values[row, column] + amount, -limit), limit)
-        # The value 0 is reserved for unknown cells.
-        values[row, column] = value or (1 if amount > 0 else -1)
 
 
 @compiled

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from limslam_agent.slam.batch.algebra import sort_with
+from limslam_agent.kernels.algebra import sort_with
+from limslam_agent.kernels.lines import refine_lines
 from limslam_agent.slam.batch.compilation import compiled
-from limslam_agent.slam.batch.line_fit import fit_line
 from limslam_agent.slam.batch.state import Settings
 from limslam_agent.slam.core.hough import MAX_CANDIDATES
 from limslam_env.geometry import FloatArray, IntArray
@@ -80,37 +80,6 @@ def peaks(
 
 
 @compiled
-def near_line(points: FloatArray, free: np.ndarray, r: float, theta: float, most: float) -> IntArray:
-    """Indices (n,) of the free points within ``most``, m, of a line."""
-    chosen, size = np.empty(len(points), dtype=np.int64), 0
-    cos, sin = math.cos(theta), math.sin(theta)
-    for i in range(len(points)):
-        if free[i] and abs(points[i, 0] * cos + points[i, 1] * sin - r) <= most:
-            chosen[size] = i
-            size += 1
-    return chosen[:size]
-
-
-@compiled
-def refined(
-    points: FloatArray, free: np.ndarray, r: float, theta: float, settings: Settings
-) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """Indices (n,) of a candidate line's points after two refinements, and their positions along it, m, sorted."""
-    ends = np.empty((2, 2))
-    for tolerance in (settings.r_step, settings.near_line):
-        members = near_line(points, free, r, theta, tolerance)
-        if len(members) < settings.min_votes:
-            return members[:0], np.empty(0)
-        r, theta = fit_line(points, members, ends)
-    members = near_line(points, free, r, theta, settings.near_line)
-    cos, sin, along = math.cos(theta), math.sin(theta), np.empty(len(members))
-    for i in range(len(members)):
-        along[i] = -sin * points[members[i], 0] + cos * points[members[i], 1]
-    sort_with(along, members, len(members))
-    return members, along
-
-
-@compiled
 def extract_lines(
     points: FloatArray, max_gap: float, settings: Settings, owner: IntArray, lines: FloatArray, ends: FloatArray
 ) -> int:
@@ -119,34 +88,13 @@ def extract_lines(
     Fills the line of each point, -1 for none, in ``owner`` (n,), the lines as (r, theta) in ``lines`` (k, 2), and
     their end points in ``ends`` (k, 2, 2), m.
     """
-    owner[:] = -1
-    total, size = len(points), 0
+    total, about = len(points), points.copy()
     if total < settings.min_votes:
+        owner[:] = -1
         return 0
-    middle_x, middle_y = points[:, 0].sum() / total, points[:, 1].sum() / total
-    free, left = np.ones(total, dtype=np.bool_), total
-    about = points.copy()
-    about[:, 0] -= middle_x
-    about[:, 1] -= middle_y
-    for candidate in hough_votes(about, settings):
-        theta = candidate[1]
-        r = candidate[0] + middle_x * math.cos(theta) + middle_y * math.sin(theta)
-        members, along = refined(points, free, r, theta, settings)
-        first, before = 0, size
-        for i in range(1, len(members) + 1):
-            if i < len(members) and along[i] - along[i - 1] <= max_gap:
-                continue
-            part, first = members[first:i], i
-            if len(part) < settings.min_votes:
-                continue
-            r_part, theta_part = fit_line(points, part, ends[size])
-            x, y = ends[size, 1, 0] - ends[size, 0, 0], ends[size, 1, 1] - ends[size, 0, 1]
-            if math.sqrt(x * x + y * y) >= settings.segment_length:
-                lines[size, 0], lines[size, 1] = r_part, theta_part
-                for each in part:
-                    owner[each], free[each] = size, False
-                left -= len(part)
-                size += 1
-        if (settings.only_best and size > before) or left < settings.min_votes:
-            break
-    return size
+    about[:, 0] -= points[:, 0].sum() / total
+    about[:, 1] -= points[:, 1].sum() / total
+    return refine_lines(
+        points, hough_votes(about, settings), (settings.r_step, settings.near_line), settings.min_votes, max_gap,
+        settings.segment_length, settings.only_best, owner, np.empty(total, dtype=np.int64), lines, ends,
+    )  # fmt: skip

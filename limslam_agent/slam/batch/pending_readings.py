@@ -67,14 +67,14 @@ def has_ended(counts: IntArray, travel: FloatArray, side: int, gap: float) -> bo
 
 
 @algebra
-def readings_of(pending: FloatArray, clones: IntArray, beams: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The pending readings of a side: the places of their clones (n,), and their beams and ranges (n, 4)."""
+def readings_of(pending: FloatArray, clones: IntArray, beams: FloatArray, cone: float) -> tuple[IntArray, FloatArray]:
+    """The pending readings of a side: the places of their clones (n,), and beams and ranges (n, 5)."""
     count = len(pending)
-    places, readings = np.empty(count, dtype=np.int64), np.empty((count, 4))
+    places, readings = np.empty(count, dtype=np.int64), np.empty((count, 5))
     for i in range(count):
         beam, places[i] = int(pending[i, BEAM]), place_of(clones, pending[i, CLONE])
         readings[i, 0], readings[i, 1] = beams[beam, FROM_X], beams[beam, FROM_Y]
-        readings[i, 2], readings[i, 3] = beams[beam, ANGLE], pending[i, RANGE]
+        readings[i, 2], readings[i, 3], readings[i, 4] = beams[beam, ANGLE], pending[i, RANGE], cone
     return places, readings
 
 

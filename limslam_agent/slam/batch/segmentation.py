@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.batch.algebra import block_of, dot, factorise, leave_beside, orthonormalise, quantile, whiten
-from limslam_agent.slam.batch.beam_model import expected_ranges, hit_points
+from limslam_agent.slam.batch.beam_model import expected_ranges, hit_points, towards
 from limslam_agent.slam.batch.clone_ekf import clones_from, covariance_of, involved
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.batch.state import Filter, Settings
@@ -109,17 +109,14 @@ def fit_segment(
     own_reads = readings[members]
     met = own_reads[:, 3].copy()
     met[clear] = expected[clear, 0]
-    where = hit_points(ekf.x, start, places[members], own_reads, met)
+    rays = towards(ekf.x, start, places[members], own_reads, state[1])
+    where = hit_points(ekf.x, start, places[members], rays, met)
     for i in range(number):
         along[i] = (where[i, 0] - anchor[0]) * -sin + (where[i, 1] - anchor[1]) * cos
     own, cosines, left = along[clear], expected[clear, 6], values[:, 0].copy()
     spread = own - own.mean()
     ordered = np.sort(along[:number])
-    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y] = (
-        state[1],
-        anchor[0] + state[0] * cos,
-        anchor[1] + state[0] * sin,
-    )
+    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y] = state[1], anchor[0], anchor[1]
     segment[EXTENT] = ordered[number - 2] - ordered[1]
     segment[ANGLE_STD] = settings.std / max(math.sqrt((spread * spread).sum()), LEAST_SPREAD)
     segment[_R] = segment[MIDDLE_X] * cos + segment[MIDDLE_Y] * sin

@@ -98,11 +98,15 @@ class Walls(NamedTuple):
         (n, landmarks, 4): first bin, number of bins, updates, readings.
     counted, reached
         (n, landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m.
+    seen, behind
+        (n, landmarks, 2, 2) and (n, landmarks), as in ``wall_map.Wall``.
     """
 
     table: IntArray
     counted: NDArray[np.int32]
     reached: FloatArray
+    seen: FloatArray
+    behind: FloatArray
 
 
 class States(NamedTuple):
@@ -134,6 +138,7 @@ class Settings(NamedTuple):
     """The settings of ``AgentConfig`` and ``RobotSpec`` that compiled functions need, under the same names."""
 
     std: float
+    cone: float
     wheel_variance: float
     axle: float
     radius: float
@@ -212,6 +217,7 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
     given = {name: getattr(group, name) for group in by_name for name in Settings._fields if hasattr(group, name)}
     given |= {
         "std": std,
+        "cone": robot.cone,
         "wheel_variance": config.noise.wheel_variance,
         "axle": robot.axle,
         "radius": robot.radius,
@@ -284,6 +290,8 @@ def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capaci
         table=np.zeros((*shape, 4), dtype=np.int64),
         counted=np.zeros((*shape, 2, bins), dtype=np.int32),
         reached=np.zeros((*shape, 2, bins)),
+        seen=np.zeros((*shape, 2, 2)),
+        behind=np.zeros(shape),
     )
     return States(
         filter=belief,

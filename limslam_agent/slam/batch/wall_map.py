@@ -33,6 +33,7 @@ def add(walls: Walls, index: int) -> None:
     walls.counted[index] = 0
     walls.reached[index, LEAST] = np.inf
     walls.reached[index, MOST] = -np.inf
+    walls.seen[index, :, 0], walls.seen[index, :, 1], walls.behind[index] = np.inf, -np.inf, 0.0
 
 
 @compiled
@@ -53,10 +54,12 @@ def along_point(ekf: Filter, index: int, x: float, y: float) -> float:
 
 
 @compiled
-def grow(ekf: Filter, walls: Walls, index: int, points: FloatArray) -> None:
-    """Count beams that ended on a landmark at points (n, 2), m, and that have corrected the filter."""
+def grow(ekf: Filter, walls: Walls, index: int, points: FloatArray, side: int) -> None:
+    """Count beams that ended on a landmark at points (n, 2), m, from a side, and that have corrected the filter."""
+    seen = walls.seen[index, side]
     for along in along_line(ekf, index, points):
         hit(walls, ekf.counts, index, along)
+        seen[0], seen[1] = min(seen[0], along), max(seen[1], along)
     walls.table[index, GROUPS] += 1
     walls.table[index, READINGS] += len(points)
 
@@ -67,10 +70,44 @@ def merge(ekf: Filter, walls: Walls, older: int, younger: int, factor: float, sh
     for column in (GROUPS, READINGS):
         walls.table[older, column] += walls.table[younger, column]
     absorb(walls, ekf.counts, older, younger, factor, shift)
+    own, other = walls.seen[older], moved_along(walls.seen[younger], factor, shift)
+    for side in range(2):
+        own[side, 0], own[side, 1] = min(own[side, 0], other[side, 0]), max(own[side, 1], other[side, 1])
+    walls.behind[older] = max(walls.behind[older], walls.behind[younger])
     for place in range(younger, ekf.counts[LINES]):
         walls.table[place] = walls.table[place + 1]
         walls.counted[place] = walls.counted[place + 1]
         walls.reached[place] = walls.reached[place + 1]
+        walls.seen[place] = walls.seen[place + 1]
+        walls.behind[place] = walls.behind[place + 1]
+
+
+@compiled
+def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
+    """The outermost hits from each side (2, 2), m, of a line whose position s is ``factor`` (1 or -1) s + ``shift``."""
+    moved = np.empty((2, 2))
+    for side in range(2):
+        if factor > 0.0:
+            moved[side, 0], moved[side, 1] = seen[side, 0] + shift, seen[side, 1] + shift
+        else:
+            moved[1 - side, 0], moved[1 - side, 1] = shift - seen[side, 1], shift - seen[side, 0]
+    return moved
+
+
+@compiled
+def shared(first: FloatArray, second: FloatArray) -> float:
+    """Length of the stretch between the outermost hits (2,) of two lines, m; below 0 if there is none."""
+    return min(first[1], second[1]) - max(first[0], second[0])
+
+
+@compiled
+def kinds(ekf: Filter, walls: Walls) -> tuple[float, float]:
+    """Length of the landmarks that are boards, and of the walls that have two faces, m."""
+    boards, behind = 0.0, 0.0
+    for index in range(ekf.counts[LINES]):
+        boards += max(shared(walls.seen[index, 0], walls.seen[index, 1]), 0.0)
+        behind += walls.behind[index]
+    return boards, 0.5 * behind
 
 
 @compiled

@@ -3,8 +3,15 @@
 A line is stored as (d, theta) relative to an anchor a, a fixed point of the world near the line:
 n . (p - a) = d with n = (cos theta, sin theta). This form has three advantages over (r, theta) relative to the world's
 origin: d and theta are nearly uncorrelated, d may change its sign, and lines through the origin are not singular.
+
+A beam may be a cone with half an opening angle c. It then reads the nearest point of the wall inside the cone. That is
+the foot of the perpendicular if the cone contains it, and otherwise the end of the border ray that is nearer to the
+perpendicular (J. Leonard and H. Durrant-Whyte, "Directed sonar sensing for mobile robot navigation", 1992). So a cone
+measures what a ray measures that is turned towards the wall's normal, by c or until it is perpendicular to the wall.
+The derivatives are those of this ray, too: where it follows the normal, its range does not depend on its direction.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +21,40 @@ from limslam_env.geometry import FloatArray, IntArray
 GRAZING = 0.2
 """Least cosine between a beam and a line's normal. A reading at a flatter angle says too little about the line."""
 
+FLATTEST = math.acos(GRAZING)
+"""Largest angle between a line's normal and the middle of a beam that does not graze the line, rad."""
+
 LEAST_COSINE = 1e-9
 """Least cosine that a range is divided by. A beam parallel to a line meets it very far away, at a finite range."""
+
+
+class RangeSensor(NamedTuple):
+    """How a range sensor measures.
+
+    Attributes
+    ----------
+    std
+        Standard deviation of short ranges, m.
+    growth
+        Further noise, 1/m: its standard deviation is this times the squared range.
+    cone
+        Half the opening angle of the beams, rad; 0 for rays.
+    bias
+        By what all ranges are too long, m.
+    """
+
+    std: float
+    growth: float = 0.0
+    cone: float = 0.0
+    bias: float = 0.0
+
+    def variances(self, ranges: FloatArray) -> FloatArray:
+        """Variances of ranges (n,), m^2."""
+        return np.asarray(self.std**2 + (self.growth * ranges**2) ** 2)
+
+    def stds(self, ranges: FloatArray) -> FloatArray:
+        """Standard deviations of ranges (n,), m."""
+        return np.sqrt(self.variances(ranges))
 
 
 class Readings(NamedTuple):
@@ -31,6 +70,8 @@ class Readings(NamedTuple):
         Measured ranges (n,), m.
     sources
         Step and beam of each reading (n, 2).
+    growth, cone
+        Those of the ``RangeSensor``.
     """
 
     clones: IntArray
@@ -38,12 +79,33 @@ class Readings(NamedTuple):
     angles: FloatArray
     ranges: FloatArray
     sources: IntArray
+    growth: float = 0.0
+    cone: float = 0.0
 
     def select(self, chosen: IntArray) -> "Readings":
         """The readings with the given indices."""
         return Readings(
-            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen]
-        )
+            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen],
+            self.growth, self.cone,
+        )  # fmt: skip
+
+    def variances(self, std: float) -> FloatArray:
+        """Variances of the ranges (n,), m^2, if short ranges have a standard deviation, m."""
+        return RangeSensor(std, self.growth).variances(self.ranges)
+
+    def towards(self, theta: float, headings: FloatArray) -> "Readings":
+        """The rays that measure a line with its normal at ``theta``, rad, as the beams do.
+
+        A beam whose middle grazes the line stays as it is, and is left out like a grazing ray: it is not clear which of
+        its border rays is the nearer one.
+
+        ``headings`` (n,), rad, are those of the poses that the readings were taken from.
+        """
+        if not self.cone:
+            return self
+        turn = (theta - headings - self.angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+        turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -self.cone, self.cone), 0.0)
+        return self._replace(angles=self.angles + turn, cone=0.0)
 
 
 class Expected(NamedTuple):
@@ -56,7 +118,7 @@ class Expected(NamedTuple):
     by_pose, by_line
         Derivatives of the ranges by the pose (n, 3) and by the line (n, 2).
     cosines
-        Cosine between each beam and the line's normal (n,). It is near zero where the beam grazes the line.
+        Cosine between each beam's ray and the line's normal (n,). It is near zero where the ray grazes the line.
     """
 
     ranges: FloatArray
@@ -79,31 +141,24 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
     line, anchor
         (d, theta), m and rad, and the anchor (2,), m.
     """
-    (offset_x, offset_y), origin, direction = _offsets(poses, readings)
-    nx, ny = np.cos(line[1]), np.sin(line[1])
-    ux, uy = direction.T
-    cosines = nx * ux + ny * uy
-    divisors = np.copysign(np.maximum(np.abs(cosines), LEAST_COSINE), cosines)
-    ranges = (line[0] - nx * (origin[:, 0] - anchor[0]) - ny * (origin[:, 1] - anchor[1])) / divisors
-    hit_x, hit_y = origin[:, 0] + ranges * ux - anchor[0], origin[:, 1] + ranges * uy - anchor[1]
-    turning = (-offset_y * nx + offset_x * ny) + ranges * (-uy * nx + ux * ny)
-    by_pose, by_line = np.empty((len(ranges), 3)), np.empty((len(ranges), 2))
-    by_pose[:, 0], by_pose[:, 1], by_pose[:, 2] = -nx, -ny, -turning
-    by_line[:, 0], by_line[:, 1] = 1.0, hit_x * ny - hit_y * nx
-    return Expected(ranges, by_pose / divisors[:, None], by_line / divisors[:, None], cosines)
+    from limslam_agent.kernels.measurement import ranges_to_line
+
+    rays = readings.towards(line[1], poses[:, 2])
+    return Expected(*ranges_to_line(poses, rays.origins, rays.angles, line, anchor, LEAST_COSINE))
+
+
+def by_range_errors(expected: Expected) -> FloatArray:
+    """Derivatives (n, 2) of predicted ranges by a bias of all ranges, and by half the opening angle of the beams.
+
+    A wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
+    """
+    cosines = np.maximum(np.abs(expected.cosines), LEAST_COSINE)
+    sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
+    return np.column_stack((np.ones(len(cosines)), -expected.ranges * sines / cosines))
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
     """End points of readings in the world (n, 2), m, for readings taken from poses (n, 3)."""
-    _, origin, direction = _offsets(poses, readings)
-    return np.asarray(origin + readings.ranges[:, None] * direction)
+    from limslam_agent.kernels.measurement import ends_of_beams
 
-
-def _offsets(poses: FloatArray, readings: Readings) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
-    """Vectors from body to beam in the world's axes, the beams' origins (n, 2), and their directions (n, 2)."""
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    offset_x = cos * readings.origins[:, 0] - sin * readings.origins[:, 1]
-    offset_y = sin * readings.origins[:, 0] + cos * readings.origins[:, 1]
-    heading = poses[:, 2] + readings.angles
-    origin = poses[:, :2] + np.column_stack((offset_x, offset_y))
-    return (offset_x, offset_y), origin, np.column_stack((np.cos(heading), np.sin(heading)))
+    return ends_of_beams(poses, readings.origins, readings.angles, np.ascontiguousarray(readings.ranges))

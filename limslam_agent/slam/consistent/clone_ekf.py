@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings, expected_ranges
-from limslam_agent.slam.consistent.separate_bias import SeparateBias
+from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings, by_range_errors, expected_ranges
+from limslam_agent.slam.consistent.separate_bias import OdometryErrors, RangeErrors, SeparateBias
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
@@ -61,11 +62,15 @@ class Disagreement(NamedTuple):
         Not explained by any line.
     used
         Number of readings that were compared.
+    offset, variance
+        How far along its normal the readings put a parallel line, m, and the variance of that, m^2.
     """
 
     of_line: float
     left: float
     used: int
+    offset: float
+    variance: float
 
 
 class CloneEKF(LineEKF):
@@ -79,15 +84,24 @@ class CloneEKF(LineEKF):
         Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``; None if the odometry's calibration
         is not estimated. It becomes part of the state by :meth:`calibrate`, and until then the state takes the
         odometry to be without constant errors.
+    range_errors
+        Standard deviations of the errors of ``RangeErrors``, m and rad; None if these are not estimated.
     """
 
-    def __init__(self, pose: FloatArray, calibration: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        pose: FloatArray,
+        calibration: FloatArray | None = None,
+        range_errors: tuple[float, float] | None = None,
+    ) -> None:
         super().__init__(pose)
-        self._bias = None if calibration is None else SeparateBias(self._poses_end, calibration)
+        self._bias = None if calibration is None else OdometryErrors(self._poses_end, calibration)
+        self._range_errors = None if range_errors is None else RangeErrors(self._poses_end, range_errors)
         self._anchors = np.zeros((0, 2))
         self._memory = [np.empty(0), np.empty(0)]
         self._clones: list[int] = []
         self._next_clone = 0
+        self._clone_numbers = ((0, 0), np.zeros(0, dtype=np.int64))
 
     @property
     def num_lines(self) -> int:
@@ -147,6 +161,8 @@ class CloneEKF(LineEKF):
         P[np.ix_(added, added)] = covariance
         x, change = np.zeros(len(P)), np.zeros(len(P))
         x[old], change[old], change[added] = self.x, by_errors @ errors, errors
+        if self._range_errors is not None:
+            self._range_errors.insert_independent(self._first, len(added))
         self.x, self.P, self.dim_x, self._first = x, P, len(P), 2 * self._first
         self._correct(change)
 
@@ -164,24 +180,26 @@ class CloneEKF(LineEKF):
         by_calibration
             Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
         """
+        moved = slice(POSE * robot, POSE * robot + POSE)
+        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+        for bias in self._biases:
+            bias.predict(moved, by_pose)
         if by_calibration is None:
             super().predict(increment, covariance, robot)
             return
-        moved = slice(POSE * robot, POSE * robot + POSE)
-        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
         by_errors, Q = by_increment @ by_calibration, by_increment @ covariance @ by_increment.T
         if self._bias is None:
             F, columns = np.hstack((by_pose, by_errors)), np.r_[moved, self._calibration_part(robot)]
             self._move(moved, increment, F, Q, columns)
             return
         self._move(moved, increment, by_pose, Q, moved)
-        self._bias.predict(moved, by_pose, by_errors)
+        self._bias.drive(moved, by_errors)
 
     def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
         super().relocate(pose, covariance, robot)
-        if self._bias is not None:
-            self._bias.forget(slice(POSE * robot, POSE * robot + POSE))
+        for bias in self._biases:
+            bias.forget(slice(POSE * robot, POSE * robot + POSE))
 
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""
@@ -192,8 +210,8 @@ class CloneEKF(LineEKF):
         P[:old, old:] = self.P[moved].T
         P[old:, old:] = self.P[moved, moved]
         self.x, self.P = np.concatenate((self.x, self.x[moved])), P
-        if self._bias is not None:
-            self._bias.insert(old, self._bias.by_errors[moved])
+        for bias in self._biases:
+            bias.insert(old, bias.by_errors[moved])
         self._clones.append(self._next_clone)
         self._next_clone += 1
         return self._clones[-1]
@@ -225,8 +243,8 @@ class CloneEKF(LineEKF):
         x[at + 1] = theta
         P[[at, at + 1], [at, at + 1]] = LINE_PRIOR
         self.x, self.P, self.dim_x = x, P, old + 2
-        if self._bias is not None:
-            self._bias.insert(at, np.zeros((2, self._poses_end)))
+        for bias in self._biases:
+            bias.insert_independent(at, 2)
         self._anchors = np.vstack((self._anchors, anchor))
         return self.num_lines - 1
 
@@ -251,7 +269,7 @@ class CloneEKF(LineEKF):
         readings, index
             The readings, and the line that they show.
         std
-            Standard deviation of a range, m.
+            Standard deviation of a short range, m.
         iterations
             Number of iterations.
         huber
@@ -262,6 +280,7 @@ class CloneEKF(LineEKF):
         if not len(readings.ranges):
             return
         columns, places = self._involved(readings, index)
+        variances = readings.variances(std)
         start, transport, moved = self.x.copy(), self._error_transport(), np.zeros((len(self.x), POSE))
         change, weights = np.zeros_like(start), np.ones(len(readings.ranges))
         for _ in range(iterations):
@@ -271,14 +290,18 @@ class CloneEKF(LineEKF):
             expected = self._expected(self.x[columns], places, readings, index)
             H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
             HP, so_far = H @ self._transported_rows(columns, moved), self.x - start
-            S = HP[:, columns] @ H.T + np.diag(std**2 / weights)
+            S = HP[:, columns] @ H.T + np.diag(variances / weights)
             change = np.linalg.solve(S, off + H @ so_far[columns]) @ HP - so_far
-            weights = np.minimum(1.0, huber * std / np.maximum(np.abs(off), LEAST_RESIDUAL)) if huber else weights
+            if huber:
+                weights = np.minimum(1.0, huber * np.sqrt(variances) / np.maximum(np.abs(off), LEAST_RESIDUAL))
         factor = np.linalg.cholesky(S)
         self._transport(moved)
         self._subtract_square(np.ascontiguousarray(solve_lower(factor, HP)))
+        innovation = off + H @ so_far[columns]
         if self._bias is not None:
-            self._bias.update(H, columns, off + H @ so_far[columns], S, HP)
+            self._bias.update(H, columns, innovation, S, HP)
+        if self._range_errors is not None:
+            self._range_errors.update(H, columns, innovation, S, HP, by_range_errors(expected))
         self._correct(change)
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
@@ -293,12 +316,18 @@ class CloneEKF(LineEKF):
         columns, places = self._involved(readings, index)
         expected = self._expected(self.x[columns], places, readings, index)
         H = self._jacobian(expected, places, len(columns))
-        S = H @ self.P[np.ix_(columns, columns)] @ H.T + std**2 * np.eye(len(readings.ranges))
+        S = H @ self.P[np.ix_(columns, columns)] @ H.T + readings.variances(std) * np.eye(len(readings.ranges))
         off, by_line = readings.ranges - expected.ranges, expected.by_line
         solved = np.linalg.solve(S, np.column_stack((off, by_line)))
-        along = by_line.T @ solved[:, 0]
-        of_line = float(along @ np.linalg.solve(by_line.T @ solved[:, 1:], along))
-        return Disagreement(of_line, float(off @ solved[:, 0]) - of_line, len(readings.ranges))
+        along, information = by_line.T @ solved[:, 0], by_line.T @ solved[:, 1:]
+        of_line, variance = float(along @ np.linalg.solve(information, along)), 1.0 / float(information[0, 0])
+        left = float(off @ solved[:, 0]) - of_line
+        return Disagreement(of_line, left, len(readings.ranges), float(along[0]) * variance, variance)
+
+    def side(self, readings: Readings, index: int) -> int:
+        """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+        headings = self.clone_poses(readings.clones)[:, 2] + readings.angles
+        return POSITIVE if np.cos(headings - self.x[self._part(index)][1]).sum() < 0.0 else NEGATIVE
 
     def clone_covariance(self, clones: IntArray) -> FloatArray:
         """Joint covariance (3 n, 3 n) of clones (n,)."""
@@ -327,8 +356,8 @@ class CloneEKF(LineEKF):
         P[np.ix_(kept, kept)] = covariance
         self.x = np.concatenate((poses.ravel(), self.x[part], lines.ravel()))
         self.P, self.dim_x, self._anchors, self._clones = P, size, np.array(anchors), []
-        if self._bias is not None:
-            self._bias.restart(size)
+        for bias in self._biases:
+            bias.restart(size)
         self._restore_angles()
 
     def merge(self, older: int, younger: int, iterations: int = 1) -> None:
@@ -349,12 +378,29 @@ class CloneEKF(LineEKF):
         factor = np.linalg.cholesky(S)
         self._transport(moved)
         self._subtract_square(solve_lower(factor, HP))
-        if self._bias is not None:
-            self._bias.update(H, columns, H @ so_far[columns] - off, S, HP)
+        for bias in self._biases:
+            bias.update(H, columns, H @ so_far[columns] - off, S, HP)
         self._correct(change)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
         self._anchors = np.delete(self._anchors, younger, axis=0)
+
+    @property
+    def range_errors(self) -> RangeErrors | None:
+        """Errors of the ranges beside the assumed ones, which the state does not know of; None if not estimated."""
+        return self._range_errors
+
+    def correct_ranges(self, errors: FloatArray) -> None:
+        """Correct the state for the errors (2,) of ``RangeErrors``, and begin anew to estimate further ones."""
+        if self._range_errors is not None:
+            change = self._range_errors.by_errors @ errors
+            self._range_errors = RangeErrors(len(self.x), self._range_errors.stds)
+            self._correct(change)
+
+    @property
+    def _biases(self) -> list[SeparateBias]:
+        """The errors that are estimated beside the filter."""
+        return [bias for bias in (self._bias, self._range_errors) if bias is not None]
 
     @property
     def _clones_from(self) -> int:
@@ -376,17 +422,14 @@ class CloneEKF(LineEKF):
 
     def _error_transport(self) -> FloatArray:
         """Derivative (n, 3) of the state by the first robot's pose when robot and world move together rigidly."""
-        moved = np.zeros((len(self.x), POSE))
-        x, y, _ = self.x[:POSE]
-        for part in (slice(0, self._poses_end), slice(self._clones_from, None)):
-            moved[part] = poses_moved_with((x, y), self.x[part].reshape(-1, POSE))
-        moved[self._first : self._clones_from] = lines_moved_with((x, y), self.anchored, self._anchors)
-        return moved
+        from limslam_agent.kernels.measurement import error_transport
+
+        return error_transport(self.x, self._poses_end, self._first, self._clones_from, self._anchors)
 
     def _transport(self, moved: FloatArray) -> None:
         """Transform P, in place, when the derivative of :meth:`_error_transport` has changed by ``moved`` (n, 3)."""
-        if self._bias is not None:
-            self._bias.transport(moved)
+        for bias in self._biases:
+            bias.transport(moved)
         rows = self.P[:POSE].copy()
         dgemm(1.0, rows.T, moved.T, beta=1.0, c=self.P.T, overwrite_c=1)
         columns = np.ascontiguousarray(self.P[:, :POSE])
@@ -422,12 +465,16 @@ class CloneEKF(LineEKF):
         # Rounding makes P asymmetric over thousands of updates. P is copied here in any case.
         P[:] = 0.5 * (P + P.T)
         self.x, self.P, self.dim_x = self.x[places], P, len(places)
-        if self._bias is not None:
-            self._bias.keep(places)
+        for bias in self._biases:
+            bias.keep(places)
 
     def _columns(self, clones: IntArray) -> IntArray:
         """Indices (n, 3) of clones (n,) in the state."""
-        places = np.searchsorted(self._clones, clones)
+        # Numbers of clones only grow, so the last one and the number of clones tell whether any has come or gone.
+        key = len(self._clones), self._next_clone
+        if self._clone_numbers[0] != key:
+            self._clone_numbers = key, np.array(self._clones, dtype=np.int64)
+        places = self._clone_numbers[1].searchsorted(clones)
         return np.asarray(self._clones_from + POSE * places[:, None] + np.arange(POSE))
 
     def _involved(self, readings: Readings, index: int) -> tuple[IntArray, IntArray]:

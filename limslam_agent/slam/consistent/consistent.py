@@ -13,23 +13,27 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.slam.consistent.beam_model import Readings, hit_points
-from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, hit_points
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
+from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
+from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
-from limslam_agent.slam.consistent.wall_map import Wall, WallMap
+from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
+from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.geometry.segment import sample
-from limslam_env.interface import RobotSpec, Side
+from limslam_env.interface import LARGEST_CONE, RobotSpec, Side
 
 BESIDE_CORNER = 0.15
 """A reading this close to the end of another line, m along it, may belong to either line."""
@@ -49,6 +53,12 @@ KNOWN_SPACING = 0.01
 
 KNOWN_VARIANCES = (0.01**2, math.radians(0.2) ** 2)
 """Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations are not known."""
+
+USUAL_RANGE = 0.7
+"""The noise of points is that of ranges with this share of the longest one, where the noise grows with the range."""
+
+LEAST_ERRORS = (2e-3, math.radians(0.25))
+"""A bias, m, and an opening angle, rad, that differ by less are as assumed."""
 
 SHORTEST = 0.1
 """Least length of a wall segment, m, that the error of its direction is based on."""
@@ -72,17 +82,34 @@ class ConsistentEstimator(Estimator):
         Body and beams of each robot.
     config
         Settings of every stage.
+    range_std
+        Standard deviation of a range, m.
     start
         Start poses of the robots (n, 3), m, m, rad.
+    sensor
+        How the ranges are measured, if that is known to differ from robot and ``range_std``.
     """
 
-    def __init__(self, robot: RobotSpec, config: ConsistentConfig, range_std: float, start: FloatArray) -> None:
-        calibration, self._std = config.self_calibration, range_std
-        self._filter = CloneEKF(start, calibration.covariance if calibration.calibrate != "never" else None)
+    def __init__(
+        self,
+        robot: RobotSpec,
+        config: ConsistentConfig,
+        range_std: float,
+        start: FloatArray,
+        sensor: RangeSensor | None = None,
+    ) -> None:
+        calibration, errors = config.self_calibration, config.range_errors
+        self._filter = CloneEKF(
+            start,
+            calibration.covariance if calibration.calibrate != "never" else None,
+            (errors.bias_std, errors.cone_std) if errors.enabled else None,
+        )
         if calibration.calibrate == "always":
             self._filter.calibrate()
-        self._settings = config.for_ranges(self._std)
+        self._config = config
         super().__init__(robot, self._filter)
+        self._specified = RangeSensor(range_std, cone=robot.cone)
+        self._assume(sensor or self._specified)
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
 
@@ -94,7 +121,7 @@ class ConsistentEstimator(Estimator):
                 spread = mark.covariance + np.diag(KNOWN_VARIANCES)
                 index = self._filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
                 self._map.add()
-                self._map.grow(index, points)
+                self._map.grow(index, points, POSITIVE, NEGATIVE)
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
         """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
@@ -107,6 +134,11 @@ class ConsistentEstimator(Estimator):
             return AS_SPECIFIED
         found = self.odometry_calibration(robot)
         return found and found[0]
+
+    @property
+    def sensor(self) -> RangeSensor:
+        """How the sensor measures, as specified or as the data require."""
+        return self._sensor
 
     @property
     def map_state(self) -> MapState:
@@ -146,6 +178,7 @@ class ConsistentEstimator(Estimator):
         evidence = self._filter.calibration_evidence
         if evidence is not None and evidence > self._settings.self_calibration.gate:
             self._filter.calibrate()
+        self._correct_sensor()
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:
         """Process all pending readings."""
@@ -179,35 +212,77 @@ class ConsistentEstimator(Estimator):
         """All landmarks, provisional ones included, by number."""
         return self._map.all_landmarks
 
-    def _points(self, readings: Readings) -> FloatArray:
-        """Estimated end points of readings in the world (n, 2), m."""
-        return hit_points(self._filter.clone_poses(readings.clones), readings)
+    def _assume(self, sensor: RangeSensor) -> None:
+        """Take the sensor to measure like this from now on."""
+        self._sensor, self._std, errors = sensor, sensor.std, self._config.range_errors
+        reach = float(self.robot.max_ranges.max())
+        self._usual_std = float(sensor.stds(np.array([USUAL_RANGE * reach]))[0]) if sensor.growth else sensor.std
+        self._settings = self._config.for_ranges(self._usual_std)
+        ratio = errors.least_ratio if sensor == self._specified else errors.further_ratio
+        self._noise = RangeNoise(sensor, reach, errors.least_std, ratio)
+        self._is_counted = False
+
+    def _correct_sensor(self) -> None:
+        """Estimate the sensor's errors anew if the readings so far say that the assumed ones are wrong."""
+        settings, sensor, errors = self._config.range_errors, self._sensor, self._filter.range_errors
+        if not self._is_counted or errors is None:
+            return
+        self._is_counted = False
+        change, evidence, noise = errors.estimate[0], errors.evidence, self._noise.estimate
+        change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
+        evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
+        gate, noise_gate = settings.gate, settings.noise_gate
+        if sensor != self._specified:
+            gate = noise_gate = settings.further_gate
+        is_biased = bool(evidence[0] > (settings.further_gate if sensor.bias else settings.gate))
+        if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
+            return
+        # Noise and opening angle feign each other, so that any evidence counts. A bias does not show itself that early.
+        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
+        std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
+        self._filter.correct_ranges(change)
+        self._assume(RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0])))
+
+    def _count(self, segment: WallSegment) -> None:
+        """Count the residuals of a segment that is used."""
+        self._noise.count(segment.residuals, segment.ranges)
+        self._is_counted = True
+
+    def _readings(self, pending: PendingReadings, side: Side) -> Readings:
+        """The pending readings of a side, as the sensor takes them."""
+        readings, sensor = pending.readings(side), self._sensor
+        return readings._replace(ranges=readings.ranges - sensor.bias, growth=sensor.growth, cone=sensor.cone)
+
+    def _points(self, readings: Readings, theta: float | None = None) -> FloatArray:
+        """Estimated end points of readings in the world (n, 2), m, on a wall with its normal at ``theta``, rad, or any.
+
+        Where the wall is not known, they are on the middle of each beam.
+        """
+        poses = self._filter.clone_poses(readings.clones)
+        return hit_points(poses, readings if theta is None else readings.towards(theta, poses[:, 2]))
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""
-        beams = np.nonzero(front.measured & (front.ranges > self.robot.too_near))[0]
-        pose = self._filter.poses[number]
-        variance = np.diag(self._filter.joint_pose_covariance)[3 * number : 3 * number + 3]
-        ranges = front.ranges[beams]
-        headings = pose[2] + self.robot.beam_angles[beams]
-        self._map.clear_along_beams(
-            transform_points(pose, self.robot.beam_origins[beams]),
-            np.column_stack((np.cos(headings), np.sin(headings))),
-            ranges,
-            np.sqrt(self._std**2 + variance[:2].sum() + variance[2] * ranges**2),
-        )
+        from limslam_agent.kernels.nearness import aim_beams
+
+        rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
+        count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
+        origins, towards, ranges = (each[:count] for each in rays)
+        x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
+        stds = np.sqrt(self._sensor.variances(ranges) + (x + y) + heading * ranges**2)
+        self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:
         """Find wall segments in the pending readings of a side, use them, and drop what is consumed or too old."""
         pending, settings = self._pending[number], self._settings
         pending.fresh[side] = 0
-        readings = pending.readings(side)
+        readings = self._readings(pending, side)
         points = self._points(readings)
         # Beams ahead meet a wall at points far apart, with nothing in between.
         hough = (
             replace(settings.hough, max_gap=settings.segmentation.gap_ahead) if side == SIDES[AHEAD] else settings.hough
         )
-        lines = extract_lines(points, hough, self._std)
+        lines = extract_lines(points, hough, self._usual_std)
         self._show(number, side, step, points, lines)
         consumed = np.zeros(len(points), dtype=bool)
         driven = np.array([reading.driven for reading in pending.by_side[side]])
@@ -240,7 +315,7 @@ class ConsistentEstimator(Estimator):
 
     def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> Iterator[tuple[FloatArray, IntArray]]:
         """Each line, and its readings without those near a corner that could also belong to another wall."""
-        near = max_distance(self._settings.hough, self._std)
+        near = max_distance(self._settings.hough, self._usual_std)
         for line in lines:
             members = np.sort(line.members)
             for other in lines:
@@ -250,7 +325,7 @@ class ConsistentEstimator(Estimator):
                 along = points[members] @ direction(other.fit.line)
                 beside = (along > places[0] - BESIDE_CORNER) & (along < places[1] + BESIDE_CORNER)
                 members = members[~(beside & (np.abs(distance(other.fit.line, points[members])) < near))]
-            if self._std >= self._settings.segmentation.corner_std:
+            if self._usual_std >= self._settings.segmentation.corner_std:
                 members = members[~self._on_crossing_wall(points[members], float(line.fit.line[1]), near)]
             if len(members) >= FEWEST:
                 yield line.fit.line, members
@@ -282,14 +357,16 @@ class ConsistentEstimator(Estimator):
             if not self._closes_loop(candidates[0].landmark, candidates[1].landmark, step):
                 break
             candidates = self._candidates(readings, segment)
-        self._explain(robot, step, readings, segment, candidates)
+        if self.on_comparison is not None:
+            known = {each.landmark: each.of_line for each in candidates}
+            self.on_comparison(comparison(robot, step, readings, segment, known, self._filter, self._map, settings))
         best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
         if second <= settings.gate and second - best < settings.ambiguity:
             return True
         if best <= settings.gate:
             return self._observe(robot, step, readings, segment, candidates[0])
         least = creation.min_length_complete if is_complete else creation.min_length
-        is_enough = len(segment.members) >= creation.readings_per_std * self._std
+        is_enough = len(segment.members) >= creation.readings_per_std * self._usual_std
         is_sure = is_enough and segment.angle_std <= creation.max_angle_std and self._is_whole(segment)
         if best < settings.far_gate or segment.length < least or not is_sure:
             return False
@@ -297,18 +374,46 @@ class ConsistentEstimator(Estimator):
         return True
 
     def _candidates(self, readings: Readings, segment: WallSegment) -> list[_Candidate]:
-        """Landmarks that a wall segment may show, best first."""
+        """Landmarks that a wall segment may show, best first.
+
+        A landmark that was only seen from the other side is one of them if it is a board, and not the other face.
+        """
         settings = self._settings.association
-        loose = 2.0 * math.atan2(2.0 * self._std, max(segment.length, SHORTEST))
+        loose = 2.0 * math.atan2(2.0 * self._usual_std, max(segment.length, SHORTEST))
         found = []
         for index in self._near(segment.theta, segment.middle, settings.max_angle + loose, settings.max_offset):
             along, (low, high) = self._map.along(index, segment.points), self._map[index].extent.ends
             if max(along.min() - high, low - along.max()) > settings.max_end_gap:
                 continue
             disagreement = self._filter.disagreement(readings, index, self._std)
-            if disagreement is not None:
-                found.append(_Candidate(*disagreement, index))
+            if disagreement is not None and self._may_show(index, readings, segment, disagreement):
+                found.append(_Candidate(disagreement.of_line, disagreement.left, disagreement.used, index))
         return sorted(found)
+
+    def _may_show(self, index: int, readings: Readings, segment: WallSegment, known: Disagreement) -> bool:
+        """Whether a landmark was seen from the side of readings near them, or it is a board."""
+        side, along = self._filter.side(readings, index), self._map.along(index, segment.points)
+        slack, seen = self._settings.update.end_slack, self._map[index].seen
+        is_inside = (along[:, None] > seen[:, 0] - slack) & (along[:, None] < seen[:, 1] + slack)
+        own, other = is_inside.mean(axis=0)[[side, 1 - side]]
+        gap = max(along.min() - seen[side, 1], seen[side, 0] - along.max())
+        if own >= 0.5 or (other < 0.5 and gap <= self._settings.association.max_end_gap):
+            return True
+        return self._is_board(1 - side, known.offset, known.variance)[0]
+
+    def _is_board(self, side: int, offset: float, variance: float) -> tuple[bool, bool]:
+        """Whether a line that is seen from one side, and a line seen from the other side, are a board; or a wall.
+
+        Parameters
+        ----------
+        side
+            The side from which the line is seen.
+        offset, variance
+            How far along the line's normal the other line is, m, if the two are parallel, and the variance, m^2.
+        """
+        behind = -offset if side == POSITIVE else offset
+        evidence = board_evidence(behind, variance + STRAIGHTNESS[0])
+        return board_odds(evidence, *self._map.kinds) > SURE, is_wall(evidence, behind)
 
     def _near(self, theta: float, point: FloatArray, angle: float, offset: float) -> list[int]:
         """Landmarks with a direction within ``angle``, rad, that pass a point (2,) at less than ``offset``, m."""
@@ -321,6 +426,7 @@ class ConsistentEstimator(Estimator):
         """Update by a wall segment of a known landmark, if it fits; whether it did."""
         fits = self._fits(segment, known)
         if fits:
+            self._count(segment)
             self._update(robot, step, readings, self._map[known.landmark], self._settings.update.iterations)
         return fits
 
@@ -346,6 +452,7 @@ class ConsistentEstimator(Estimator):
         return segment.hole <= self._settings.segmentation.max_hole_share * self.robot.reach
 
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
+        self._count(segment)
         self._filter.add_line(segment.theta, segment.middle)
         self._update(robot, step, readings, self._map.add(), self._settings.creation.iterations)
 
@@ -353,7 +460,8 @@ class ConsistentEstimator(Estimator):
         """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
         index, is_new = self._map.walls.index(wall), not wall.groups
         self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
-        self._map.grow(index, self._points(readings))
+        points = self._points(readings, float(self._filter.anchored[index, 1]))
+        self._map.grow(index, points, self._filter.side(readings, index))
         self.report(AssociationRecord(wall.number, is_new, readings.sources, robot))
         self._close_loops_of(wall, step)
 
@@ -378,7 +486,9 @@ class ConsistentEstimator(Estimator):
         off, covariance = self._filter.difference(older, younger)
         squared = float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
         limits = self._settings.association
-        if squared > settings.gate or abs(off[1]) > limits.max_angle or offset > limits.max_offset:
+        if abs(off[1]) > limits.max_angle or offset > limits.max_offset:
+            return False
+        if not self._is_one_line(older, younger, off, covariance) or squared > settings.gate:
             return False
         numbers = self._map[older].number, self._map[younger].number
         origin, tangent = self._filter.anchors[younger].copy(), direction(self._filter.anchored[younger])
@@ -386,6 +496,25 @@ class ConsistentEstimator(Estimator):
         self._map.merge(older, younger, origin, tangent)
         self.closures.append(Closure(*numbers, step, squared, 0.0, offset, 0.0))
         return True
+
+    def _is_one_line(self, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
+        """Whether two landmarks share a stretch that is seen from one side, or are a board.
+
+        Their difference (2,) has a covariance (2, 2). It is noted if they are the two faces of a wall.
+        """
+        wall, other, lines = self._map[older], self._map[younger], self._filter.anchored
+        factor = 1.0 if math.cos(lines[older, 1] - lines[younger, 1]) > 0.0 else -1.0
+        seen = moved_along(wall.seen, factor, float(self._map.along(younger, self._filter.anchors[older])))
+        own, opposite = shared(seen, other.seen).max(), shared(seen[::-1], other.seen)
+        if own >= min(self._settings.merging.min_overlap, opposite.max()):
+            return True
+        # The difference of two parallel lines is their offset alone, given that their directions are equal.
+        share = covariance[0, 1] / covariance[1, 1]
+        offset, variance = float(off[0] - share * off[1]), float(covariance[0, 0] - share * covariance[0, 1])
+        is_board, is_face = self._is_board(int(opposite.argmax()), offset, variance)
+        if is_face:
+            wall.behind, other.behind = max(wall.behind, opposite.max()), max(other.behind, opposite.max())
+        return is_board
 
     def _show(self, number: int, side: Side, step: int, points: FloatArray, lines: list[ExtractedLine]) -> None:
         """Store the lines that were found, in the robot's frame, as diagnostics."""
@@ -396,15 +525,3 @@ class ConsistentEstimator(Estimator):
         self.last_extraction = Extraction(
             number, side, step, pose, transform_points(back, points), to_frame(found, pose), ends
         )  # fmt: skip
-
-    def _explain(
-        self, robot: int, step: int, readings: Readings, segment: WallSegment, candidates: list[_Candidate]
-    ) -> None:
-        """Tell the listener, if there is one, with which landmarks a wall segment was compared."""
-        if self.on_comparison is None:
-            return
-        from limslam_agent.slam.consistent.explanation import comparison
-
-        distances = {each.landmark: each.of_line for each in candidates}
-        settings = self._settings.association
-        self.on_comparison(comparison(robot, step, readings, segment, distances, self._filter, self._map, settings))

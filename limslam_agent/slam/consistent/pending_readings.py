@@ -5,7 +5,7 @@ from, so that it can correct that pose later.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,10 @@ class PendingReading(NamedTuple):
     beam: int
     distance: float
     driven: float
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "PendingReading":
+        # It never changes, so that copies can share it.
+        return self
 
 
 class PendingReadings:

@@ -50,13 +50,17 @@ class WallSegment:
     theta
         Direction of the wall's normal in the world, rad.
     middle
-        Projection of the readings' mean end point on the line (2,), m.
+        Projection of the readings' mean end point on the line that was found (2,), m. It is where the poses are now,
+        as all landmarks are. The fit also moves the poses, and with them the line: by metres if these are uncertain.
     points
         End points of the readings (n, 2), m.
     length
         Extent along the wall without the outermost reading at either end, m.
     angle_std
         Standard deviation of theta relative to the poses, rad.
+    residuals, ranges
+        Residuals (k,) of those readings that do not graze the wall, in standard deviations, independent but for the
+        fitted line, and the ranges of these readings (k,), m.
     """
 
     members: IntArray
@@ -65,6 +69,8 @@ class WallSegment:
     points: FloatArray
     length: float
     angle_std: float
+    residuals: FloatArray
+    ranges: FloatArray
 
     @property
     def hole(self) -> float:
@@ -105,17 +111,19 @@ def wall_segments(
     segments
         The straight wall segments, in order along the wall.
     """
-    return _segments(readings, members, line, belief, std, config, DEEPEST)
+    poses = belief.clone_poses(readings.clones)
+    points = hit_points(poses, readings.towards(line[1], poses[:, 2]))
+    return _segments(readings, points, members, line, belief, std, config, DEEPEST)
 
 
 def _segments(
-    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: SegmentationConfig,
-    depth: int,
+    readings: Readings, points: FloatArray, members: IntArray, line: FloatArray, belief: CloneEKF, std: float,
+    config: SegmentationConfig, depth: int,
 ) -> list[WallSegment]:  # fmt: skip
-    """The segments of some readings, which are split at most ``depth`` times."""
+    """The segments of some readings with their end points, which are split at most ``depth`` times."""
     if len(members) < FEWEST:
         return []
-    fit = _fit(readings, members, line, belief, std, config)
+    fit = _fit(readings, points[members], members, line, belief, std, config)
     if fit is None:
         return []
     if depth and fit.is_bent:
@@ -125,29 +133,36 @@ def _segments(
             for half in halves
             if np.count_nonzero(half) >= FEWEST
             for segment in _segments(
-                readings, members[half], _principal_line(fit.segment.points[half]), belief, std, config, depth - 1
+                readings,
+                points,
+                members[half],
+                _principal_line(fit.segment.points[half]),
+                belief,
+                std,
+                config,
+                depth - 1,
             )
         ]
     if depth and fit.loose.any():
         again = np.array([fit.segment.middle @ normal(np.array([0.0, fit.segment.theta])), fit.segment.theta])
-        return _segments(readings, members[~fit.loose], again, belief, std, config, depth - 1)
+        return _segments(readings, points, members[~fit.loose], again, belief, std, config, depth - 1)
     return [fit.segment]
 
 
 def _fit(
-    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: SegmentationConfig
-) -> _Fit | None:
+    readings: Readings, points: FloatArray, members: IntArray, line: FloatArray, belief: CloneEKF, std: float,
+    config: SegmentationConfig,
+) -> _Fit | None:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight; None if too few."""
     own = readings.select(members)
     poses = belief.clone_poses(own.clones)
-    points = hit_points(poses, own)
     anchor = line[0] * normal(line) + float((points @ direction(line)).mean()) * direction(line)
     state = np.array([0.0, line[1]])
     first = expected_ranges(poses, own, state, anchor)
     clear = np.abs(first.cosines) > GRAZING
     if np.count_nonzero(clear) < FEWEST - 1:
         return None
-    factor = _factor(first.by_pose[clear], own.clones[clear], belief, std)
+    factor = _factor(first.by_pose[clear], own.select(np.flatnonzero(clear)), belief, std)
     for _ in range(2):
         expected = expected_ranges(poses, own, state, anchor)
         whitened = solve_lower(factor, np.column_stack((own.ranges - expected.ranges, expected.by_line))[clear])
@@ -158,12 +173,12 @@ def _fit(
     tangent = direction(state)
     # The error of a slanted beam's range moves its end point along the wall. Positions from end points would therefore
     # show a bend at the end of every noisy wall; positions where the beams meet the line do not contain that error.
-    met = own._replace(ranges=np.where(clear, expected.ranges, own.ranges))
+    met = own.towards(state[1], poses[:, 2])._replace(ranges=np.where(clear, expected.ranges, own.ranges))
     along = (hit_points(poses, met) - anchor) @ tangent
     spread = along[clear] - along[clear].mean()
     segment = WallSegment(
-        members, float(state[1]), anchor + state[0] * normal(state), points, _extent(along),
-        std / max(float(np.sqrt(spread @ spread)), LEAST_SPREAD),
+        members, float(state[1]), anchor, points, _extent(along),
+        std / max(float(np.sqrt(spread @ spread)), LEAST_SPREAD), left, own.ranges[clear],
     )  # fmt: skip
     is_bent, bend_at = _bend(along[clear], expected.cosines[clear], left, basis, factor, config)
     loose = np.zeros(len(members), dtype=bool)
@@ -178,7 +193,7 @@ def _bend(
     """Whether a kinked or curved line explains readings much better, and the position of the best kink, m."""
     if len(along) < FEWEST_FOR_SHAPE or np.ptp(along) <= 0.0:
         return False, 0.0
-    places = np.quantile(along, KINKS_AT)
+    places = _quantiles(np.sort(along), np.array(KINKS_AT))
     scaled = 2.0 * (along - along.min()) / np.ptp(along) - 1.0
     shapes = np.column_stack((np.maximum(along[:, None] - places, 0.0), scaled[:, None] ** np.array([2, 3, 4])))
     shapes = solve_lower(factor, shapes / cosines[:, None])
@@ -191,6 +206,15 @@ def _bend(
     curved, _ = np.linalg.qr(curves)
     is_kinked = gains[best] > config.kink_gate and abs(angles[best]) > config.min_kink
     return bool(is_kinked or np.sum((left @ curved) ** 2) > config.curve_gate), float(places[best])
+
+
+def _quantiles(ordered: FloatArray, shares: FloatArray) -> FloatArray:
+    """What ``np.quantile`` gives for sorted numbers (n,), in a fifth of its time."""
+    places = shares * (len(ordered) - 1)
+    low = places.astype(np.int64)
+    first, second, part = ordered[low], ordered[np.minimum(low + 1, len(ordered) - 1)], places - low
+    step = second - first
+    return np.where(part >= 0.5, second - step * (1.0 - part), first + step * part)
 
 
 def _loose_ends(
@@ -209,14 +233,16 @@ def _loose_ends(
     return loose
 
 
-def _factor(by_pose: FloatArray, clones: IntArray, belief: CloneEKF, std: float) -> FloatArray:
+def _factor(by_pose: FloatArray, readings: Readings, belief: CloneEKF, std: float) -> FloatArray:
     """Cholesky factor of the covariance (n, n) of the readings, the uncertainty of the poses included."""
-    own, places = np.unique(clones, return_inverse=True)
-    by_poses, rows = np.zeros((len(clones), 3 * len(own))), np.arange(len(clones))
+    own, places = np.unique(readings.clones, return_inverse=True)
+    by_poses, rows = np.zeros((len(places), 3 * len(own))), np.arange(len(places))
     for number in range(3):
         by_poses[rows, 3 * places + number] = by_pose[:, number]
     return np.asarray(
-        np.linalg.cholesky(by_poses @ belief.clone_covariance(own) @ by_poses.T + std**2 * np.eye(len(clones)))
+        np.linalg.cholesky(
+            by_poses @ belief.clone_covariance(own) @ by_poses.T + readings.variances(std) * np.eye(len(places))
+        )
     )
 
 

@@ -16,53 +16,47 @@ from limslam_env.geometry import FloatArray, IntArray
 
 
 class SeparateBias:
-    """The constant errors b of the odometry of n robots, three numbers each, and what they do to a filter's state.
+    """Constant errors b that a filter takes to be zero, and what they do to the filter's state.
 
     Parameters
     ----------
     size
-        Length of the filter's state, which holds the robots' poses and nothing else.
+        Length of the filter's state.
     prior
-        Covariance (3, 3) of the errors of one robot, about zero.
-
-    Attributes
-    ----------
-    evidence
-        Twice the logarithm of the Bayes factor for errors of one robot against no errors, for the worst robot. It is
-        the gain in chi-square by the errors, less what three more parameters gain by chance (R. Kass and A. Raftery,
-        "Bayes factors", 1995). If there are no errors, it ever exceeds g with a probability of at most exp(-g / 2).
+        Covariance (k, k) of the errors, about zero.
     """
 
     def __init__(self, size: int, prior: FloatArray) -> None:
-        self._prior = prior
-        self._by_errors = np.zeros((size, size))
-        self._information, self._score = np.zeros((size, size)), np.zeros(size)
-        self.evidence = 0.0
+        self._prior, count = prior, len(prior)
+        self._by_errors = np.zeros((size, count))
+        self._information, self._score = np.zeros((count, count)), np.zeros(count)
 
     @property
     def by_errors(self) -> FloatArray:
-        """Derivative V of the filter's state by the errors (size, 3 n)."""
+        """Derivative V of the filter's state by the errors (size, k)."""
         return self._by_errors
 
     @property
     def estimate(self) -> tuple[FloatArray, FloatArray]:
-        """The errors (3 n,) and their covariance (3 n, 3 n)."""
-        prior = np.kron(np.eye(len(self._score) // POSE), self._prior)
-        covariance = prior @ np.linalg.inv(np.eye(len(prior)) + self._information @ prior)
+        """The errors (k,) and their covariance (k, k)."""
+        covariance = self._prior @ np.linalg.inv(np.eye(len(self._prior)) + self._information @ self._prior)
         return covariance @ self._score, 0.5 * (covariance + covariance.T)
 
-    def predict(self, moved: slice, by_pose: FloatArray, by_errors: FloatArray) -> None:
-        """A pose has moved: derivatives (3, 3) of the new pose by the old one, and by the errors of its robot."""
+    def predict(self, moved: slice, by_pose: FloatArray) -> None:
+        """A pose has moved: the derivative (3, 3) of the new pose by the old one."""
         self._by_errors[moved] = by_pose @ self._by_errors[moved]
-        self._by_errors[moved, moved] += by_errors
 
     def forget(self, part: slice) -> None:
         """A part of the state got a value that does not depend on the errors."""
         self._by_errors[part] = 0.0
 
     def insert(self, place: int, rows: FloatArray) -> None:
-        """States were inserted before ``place``, with these derivatives (k, 3 n)."""
+        """States were inserted before ``place``, with these derivatives (n, k)."""
         self._by_errors = np.concatenate((self._by_errors[:place], rows, self._by_errors[place:]))
+
+    def insert_independent(self, place: int, count: int) -> None:
+        """States were inserted before ``place`` that do not depend on the errors."""
+        self.insert(place, np.zeros((count, len(self._score))))
 
     def keep(self, places: IntArray) -> None:
         """All states but these were removed."""
@@ -83,27 +77,97 @@ class SeparateBias:
         innovation: FloatArray,
         covariance: FloatArray,
         unscaled: FloatArray,
+        direct: FloatArray | None = None,
     ) -> None:
         """The filter was updated by m measurements.
 
         Parameters
         ----------
         jacobian, columns
-            Their derivative (m, k) by these states (k,).
+            Their derivative (m, n) by these states (n,).
         innovation, covariance
             The innovation (m,) and its covariance (m, m).
         unscaled
             The gain, transposed and before its division by ``covariance``: the product (m, size) of the derivative by
             all states and the state's covariance before the update.
+        direct
+            Derivative (m, k) of the measurements by the errors at a given state, if there is one.
         """
         by_errors = jacobian @ self._by_errors[columns]
+        by_errors = by_errors if direct is None else by_errors + direct
         solved = np.linalg.solve(covariance, np.column_stack((by_errors, innovation)))
         self._information += by_errors.T @ solved[:, :-1]
         self._score += by_errors.T @ solved[:, -1]
         self._by_errors -= unscaled.T @ solved[:, :-1]
-        self.evidence = max(self._evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
 
-    def _evidence_of(self, part: slice) -> float:
-        narrowed, score = np.eye(POSE) + self._information[part, part] @ self._prior, self._score[part]
-        gain = float(score @ self._prior @ np.linalg.solve(narrowed, score))
+    def evidence_of(self, part: slice) -> float:
+        """Twice the logarithm of the Bayes factor for some of the errors against no errors."""
+        prior = self._prior[part, part]
+        narrowed, score = np.eye(len(prior)) + self._information[part, part] @ prior, self._score[part]
+        gain = float(score @ prior @ np.linalg.solve(narrowed, score))
         return gain - float(np.linalg.slogdet(narrowed)[1])
+
+
+class OdometryErrors(SeparateBias):
+    """The constant errors of the odometry of n robots, three numbers each.
+
+    Parameters
+    ----------
+    size
+        Length of the filter's state, which holds the robots' poses and nothing else.
+    prior
+        Covariance (3, 3) of the errors of one robot, about zero.
+
+    Attributes
+    ----------
+    evidence
+        Twice the logarithm of the Bayes factor for errors of one robot against no errors, for the worst robot. It is
+        the gain in chi-square by the errors, less what three more parameters gain by chance (R. Kass and A. Raftery,
+        "Bayes factors", 1995). If there are no errors, it ever exceeds g with a probability of at most exp(-g / 2).
+    """
+
+    def __init__(self, size: int, prior: FloatArray) -> None:
+        super().__init__(size, np.asarray(np.kron(np.eye(size // POSE), prior), dtype=float))
+        self.evidence = 0.0
+
+    def drive(self, moved: slice, by_errors: FloatArray) -> None:
+        """The pose of a robot has moved, with this derivative (3, 3) by the errors of the robot."""
+        self._by_errors[moved, moved] += by_errors
+
+    def update(
+        self,
+        jacobian: FloatArray,
+        columns: IntArray,
+        innovation: FloatArray,
+        covariance: FloatArray,
+        unscaled: FloatArray,
+        direct: FloatArray | None = None,
+    ) -> None:
+        """The filter was updated; see the base class."""
+        super().update(jacobian, columns, innovation, covariance, unscaled, direct)
+        self.evidence = max(self.evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
+
+
+class RangeErrors(SeparateBias):
+    """Constant errors of all ranges: a bias, m, and by what half the opening angle exceeds the assumed one, rad.
+
+    Parameters
+    ----------
+    size
+        Length of the filter's state.
+    stds
+        Prior standard deviations of the two errors.
+    """
+
+    def __init__(self, size: int, stds: tuple[float, float]) -> None:
+        super().__init__(size, np.diag(np.square(stds)))
+        self.stds = stds
+
+    @property
+    def evidence(self) -> FloatArray:
+        """Twice the logarithm of the Bayes factor for each error (2,), beside the other one, against the other alone.
+
+        So a bias is not taken for an opening angle, nor the other way round.
+        """
+        alone = np.array([self.evidence_of(slice(each, each + 1)) for each in range(2)])
+        return np.asarray(self.evidence_of(slice(None)) - alone[::-1])

@@ -1,5 +1,6 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,16 @@ NEW = -1
 """Number of a landmark that has not got its number yet."""
 
 
+def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
+    """The outermost hits from each side (2, 2), m, of a line whose position s is ``factor`` (1 or -1) s + ``shift``."""
+    return seen + shift if factor > 0.0 else shift - seen[::-1, ::-1]
+
+
+def shared(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Length (2,) of the stretch between the outermost hits (2, 2) of two lines from each side, m; below 0 if none."""
+    return np.asarray(np.minimum(first[:, 1], second[:, 1]) - np.maximum(first[:, 0], second[:, 0]))
+
+
 @dataclass(eq=False)
 class Wall:
     """One landmark.
@@ -29,12 +40,24 @@ class Wall:
         Where along the line there is wall.
     groups, readings
         Number of updates by a wall segment, and of readings in them.
+    seen
+        Positions of the outermost hits from each side of the line (2, 2), m along the line: rows ``POSITIVE`` and
+        ``NEGATIVE`` of ``core.wall_faces``.
+    behind
+        Length of the stretch with another face behind it, m, if the landmark is a face of a wall.
     """
 
     number: int
     extent: WallExtent = field(default_factory=WallExtent)
     groups: int = 0
     readings: int = 0
+    seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
+    behind: float = 0.0
+
+    @property
+    def board(self) -> float:
+        """Length of the stretch that is seen from both sides, m."""
+        return max(float(self.seen[:, 1].min() - self.seen[:, 0].max()), 0.0)
 
 
 class WallMap:
@@ -53,6 +76,7 @@ class WallMap:
         self.walls: list[Wall] = []
         self._numbers = 0
         self._drawn: list[FloatArray] | None = None
+        self._shown: tuple[list[FloatArray], FloatArray, IntArray] | None = None
 
     def __len__(self) -> int:
         return len(self.walls)
@@ -84,10 +108,18 @@ class WallMap:
             wall.number, self._numbers = self._numbers, self._numbers + 1
         return new
 
-    def grow(self, index: int, points: FloatArray) -> None:
-        """Count beams that ended on a landmark at points (n, 2), m, and that have corrected the filter."""
-        wall = self.walls[index]
-        wall.extent.hit(self.along(index, points))
+    @property
+    def kinds(self) -> tuple[float, float]:
+        """Length of the landmarks that are boards, and of the walls that have two faces, m."""
+        return sum(wall.board for wall in self.walls), 0.5 * sum(wall.behind for wall in self.walls)
+
+    def grow(self, index: int, points: FloatArray, *sides: int) -> None:
+        """Count beams that ended on a landmark at points (n, 2), m, from given sides, and that corrected the filter."""
+        wall, along = self.walls[index], self.along(index, points)
+        for side in sides:
+            low, high = wall.seen[side]
+            wall.seen[side] = min(low, along.min()), max(high, along.max())
+        wall.extent.hit(along)
         wall.groups += 1
         wall.readings += len(points)
         self._drawn = None
@@ -104,7 +136,11 @@ class WallMap:
         """
         wall, other = self.walls[older], self.walls.pop(younger)
         factor = 1.0 if tangent @ direction(self._belief.anchored[older]) > 0.0 else -1.0
-        wall.extent.absorb(other.extent, factor, float(self.along(older, origin)))
+        shift = float(self.along(older, origin))
+        wall.extent.absorb(other.extent, factor, shift)
+        seen = moved_along(other.seen, factor, shift)
+        wall.seen = np.column_stack((np.minimum(wall.seen[:, 0], seen[:, 0]), np.maximum(wall.seen[:, 1], seen[:, 1])))
+        wall.behind = max(wall.behind, other.behind)
         wall.groups += other.groups
         wall.readings += other.readings
         self._drawn = None
@@ -119,8 +155,8 @@ class WallMap:
 
     @property
     def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m: where beams ended, and none passed."""
-        return self._shown_segments[0]
+        """The walls of the map (N, 4), m: where beams ended, and none passed. A copy."""
+        return self._shown_segments[0].copy()
 
     @property
     def landmarks(self) -> list[Landmark]:
@@ -155,22 +191,17 @@ class WallMap:
         ranges, stds
             How far the beams went (n,), and the standard deviations of that (n,), m.
         """
+        from limslam_agent.kernels.nearness import passed_lines
+
         if not self.walls:
             return
-        lines, anchors = self._belief.anchored, self._belief.anchors
-        normals = normal(lines)
-        cosines = towards @ normals.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ahead = (lines[:, 0] + np.sum(anchors * normals, axis=1) - origins @ normals.T) / cosines
-        margin = self._config.through_sigmas * stds[:, None] / np.maximum(np.abs(cosines), GRAZING)
-        is_clear = (np.abs(cosines) > GRAZING) & (ahead > 0.0)
-        passed = is_clear & (ahead + margin + self._config.through_slack < ranges[:, None])
-        beams, indices = np.nonzero(passed)
-        if not len(beams):
-            return
-        points = origins[beams] + ahead[beams, indices, None] * towards[beams]
-        places = np.einsum("ij,ij->i", points - anchors[indices], direction(lines)[indices])
-        for index, place in zip(indices.tolist(), places.tolist(), strict=True):
+        most = len(ranges) * len(self.walls)
+        numbers, places = np.empty(most, dtype=np.int64), np.empty(most)
+        count = passed_lines(
+            origins, towards, ranges, self._config.through_sigmas * stds, self._belief.anchored, self._belief.anchors,
+            self._config.through_slack, GRAZING, numbers, places,
+        )  # fmt: skip
+        for index, place in zip(numbers[:count].tolist(), places[:count].tolist(), strict=True):
             if self.walls[index].extent.pass_at(place):
                 self._drawn = None
 
@@ -192,13 +223,20 @@ class WallMap:
 
     @property
     def _shown_segments(self) -> tuple[FloatArray, IntArray]:
-        """The walls of the map (N, 4), m, and the index of the landmark that each of them lies on (N,)."""
-        drawn = [
-            each if self._is_shown(wall) else each[:0] for wall, each in zip(self.walls, self._segments, strict=True)
-        ]
-        every = np.concatenate((np.zeros((0, 4)), *drawn))
-        is_long = lengths(every) >= self._config.min_length
-        return every[is_long], np.repeat(np.arange(len(drawn)), [len(each) for each in drawn])[is_long]
+        """The walls of the map (N, 4), m, and the index of the landmark that each of them lies on (N,).
+
+        They are kept as long as :attr:`_segments` are.
+        """
+        segments = self._segments
+        if self._shown is None or self._shown[0] is not segments:
+            drawn = [
+                each if self._is_shown(wall) else each[:0] for wall, each in zip(self.walls, segments, strict=True)
+            ]
+            every = np.concatenate((np.zeros((0, 4)), *drawn))
+            is_long = lengths(every) >= self._config.min_length
+            owners = np.repeat(np.arange(len(drawn)), [len(each) for each in drawn])[is_long]
+            self._shown = segments, every[is_long], owners
+        return self._shown[1:]
 
     def _points(self, index: int, along: FloatArray) -> FloatArray:
         """Points (..., 2) of the world, m, at positions (...) along a landmark."""

@@ -64,7 +64,10 @@ class Estimator:
     @property
     def covariances(self) -> FloatArray:
         """Covariance of each robot's pose (n, 3, 3)."""
-        joint, count = self.joint_covariance, len(self.joint_covariance) // POSE
+        joint = self.joint_covariance
+        count = len(joint) // POSE
+        if count == 1:
+            return joint[None]
         return np.array([joint[POSE * k : POSE * k + POSE, POSE * k : POSE * k + POSE] for k in range(count)])
 
     @property

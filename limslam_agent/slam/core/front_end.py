@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -35,7 +34,7 @@ class FrontEnd:
     def __init__(self, robot: RobotSpec) -> None:
         self._robot = robot
         self.step = -1
-        self.ranges: FloatArray = robot.max_ranges
+        self.ranges: FloatArray = np.array(robot.max_ranges)
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.dropped: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.hits: BoolArray = np.zeros(len(robot.beams), dtype=bool)
@@ -63,11 +62,12 @@ class FrontEnd:
         if "ranges" not in observation:
             self.measured = self.hits = np.zeros(len(self._robot.beams), dtype=bool)
             return
-        ranges = as_readings(observation["ranges"], self._robot.min_ranges, self._robot.max_ranges)
-        is_reading = ~np.isnan(ranges)
-        self.refused_readings += int(np.count_nonzero(~is_reading))
-        self.ranges, self.measured = ranges, is_reading & self._robot.measures(self.step)
-        self.hits = self.measured & (ranges > self._robot.too_near) & (ranges < self._robot.too_far)
+        from limslam_agent.kernels.readings import sort_readings
+
+        robot, values = self._robot, np.array(observation["ranges"], dtype=float)
+        limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
+        self.ranges, self.measured, self.hits = np.empty(len(values)), robot.measures(self.step), self.dropped.copy()
+        self.refused_readings += sort_readings(values, *limits, self.ranges, self.measured, self.hits)
 
     def drop(self, beams: BoolArray) -> None:
         """Drop those of the given beams (n_beams,) that hit something: they may have hit another robot."""

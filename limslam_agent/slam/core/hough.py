@@ -10,7 +10,6 @@ import numpy as np
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import along, distance
 
 MAX_CANDIDATES = 200
 """Largest number of lines that the Hough transform returns."""
@@ -88,45 +87,18 @@ def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[E
     """
     if len(points) < config.min_votes:
         return []
-    centre = points.mean(axis=0)
-    free = np.ones(len(points), dtype=bool)
-    lines: list[ExtractedLine] = []
+    from limslam_agent.kernels.lines import find_lines
+
     # Votes are counted relative to the points' centre, where r and theta are nearly independent.
-    for _, r, theta in hough_votes(points - centre, config, std):
-        shifted = r + centre[0] * math.cos(theta) + centre[1] * math.sin(theta)
-        segments = _segments(points, free, np.array([shifted, theta]), config, std)
-        lines += segments
-        for segment in segments:
-            free[segment.members] = False
-        if segments and config.only_best:
-            break
-        if np.count_nonzero(free) < config.min_votes:
-            break
-    return lines
-
-
-def _segments(
-    points: FloatArray,
-    free: np.ndarray[tuple[int], np.dtype[np.bool_]],
-    line: FloatArray,
-    config: HoughConfig,
-    std: float,
-) -> list[ExtractedLine]:
-    """Refine a candidate line on its inliers, and split it at gaps."""
-    tolerances = (bin_size(config, std), max_distance(config, std))
-    for tolerance in tolerances:
-        members = np.nonzero(free & (np.abs(distance(line, points)) <= tolerance))[0]
-        if len(members) < config.min_votes:
-            return []
-        line = fit_line(points[members], std).line
-    members = np.nonzero(free & (np.abs(distance(line, points)) <= tolerances[-1]))[0]
-    position = along(line, points[members])
-    order = np.argsort(position, kind="stable")
-    cuts = np.nonzero(np.diff(position[order]) > config.max_gap)[0] + 1
-    segments = []
-    for part in np.split(members[order], cuts):
-        if len(part) >= config.min_votes:
-            fit = fit_line(points[part], std)
-            if fit.length >= config.min_length:
-                segments.append(ExtractedLine(fit, part))
-    return segments
+    candidates = np.ascontiguousarray(hough_votes(points - points.mean(axis=0), config, std)[:, 1:])
+    limits = bin_size(config, std), max_distance(config, std)
+    gap, least = float(config.max_gap), float(config.min_length)
+    owner, listed = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.int64)
+    most = len(points) // config.min_votes + 1
+    scratch = np.empty((most, 2)), np.empty((most, 2, 2))
+    number = find_lines(
+        points, candidates, limits, config.min_votes, gap, least, config.only_best, owner, listed, *scratch
+    )
+    ends = np.cumsum(np.bincount(owner + 1, minlength=number + 1)[1:]).tolist()
+    parts = [listed[first:last] for first, last in zip([0, *ends[:-1]], ends, strict=True)] if number else []
+    return [ExtractedLine(fit_line(points[part], std), part) for part in parts]

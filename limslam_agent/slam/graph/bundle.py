@@ -7,7 +7,7 @@ Steps are added to the poses directly: the chunk graph has given initial poses t
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory
 from limslam_agent.slam.graph.least_squares import add_links, add_relations
 from limslam_agent.slam.graph.local_smoothing import line_std, link_std, local_equations
 from limslam_agent.slam.graph.point_links import PointCloud, links_across, point_cloud
@@ -64,4 +64,4 @@ def _iterate(
     share = min(1.0, settings.max_turn / max(largest, 1e-9))
     poses = trajectory.poses + share * by_pose
     poses[:, 2] = se2.wrap_angle(poses[:, 2])
-    return Trajectory(poses, trajectory.bias + share * step[3 * count : 3 * count + 3]), largest
+    return Trajectory(poses, trajectory.bias + share * step[3 * count : 3 * count + ERRORS]), largest

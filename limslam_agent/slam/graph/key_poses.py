@@ -1,10 +1,13 @@
 """Key poses: the poses of a log that are estimated, and the assignment of all events and points to these poses.
 
 A new key pose begins after some driving or turning. Between two key poses, the events follow odometry. Odometry is
-corrected for its constant errors: a heading bias per metre, a scale of distances and a gain of turns.
+corrected for its constant errors: a heading bias per metre, a scale of distances, a gain of turns, the delay of the
+ranges (a scan is sent and given its time while odometry is already newer), and the direction of driving (the beams may
+be mounted at an angle).
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +19,10 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 _DECIMALS = 7  # of a motion, m and rad
+_DELAY_STEP = 0.05  # s, of the derivatives by the delay
+_LEAST_NEW_TIMES = 0.9
+ERRORS = 5
+"""Number of constant errors of odometry that are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +92,8 @@ class KeyPoses:
     step, step_forward, step_variances
         Odometry motion (m - 1, 3) from each key pose to the next; its distance (m - 1,), m, and its variances (m - 1,
         3).
+    offset_rate, step_rate
+        Derivatives (n, 3) and (m - 1, 3) of ``offset`` and ``step`` by the delay of the ranges, per s.
     travel
         Length (n,) of the path up to each event, m.
     point_event, point_key, point_travel
@@ -100,6 +109,8 @@ class KeyPoses:
     step: FloatArray
     step_forward: FloatArray
     step_variances: FloatArray
+    offset_rate: FloatArray
+    step_rate: FloatArray
     travel: FloatArray
     point_event: IntArray
     point_key: IntArray
@@ -119,9 +130,11 @@ class KeyPoses:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The estimate: key poses (m, 3) and the ``bias`` (3,) of odometry.
+    """The estimate: key poses (m, 3) and the ``bias`` (5,) of odometry.
 
-    The bias is the missing heading per metre, rad/m, the share of distances, and the share of turns.
+    The bias is the missing heading per metre, rad/m, the share of distances, the share of turns, the delay of the
+    ranges, s (a range was measured this long before its time), and the direction in which the robot drives when
+    odometry says ahead, rad, in the frame of the beams.
     """
 
     poses: FloatArray
@@ -137,17 +150,21 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
     key = _count_ups(length, turn, config.distance, config.turn)
     first = np.searchsorted(key, np.arange(key[-1] + 1))
     travel, forward = np.cumsum(length), np.cumsum(moves[:, 0])
+    first_of = first[key]
+    offset_rate, step_rate = _rates(data, first_of, np.arange(count)), _rates(data, first[:-1], first[1:])
     scans = np.diff(_count_ups(length, turn, config.scan_distance, config.scan_turn), prepend=-1) > 0
-    event, beam = np.nonzero(data.hit & scans[:, None])
+    event, beam = np.nonzero(_thinned(data.hit & scans[:, None], max(travel[-1], 1.0) * config.points_per_metre))
     direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
     return KeyPoses(
         event_key=key,
         first_event=first,
-        offset=_motions(data.odometry[first[key]], data.odometry),
-        offset_forward=forward - forward[first[key]],
+        offset=_motions(data.odometry[first_of], data.odometry),
+        offset_forward=forward - forward[first_of],
         step=_motions(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
         step_variances=_step_variances(data, first, length, turn, motion),
+        offset_rate=offset_rate,
+        step_rate=step_rate,
         travel=travel,
         point_event=event,
         point_key=key[event],
@@ -155,6 +172,13 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
         in_robot=data.origins[beam] + data.ranges[event, beam][:, None] * direction[beam],
         origin_in_robot=data.origins[beam],
     )
+
+
+def _thinned(hit: BoolArray, most: float) -> BoolArray:
+    """The hits (n, b) of every k-th beam, other beams in each scan; k is the least that leaves about ``most`` hits."""
+    every = max(1, math.ceil(hit.sum() / most))
+    scans = np.cumsum(hit.any(axis=1))
+    return np.asarray(hit & ((scans[:, None] + np.arange(hit.shape[1])) % every == 0))
 
 
 def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -180,36 +204,69 @@ def _step_variances(
     return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
 
 
+def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
+    """Derivatives (k, 3) of the motions between events (k,) by the delay of the ranges, per s."""
+    if not _has_times(data.time):
+        return np.zeros((len(first), 3))
+    later, earlier = (delayed(data, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
+    change = _motions(later[first], later[second]) - _motions(earlier[first], earlier[second])
+    change[:, 2] = se2.wrap_angle(change[:, 2])
+    return np.asarray(change / (2.0 * _DELAY_STEP))
+
+
+def _has_times(time: FloatArray) -> bool:
+    """Whether the times tell the events apart. Some logs give many events the same time."""
+    return bool(np.mean(np.diff(time) > 0.0) > _LEAST_NEW_TIMES) if len(time) > 1 else False
+
+
+def delayed(data: LogData, delay: float) -> LogData:
+    """The log with the odometry poses of ``delay`` s before the times of its events, by linear interpolation."""
+    time, odometry = np.maximum.accumulate(data.time), data.odometry
+    columns = odometry[:, 0], odometry[:, 1], np.unwrap(odometry[:, 2])
+    poses = np.column_stack([np.interp(time - delay, time, column) for column in columns])
+    poses[:, 2] = se2.wrap_angle(poses[:, 2])
+    return replace(data, odometry=poses)
+
+
 def calibrated_steps(keys: KeyPoses, bias: FloatArray) -> FloatArray:
     """Odometry motions (m - 1, 3) from each key pose to the next, corrected for the constant errors."""
-    return _calibrated(keys.step, keys.step_forward, bias)
+    return _calibrated(keys.step + bias[3] * keys.step_rate, keys.step_forward, bias)
+
+
+def calibrated_rates(keys: KeyPoses, bias: FloatArray) -> FloatArray:
+    """Derivatives (m - 1, 3) of the corrected motions from each key pose to the next by the delay, per s."""
+    rates = _calibrated(keys.step_rate, keys.step_forward, bias)
+    rates[:, 2] -= bias[0] * keys.step_forward
+    return rates
 
 
 def event_offsets(keys: KeyPoses, bias: FloatArray) -> FloatArray:
     """Poses (n, 3) of all events in the frames of their key poses, by corrected odometry."""
-    return _calibrated(keys.offset, keys.offset_forward, bias)
+    return _calibrated(keys.offset + bias[3] * keys.offset_rate, keys.offset_forward, bias)
 
 
 def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> FloatArray:
-    """Correct a motion. The direction of the motion is rotated by half of the missing heading."""
-    turn, scale, gain = bias
-    half = 0.5 * turn * forward
+    """Correct a motion. Its direction is rotated by half of the missing heading and by the error of the direction."""
+    turn, scale, gain, _, direction = bias
+    half = 0.5 * turn * forward + direction
     cos, sin = np.cos(half), np.sin(half)
     x = (1.0 + scale) * (cos * motion[:, 0] - sin * motion[:, 1])
     y = (1.0 + scale) * (sin * motion[:, 0] + cos * motion[:, 1])
     return np.column_stack((x, y, (1.0 + gain) * motion[:, 2] + turn * forward))
 
 
-def corrected_odometry(odometry: FloatArray, bias: FloatArray) -> FloatArray:
-    """Absolute odometry poses (n, 3) with their motions corrected for the constant errors."""
+def corrected(data: LogData, bias: FloatArray) -> LogData:
+    """The log with its odometry corrected for the constant errors."""
+    odometry = delayed(data, bias[3]).odometry
     moves = se2.between(odometry[:-1], odometry[1:])
-    return integrate(odometry[0], _calibrated(moves, moves[:, 0], bias))
+    return replace(data, odometry=integrate(odometry[0], _calibrated(moves, moves[:, 0], bias)))
 
 
 def joined_bias(first: FloatArray, second: FloatArray) -> FloatArray:
-    """The constant errors (3,) of odometry that is corrected for the first errors and then for the second ones."""
-    scale, gain = (1.0 + first[1:]) * (1.0 + second[1:]) - 1.0
-    return np.array([(1.0 + second[2]) * first[0] + (1.0 + first[1]) * second[0], scale, gain])
+    """The constant errors (5,) of odometry that is corrected for the first errors and then for the second ones."""
+    scale, gain = (1.0 + first[1:3]) * (1.0 + second[1:3]) - 1.0
+    turn = (1.0 + second[2]) * first[0] + (1.0 + first[1]) * second[0]
+    return np.array([turn, scale, gain, *(first[3:] + second[3:])])
 
 
 def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
@@ -219,7 +276,7 @@ def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
 
 def odometry_trajectory(keys: KeyPoses, start: FloatArray) -> Trajectory:
     """The trajectory by odometry alone."""
-    bias = np.zeros(3)
+    bias = np.zeros(ERRORS)
     return Trajectory(integrate(start, calibrated_steps(keys, bias)), bias)
 
 

@@ -1,6 +1,6 @@
 """Factors of the graph with their Jacobians, and the sparse normal equations to which the factors are added.
 
-The unknowns have this order: three for each key pose, the three constant errors of odometry, two for each line (turn
+The unknowns have this order: three for each key pose, the five constant errors of odometry, two for each line (turn
 about its centre, offset). A step is added to the parameters of a pose directly.
 """
 
@@ -11,7 +11,7 @@ from scipy.sparse import csc_matrix, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from limslam_agent.config.graph import MotionConfig
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, calibrated_steps
+from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, calibrated_rates, calibrated_steps
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
 
@@ -121,19 +121,21 @@ def relation_factor(
 
 
 def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Errors (m - 1, 3) of odometry between key poses, and their Jacobians (m - 1, 3, 9).
+    """Errors (m - 1, 3) of odometry between key poses, and their Jacobians (m - 1, 3, 11).
 
     The Jacobians refer to both poses and the constant errors of odometry.
     """
     first = np.arange(len(keys) - 1)
     steps = calibrated_steps(keys, trajectory.bias)
     error, by_poses = relation_factor(trajectory.poses, first, first + 1, steps)
-    by_bias = np.zeros((len(first), 3, 3))
+    by_bias = np.zeros((len(first), 3, ERRORS))
     # The derivative of the calibrated step by the heading bias: half the missing heading rotates the step.
     by_bias[:, 0, 0], by_bias[:, 1, 0] = 0.5 * keys.step_forward * steps[:, 1], -0.5 * keys.step_forward * steps[:, 0]
     by_bias[:, 2, 0] = -keys.step_forward
     by_bias[:, :2, 1] = -steps[:, :2] / (1.0 + trajectory.bias[1])
-    by_bias[:, 2, 2] = -keys.step[:, 2]
+    by_bias[:, 2, 2] = -keys.step[:, 2] - trajectory.bias[3] * keys.step_rate[:, 2]
+    by_bias[:, :, 3] = -calibrated_rates(keys, trajectory.bias)
+    by_bias[:, 0, 4], by_bias[:, 1, 4] = steps[:, 1], -steps[:, 0]
     return error, np.concatenate((by_poses, by_bias), axis=2)
 
 
@@ -142,11 +144,12 @@ def add_odometry(equations: NormalEquations, keys: KeyPoses, trajectory: Traject
     error, jacobian = odometry_factor(keys, trajectory)
     count = len(keys)
     first = np.arange(count - 1)
-    bias = np.arange(3 * count, 3 * count + 3)
+    bias = np.arange(3 * count, 3 * count + ERRORS)
     columns = np.hstack((pose_columns(first), pose_columns(first + 1), np.tile(bias, (count - 1, 1))))
     equations.add(columns, jacobian, error, _diagonals(1.0 / keys.step_variances))
-    prior = np.array([[motion.bias_std, motion.scale_std, motion.turn_gain_std]]) ** -2.0
-    equations.add(bias[None], np.eye(3)[None], trajectory.bias[None], _diagonals(prior))
+    stds = motion.bias_std, motion.scale_std, motion.turn_gain_std, motion.delay_std, motion.direction_std
+    prior = np.array([stds]) ** -2.0
+    equations.add(bias[None], np.eye(ERRORS)[None], trajectory.bias[None], _diagonals(prior))
 
 
 def add_links(

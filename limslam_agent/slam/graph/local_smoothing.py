@@ -10,7 +10,7 @@ this, and would distort the trajectory.
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
+from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
 from limslam_agent.slam.graph.least_squares import (
     NormalEquations,
     add_links,
@@ -54,7 +54,7 @@ def local_equations(
 
     ``std`` (m) is the standard deviation of a link.
     """
-    equations = NormalEquations(3 * len(keys) + 3 + 2 * lines)
+    equations = NormalEquations(3 * len(keys) + ERRORS + 2 * lines)
     add_odometry(equations, keys, trajectory, config.motion)
     links = links_along(cloud, config.links)
     add_links(equations, trajectory.poses, cloud.geometry, links, std, config.links.kernel)
@@ -81,7 +81,7 @@ def chained(trajectory: Trajectory, step: FloatArray) -> Trajectory:
     by_pose = step[: 3 * count].reshape(-1, 3)
     change = np.einsum("fij,fj->fi", jacobian, np.hstack((by_pose[:-1], by_pose[1:])))
     poses = integrate(trajectory.poses[0] + by_pose[0], motions + change)
-    return Trajectory(poses, trajectory.bias + step[3 * count : 3 * count + 3])
+    return Trajectory(poses, trajectory.bias + step[3 * count : 3 * count + ERRORS])
 
 
 def _with_links(

@@ -84,7 +84,7 @@ class Chunks:
 
 def loops_along_the_way(chunks: Chunks) -> list[Loop]:
     """All loops that the search accepts, both right and wrong."""
-    belief = _Belief(chunks)
+    belief = Belief(chunks)
     for _ in range(len(chunks) - 1):
         belief.advance()
         found = _loops_of_newest(chunks, belief)
@@ -93,7 +93,7 @@ def loops_along_the_way(chunks: Chunks) -> list[Loop]:
     return belief.loops
 
 
-def _loops_of_newest(chunks: Chunks, belief: "_Belief") -> list[Loop]:
+def _loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:
     config, newest = chunks.config.loops, belief.count - 1
     candidates: list[tuple[int, Match]] = []
     old = np.nonzero(chunks.travel[newest] - chunks.travel[: newest - 1] >= config.min_travel)[0]
@@ -116,7 +116,7 @@ def _loops_of_newest(chunks: Chunks, belief: "_Belief") -> list[Loop]:
     ]
 
 
-class _Belief:
+class Belief:
     """The poses of the chunks so far and their joint covariance."""
 
     def __init__(self, chunks: Chunks) -> None:
@@ -127,6 +127,12 @@ class _Belief:
         self._weights = np.zeros(0)
         self.count = 1
         self.loops: list[Loop] = []
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The joint covariance (3 k, 3 k) of the chunks so far, relative to the first chunk."""
+        size = 3 * self.count
+        return self._covariance[:size, :size]
 
     def advance(self) -> None:
         """Add the next chunk by the motion of the hop."""
@@ -177,8 +183,9 @@ class _Belief:
         ends = np.array([[loop.first], [loop.second]])
         _, jacobian = relation_factor(self._poses, ends[0], ends[1], loop.relative[None])
         columns = (3 * ends + np.arange(3)).ravel()
-        size = 3 * self.count
-        covariance = self._covariance[:size, :size]
+        covariance = self.covariance
         across = covariance[:, columns] @ jacobian[0].T
         innovation = jacobian[0] @ across[columns] + np.linalg.inv(max(weight, 1e-6) * loop.information)
         covariance -= across @ np.linalg.solve(innovation, across.T)
+        # Rounding errors that are not symmetric would grow with each update.
+        covariance[:] = 0.5 * (covariance + covariance.T)

@@ -23,11 +23,13 @@ from limslam_agent.slam.graph.agreement import (
     distances_after_alignment,
 )
 from limslam_agent.slam.graph.key_poses import (
+    ERRORS,
     KeyPoses,
     LogData,
     Trajectory,
     choose_keys,
-    corrected_odometry,
+    corrected,
+    delayed,
     event_poses,
     joined_bias,
     odometry_trajectory,
@@ -59,8 +61,8 @@ class GraphResult:
         The verdicts on all loops that were found in the round of the result.
     chunk_events, chunk_poses, chunk_covariances
         Middle events of the chunks (c,), their poses (c, 3), and covariances (c, 3, 3) from the graph of chunks.
-    turn_bias, scale, turn_gain
-        The estimated errors of odometry: missing heading per metre (rad/m), share of distances, share of turns.
+    errors
+        The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
     keys, trajectory
         The key poses and their trajectory, from which the points can be drawn.
     """
@@ -73,9 +75,7 @@ class GraphResult:
     chunk_events: IntArray
     chunk_poses: FloatArray
     chunk_covariances: FloatArray
-    turn_bias: float
-    scale: float
-    turn_gain: float
+    errors: FloatArray
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
 
@@ -102,19 +102,36 @@ def smooth_log(
     """
     config = config or GraphConfig()
     report = report or _silent
-    best, known = _smoothed(data, start, config, report), np.zeros(3)
+    data, known = _synchronised(data, config)
+    best = _smoothed(data, start, config, report)
     for _ in range(config.rounds.restarts):
         found = best.trajectory.bias
         if abs(found[0]) < config.rounds.restart:
             break
         # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
-        data = replace(data, odometry=corrected_odometry(data.odometry, found))
+        data = corrected(data, found)
         again = _smoothed(data, start, config, partial(_say, report, "odometry corrected"))
         if again.score <= best.score:
             break
         best, known = again, joined_bias(known, found)
-    turn_bias, scale, turn_gain = joined_bias(known, best.trajectory.bias).tolist()
-    return replace(best, turn_bias=turn_bias, scale=scale, turn_gain=turn_gain)
+    return replace(best, errors=joined_bias(known, best.trajectory.bias))
+
+
+def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArray]:
+    """The log with its odometry at the times of the ranges, and the constant errors (5,) that were corrected by it.
+
+    The motions between key poses are linear in the delay for short delays only, so the delay is estimated repeatedly.
+    """
+    known, rounds = np.zeros(ERRORS), config.rounds
+    for _ in range(rounds.synchronisations):
+        keys = choose_keys(data, config.keys, config.motion)
+        if len(keys) < 2 or not len(keys.point_key):
+            break
+        delay = float(_local(keys, data, config, 0.0).bias[3])
+        data, known = delayed(data, delay), known + np.array([0.0, 0.0, 0.0, delay, 0.0])
+        if abs(delay) < rounds.synchronous:
+            break
+    return data, known
 
 
 def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> GraphResult:
@@ -331,7 +348,6 @@ def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
 
 
 def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float]]) -> GraphResult:
-    turn_bias, scale, turn_gain = (float(value) for value in best.trajectory.bias)
     return GraphResult(
         poses=event_poses(keys, best.trajectory),
         score=best.score,
@@ -341,9 +357,7 @@ def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float
         chunk_events=keys.first_event[best.middles],
         chunk_poses=best.trajectory.poses[best.middles],
         chunk_covariances=best.chunk_covariances,
-        turn_bias=turn_bias,
-        scale=scale,
-        turn_gain=turn_gain,
+        errors=best.trajectory.bias,
         keys=keys,
         trajectory=best.trajectory,
     )

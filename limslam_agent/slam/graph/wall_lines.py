@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.graph import WallLineConfig
+from limslam_agent.slam.graph.key_poses import ERRORS
 from limslam_agent.slam.graph.least_squares import NormalEquations
 from limslam_agent.slam.graph.point_links import PointCloud
 from limslam_env.compilation import entry_of
@@ -81,7 +82,7 @@ def add_lines(
     pairs, hessian, gradient = _line_blocks(
         poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std, inflation
     )
-    first = 3 * len(poses) + 3
+    first = 3 * len(poses) + ERRORS
     columns = np.hstack((3 * pairs[:, :1] + np.arange(3), first + 2 * pairs[:, 1:] + np.arange(2)))
     equations.add_blocks(columns, hessian, gradient)
     own = first + np.arange(2 * len(lines.angles)).reshape(-1, 2)

@@ -4,5 +4,7 @@ from limslam_env.compilation import compiled, entry_of
 
 __all__ = ["compiled", "entry"]
 
-entry = entry_of("limslam_agent.slam.consistent.wall_extent", "limslam_agent.slam.line_graph")
+entry = entry_of(
+    "limslam_agent.slam.consistent.wall_extent", "limslam_agent.slam.core.wall_faces", "limslam_agent.slam.line_graph"
+)
 """The decorator for kernels of the line graph that Python calls."""

@@ -1,4 +1,4 @@
-"""Compiled parts of data association: line fits, line ends, best lines, merges of lines, and crossings of walls.
+"""Compiled parts of data association: line fits, line ends, best lines, and crossings of walls.
 
 Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
 line is its distance from the anchor, m.
@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.consistent.wall_extent import BIN
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.beam_width import read_share
 from limslam_agent.slam.line_graph.chain_kernels import COLUMNS, RANGE, expected_reading
 from limslam_agent.slam.line_graph.compilation import compiled, entry
@@ -19,7 +20,6 @@ _TRIED_ANGLES = 90
 _FITTED = 40  # largest number of a line's readings that are used to fit it
 _FAR = 1e9
 _OUTLIER = 25.0  # largest squared residual of a reading, divided by the variance; larger residuals are clipped
-_REGULAR = (1e-6, 1e-8)  # added to the covariance of the difference of two lines, m^2 and rad^2
 
 
 @compiled
@@ -120,8 +120,8 @@ def best_lines(
     Parameters
     ----------
     ends, beyond, width
-        Ends (m, 2) of the part of each line that was read, m, the distance beyond the ends at which a beam may meet it,
-        and half the opening angle of the beams, rad.
+        Ends (m, 2, 2) of the part of each line that was read from each side, m, the distance beyond the ends at which a
+        beam may meet it, and half the opening angle of the beams, rad.
     best, misfits
         Output arrays: the line or -1, and the misfits of the reading to the best and the second line (k, 2), m.
     """
@@ -137,7 +137,8 @@ def best_lines(
                 continue
             along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
             misfit = abs(distance * read_share(cosine, width) - distances[k])
-            if misfit >= misfits[k, 1] or along < ends[line, 0] - beyond or along > ends[line, 1] + beyond:
+            low, high = ends[line, POSITIVE if cosine < 0.0 else NEGATIVE]
+            if misfit >= misfits[k, 1] or along < low - beyond or along > high + beyond:
                 continue
             if misfit < misfits[k, 0]:
                 misfits[k, 1], misfits[k, 0], best[k] = misfits[k, 0], misfit, line
@@ -155,119 +156,6 @@ def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
         result[line, 0], result[line, 1] = nx, ny
         result[line, 2], result[line, 3] = lines[line, 0] + nx * x + ny * y, nx * y - ny * x
     return result
-
-
-@compiled
-def _difference(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, jacobian: FloatArray
-) -> tuple[float, float]:
-    """Offset and angle of the first line about the second line's anchor, minus the second line; derivatives (2, 4)."""
-    turn = lines[first, 1] - lines[second, 1]
-    angle = (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-    sign = -1.0 if math.cos(turn) < 0.0 else 1.0
-    nx, ny = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    x, y = anchors[second, 0] - anchors[first, 0], anchors[second, 1] - anchors[first, 1]
-    jacobian[:] = 0.0
-    jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = sign, sign * (x * ny - y * nx), -1.0
-    jacobian[1, 1], jacobian[1, 3] = 1.0, -1.0
-    return sign * (lines[first, 0] - x * nx - y * ny) - lines[second, 0], angle
-
-
-@compiled
-def _agreement(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, covariance: FloatArray, work: FloatArray
-) -> tuple[float, float]:
-    """Squared Mahalanobis distance of two lines, and the logarithm of the determinant of their difference's covariance.
-
-    On return, ``work`` (2, 8) holds the Jacobian, the difference's offset and angle, and its information matrix.
-    """
-    work[0, 4], work[1, 4] = _difference(first, second, lines, anchors, work[:, :4])
-    a, b, c = _REGULAR[0], 0.0, _REGULAR[1]
-    for i in range(4):
-        row = 2 * (first if i < 2 else second) + i % 2
-        for j in range(4):
-            value = covariance[row, 2 * (first if j < 2 else second) + j % 2]
-            a += work[0, i] * value * work[0, j]
-            b += work[0, i] * value * work[1, j]
-            c += work[1, i] * value * work[1, j]
-    determinant = max(a * c - b * b, 1e-30)
-    work[0, 5], work[0, 6] = c / determinant, -b / determinant
-    work[1, 5], work[1, 6] = -b / determinant, a / determinant
-    offset, angle = work[0, 4], work[1, 4]
-    squared = (c * offset * offset - 2.0 * b * offset * angle + a * angle * angle) / determinant
-    return squared, math.log(determinant)
-
-
-@compiled
-def _apart(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> tuple[float, float]:
-    """Distance of the middle of the second line from the first line, m, and the length of their overlap, m."""
-    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
-    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    low, high, off = np.inf, -np.inf, 0.0
-    for end in range(2):
-        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
-        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
-        along = mx * y - my * x
-        low, high = min(low, along), max(high, along)
-        off += 0.5 * (mx * x + my * y - lines[first, 0])
-    return abs(off), min(high, ends[first, 1]) - max(low, ends[first, 0])
-
-
-@entry
-def merge_lines(
-    lines: FloatArray,
-    anchors: FloatArray,
-    ends: FloatArray,
-    covariance: FloatArray,
-    limits: FloatArray,
-    most_moved: FloatArray,
-    merged_into: IntArray,
-) -> int:
-    """Merge lines that may be one wall, in the order of likelihood; return the number of merges.
-
-    Every merged pair is a constraint that updates all other lines through their joint covariance. The pair with the
-    greatest likelihood is merged first. A pair with a large covariance passes the chi-square test easily, and this is
-    weak evidence.
-
-    Parameters
-    ----------
-    lines, anchors, ends, covariance
-        (m, 2), (m, 2), (m, 2) and (2 m, 2 m); lines, ends and covariance are changed.
-    limits
-        The largest chi-square, offset (m) and angle (rad), and the least overlap (m).
-    most_moved
-        Merging stops when the change of a line exceeds this, m and rad, and one standard deviation: the problem must
-        then be linearised again.
-    merged_into
-        Output array (m,): for each line, the line that it was merged into, or the line itself if it was not merged.
-    """
-    begin, work, count = lines.copy(), np.zeros((2, 8)), 0
-    spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
-    for line in range(len(lines)):
-        merged_into[line] = line
-    loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
-    pairs = near_pairs(lines, anchors, ends, loose)
-    while True:
-        best, chosen = np.inf, -1
-        for k in range(len(pairs)):
-            first, second = pairs[k]
-            if merged_into[first] != first or merged_into[second] != second:
-                continue
-            if not _is_near(first, second, lines, anchors, ends, limits):
-                continue
-            squared, volume = _agreement(first, second, lines, anchors, covariance, work)
-            if squared < limits[0] and squared + volume < best:
-                best, chosen = squared + volume, k
-        if chosen < 0:
-            return count
-        first, second = pairs[chosen]
-        _agreement(first, second, lines, anchors, covariance, work)
-        _constrain(first, second, lines, covariance, work)
-        _unite_ends(first, second, lines, anchors, ends)
-        merged_into[second] = first
-        count += 1
-        if _has_moved(lines - begin, spread, merged_into, most_moved):
-            return count
 
 
 @entry
@@ -307,69 +195,6 @@ def _largest_sum(misfits: FloatArray, found: BoolArray, gate: float, longest: in
             if last > first and size > best:
                 best, result = size, (first, last)
     return result
-
-
-@entry
-def near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
-    """Pairs of lines (k, 2) within limits of offset (m), angle (rad) and overlap (m): ``limits[1:]``."""
-    count, pairs = 0, np.empty((len(lines) * (len(lines) - 1) // 2, 2), dtype=np.int64)
-    for first in range(len(lines)):
-        for second in range(first + 1, len(lines)):
-            if _is_near(first, second, lines, anchors, ends, limits):
-                pairs[count, 0], pairs[count, 1] = first, second
-                count += 1
-    return pairs[:count].copy()
-
-
-@compiled
-def _is_near(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray
-) -> bool:
-    turn = (lines[first, 1] - lines[second, 1] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-    if abs(turn) > limits[2]:
-        return False
-    off, overlap = _apart(first, second, lines, anchors, ends)
-    return bool(off <= limits[1] and overlap >= limits[3])
-
-
-@compiled
-def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArray, work: FloatArray) -> None:
-    """Constrain two lines to be equal: a Kalman update of all lines with their difference, which is zero."""
-    size = len(covariance)
-    gain, crossed = np.zeros((size, 2)), np.zeros((size, 2))
-    for row in range(size):
-        for j in range(2):
-            for i in range(4):
-                column = 2 * (first if i < 2 else second) + i % 2
-                crossed[row, j] += covariance[row, column] * work[j, i]
-        gain[row, 0] = crossed[row, 0] * work[0, 5] + crossed[row, 1] * work[1, 5]
-        gain[row, 1] = crossed[row, 0] * work[0, 6] + crossed[row, 1] * work[1, 6]
-    for row in range(size):
-        lines[row // 2, row % 2] -= gain[row, 0] * work[0, 4] + gain[row, 1] * work[1, 4]
-        for column in range(size):
-            covariance[row, column] -= gain[row, 0] * crossed[column, 0] + gain[row, 1] * crossed[column, 1]
-
-
-@compiled
-def _unite_ends(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> None:
-    """Extend the first line to the ends of the second line."""
-    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
-    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    for end in range(2):
-        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
-        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
-        along = mx * y - my * x
-        ends[first, 0], ends[first, 1] = min(ends[first, 0], along), max(ends[first, 1], along)
-
-
-@compiled
-def _has_moved(moves: FloatArray, spread: FloatArray, merged_into: IntArray, most_moved: FloatArray) -> bool:
-    for line in range(len(moves)):
-        if merged_into[line] == line:
-            for part in range(2):
-                if abs(moves[line, part]) > most_moved[part] + spread[line, part]:
-                    return True
-    return False
 
 
 @entry

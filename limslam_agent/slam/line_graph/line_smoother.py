@@ -69,6 +69,8 @@ class Problem:
         The readings of walls, and the beams that met no wall, each with the length of its free path.
     prior, beam_width
         Inverse covariance (4, 4) of a robot's calibration, or None; and half the opening angle of all beams, rad.
+    kinds
+        Lengths of the boards and of the walls with two faces that are known, m.
     """
 
     robot: RobotSpec
@@ -80,6 +82,7 @@ class Problem:
     range_std: float
     prior: FloatArray | None = None
     beam_width: float = 0.0
+    kinds: tuple[float, float] = (0.0, 0.0)
 
     @property
     def steps(self) -> int:

@@ -8,7 +8,7 @@ from limslam_agent.config.smoother import ScoreConfig
 from limslam_agent.slam.consistent.wall_extent import BIN
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.line_smoother import Problem, calibration_chi_square, wheel_chi_square
-from limslam_agent.slam.line_graph.reassociation import Association, best_lines, ends_of, places_along
+from limslam_agent.slam.line_graph.reassociation import Association, best_lines, faces_of, places_along
 from limslam_env.geometry import FloatArray, IntArray
 
 _THROUGH_SIGMAS, _THROUGH_SLACK = 3.0, 0.05
@@ -114,7 +114,7 @@ def line_values(problem: Problem, found: Association, config: ScoreConfig) -> Fl
 
 def explained_readings(problem: Problem, found: Association, beyond: float = 0.10) -> FloatArray:
     """The residual (k,) of each reading to the nearest line that its beam meets, in standard deviations."""
-    ends = ends_of(problem, found.state, found.labels)
+    ends = faces_of(problem, found.state, found.labels)
     return np.asarray(best_lines(problem, found.state, ends, beyond)[1][:, 0])
 
 

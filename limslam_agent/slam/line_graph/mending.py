@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.smoother import MendingConfig, SmootherConfig
-from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import Problem, State, state_from_motions
 from limslam_agent.slam.line_graph.map_score import Score, explained_readings, line_values, score, tally
@@ -18,6 +18,7 @@ from limslam_agent.slam.line_graph.reassociation import (
     Association,
     OneWall,
     ends_of,
+    faces_of,
     hit_points,
     merge,
     reassociate_from,
@@ -182,7 +183,8 @@ def doubled_lines(problem: Problem, found: Association, config: MendingConfig) -
     state, labels = found.state, found.labels
     apart = max(config.doubled_sigmas * problem.range_std, config.doubled_offset)
     limits = np.array([np.inf, apart, config.doubled_angle, config.min_overlap])
-    pairs = kernels.near_pairs(state.lines, state.anchors, ends_of(problem, state, labels), limits)
+    pairs = merging.near_pairs(state.lines, state.anchors, ends_of(problem, state, labels), limits)
+    pairs = pairs[merging.share_side(pairs, state.lines, state.anchors, faces_of(problem, state, labels))]
     counts = np.bincount(labels[labels >= 0], minlength=len(state.lines))
     result = np.arange(len(state.lines))
     for first, second in pairs.tolist():

@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.smoother import ReassociationConfig
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
@@ -29,6 +31,7 @@ from limslam_env.geometry.line import normal
 _MOST_MERGES = 30
 _LEAST_SPREAD = 100.0  # 1/rad^2: keeps the direction of a line whose readings are all in one place
 _FITS = 2
+_FEWEST_OF_SIDE = 4  # readings
 _MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
 _LOOSE, _EXACT = 1e-3, 1e-4  # m or rad: convergence tolerances between moves and at the end
 
@@ -73,13 +76,36 @@ def reassociate(problem: Problem, state: State, labels: IntArray, config: Reasso
     return reassociate_from(problem, solve_labels(problem, state, labels, config.fewest), config, config.rounds)
 
 
+def with_kinds(
+    problem: Problem, state: State, labels: IntArray, config: ReassociationConfig
+) -> tuple[Problem, IntArray]:
+    """The problem with the kinds of walls by first associations, and these associations.
+
+    Unless the walls are boards for sure, each side of a line is a line of its own. Merging decides about it anew.
+    """
+    found = solve_labels(problem, state, labels, config.fewest)
+    limits = np.array([np.inf, THICKEST, config.max_angle, config.min_overlap])
+    ends, seen = ends_of(problem, found.state, found.labels), seen_ends(problem, found.state, found.labels)
+    covariance = found.solution.factored.lines
+    kinds = merging.wall_kinds(found.state.lines, found.state.anchors, ends, seen, covariance, limits)
+    if are_boards(kinds):
+        return replace(problem, kinds=kinds), labels
+    sided = 2 * found.labels + sides_of(problem, found.state, found.labels)
+    return replace(problem, kinds=kinds), np.where(found.labels >= 0, sided, -1)
+
+
+def are_boards(kinds: tuple[float, float]) -> bool:
+    """Whether the walls are boards for sure, by the lengths of known boards and walls, m."""
+    return board_odds(0.0, *kinds) > SURE
+
+
 def reassociate_from(problem: Problem, found: Association, config: ReassociationConfig, rounds: int) -> Association:
     """Merge lines, re-associate readings, solve and divide bent lines, for at most ``rounds`` rounds."""
     limits = OneWall(config.one_wall_gate, config.max_offset, config.max_angle, config.min_overlap)
     for _ in range(rounds):
         before = found.state.poses
         merged, has_merged = merge(problem, found, limits, config.fewest)
-        labels = assigned(problem, merged.state, ends_of(problem, merged.state, merged.labels), config)
+        labels = assigned(problem, merged.state, faces_of(problem, merged.state, merged.labels), config)
         found = solve_again(problem, merged.state, labels, config.fewest)
         found = straightened(problem, found, config)
         if np.abs(found.state.poses - before)[..., :2].max() < config.settled and not has_merged:
@@ -223,6 +249,35 @@ def ends_of(problem: Problem, state: State, labels: IntArray, spared: int = 1) -
     return np.column_stack((sorted_along[firsts[:-1] + left_out], sorted_along[firsts[1:] - 1 - left_out]))
 
 
+def sides_of(problem: Problem, state: State, labels: IntArray) -> IntArray:
+    """The side (k,) of its line that each reading was taken from: ``POSITIVE`` or ``NEGATIVE``."""
+    headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+    return np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
+
+
+def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
+    """The ends of each line's readings from each side (m, 2, 2), m, without the outermost reading at each end.
+
+    Where a side has few readings, these may be of another wall, and the side counts as not seen.
+    """
+    sided = np.where(labels >= 0, 2 * labels + sides_of(problem, state, labels), -1)
+    along, count = places_along(problem, state, labels), 2 * len(state.lines)
+    order = np.lexsort((along, sided))
+    order = order[sided[order] >= 0]
+    firsts = np.searchsorted(sided[order], np.arange(count + 1))
+    ends, is_seen = np.tile([np.inf, -np.inf], (count, 1)), np.diff(firsts) > _FEWEST_OF_SIDE
+    ends[is_seen, 0] = along[order][firsts[:-1][is_seen] + 1]
+    ends[is_seen, 1] = along[order][firsts[1:][is_seen] - 2]
+    return ends.reshape(-1, 2, 2)
+
+
+def faces_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
+    """The ends of each line from each side (m, 2, 2), m. Both sides of a line are equal where all walls are boards."""
+    if are_boards(problem.kinds):
+        return np.repeat(ends_of(problem, state, labels)[:, None], 2, axis=1)
+    return seen_ends(problem, state, labels)
+
+
 def assigned(problem: Problem, state: State, ends: FloatArray, config: ReassociationConfig) -> IntArray:
     """For each reading, the line that predicts it, or -1 if no line or two lines predict it."""
     best, misfits = best_lines(problem, state, ends, config.beyond)
@@ -231,7 +286,11 @@ def assigned(problem: Problem, state: State, ends: FloatArray, config: Reassocia
 
 
 def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) -> tuple[IntArray, FloatArray]:
-    """The best line (k,) of each reading, or -1, and the misfits of the best and second line (k, 2), in deviations."""
+    """The best line (k,) of each reading, or -1, and the misfits of the best and second line (k, 2), in deviations.
+
+    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to ``beyond`` (m)
+    outside.
+    """
     readings = problem.readings
     best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
     biases = state.calibration[readings.places // problem.steps, 3]
@@ -262,10 +321,11 @@ def merge(
         state = found.state
         merged_into = np.empty(len(state.lines), dtype=np.int64)
         lines, ends = state.lines.copy(), ends_of(problem, state, found.labels)
-        covariance = found.solution.factored.lines.copy()
-        count = kernels.merge_lines(
-            lines, state.anchors, ends, covariance, np.array(limits), np.array(_MOST_MOVED), merged_into
-        )
+        covariance, seen = found.solution.factored.lines.copy(), seen_ends(problem, state, found.labels)
+        count = merging.merge_lines(
+            lines, state.anchors, ends, seen, covariance, np.array(limits), np.array(problem.kinds),
+            np.array(_MOST_MOVED), merged_into,
+        )  # fmt: skip
         if not count:
             break
         has_merged = True

@@ -20,6 +20,7 @@ from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.mending import is_contradicted
+from limslam_agent.slam.line_graph.reassociation import seen_ends
 from limslam_agent.slam.line_graph.smoothed_map import wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, settle
 
@@ -68,6 +69,7 @@ def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState
         if len(extent.intervals(config.max_gap, config.through_tolerance))
     }
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
+    seen = seen_ends(found.problem, state, found.association.labels)
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     rows = np.append(factored.last_pose, (factored.first_line + 2 * kept[:, None] + np.arange(2)).ravel())
     x, y, _ = start.pose.tolist()
@@ -85,5 +87,8 @@ def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState
         lines=np.vstack((start.lines, lines)),
         anchors=np.vstack((start.anchors, anchors)),
         covariance=covariance,
-        walls=[*start.walls, *(Wall(NEW, extents[index], 1, int(counts[index])) for index in kept.tolist())],
+        walls=[
+            *start.walls,
+            *(Wall(NEW, extents[index], 1, int(counts[index]), seen[index]) for index in kept.tolist()),
+        ],
     )

@@ -20,7 +20,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
 )
 from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
-from limslam_agent.slam.line_graph.reassociation import Association, reassociate
+from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
 from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -145,6 +145,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
     try:
+        problem, labels = with_kinds(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
         problem, found = _as_read(problem, run, labels, config)
         best = _settled(problem, found, run, config)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):

@@ -118,8 +118,8 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        ((), "either --serial PORT or --udp PORT is needed"),
-        (("--udp", 9, "--serial", "x"), "either --serial PORT or --udp PORT is needed"),
+        ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
+        (("--udp", 9, "--serial", "x"), "either --serial PORT, --udp PORT or --ros2 is needed"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
         (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),
@@ -200,7 +200,10 @@ def test_a_second_robot_does_not_take_the_place_of_the_first():
 def test_the_emulator_refuses_in_one_line():
 
     command = [sys.executable, "-m", "limslam_agent.live.emulator"]
-    for told, words in (([], "either --udp PORT or --pty is needed"), (["--pty", "--loss", "2"], "loss must be")):
+    for told, words in (
+        ([], "either --udp PORT, --pty or --ros2 is needed"),
+        (["--pty", "--loss", "2"], "loss must be"),
+    ):
         ended = subprocess.run([*command, *told], capture_output=True, text=True, check=False)
         assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
         assert words in ended.stderr

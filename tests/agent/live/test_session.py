@@ -281,3 +281,36 @@ def test_a_copy_of_the_log_stays_after_an_error_only(tmp_path):
     with kept(session.recording, path):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_paused_session_maps_and_leaves_the_wheels_to_others():
+    wire = Wire(emulated())
+
+    def watch(session):
+        session.is_paused = 3.0 < session.recording.newest.time < 6.0
+
+    session = session_with(wire, policy=Drive(0.3, 0.3), watch=watch)
+    assert session.drive(8.0, 5.0) == OUT_OF_TIME
+    assert len(session.recording) >= 80
+    driven = session.recording.log().wheels[:, 0] > 0.005
+    times = session.recording.log().time
+    assert driven[(times > 0.5) & (times < 3.0)].all()
+    assert not driven[(times > 3.5) & (times < 6.0)].any()
+    assert driven[(times > 6.5) & (times < 7.9)].all()
+    # One command stops the wheels, and then there is none until the session goes on.
+    stops = [message for message in map(decode, wire.sent) if isinstance(message, Stop)]
+    speeds = [message for message in map(decode, wire.sent) if isinstance(message, Speeds)]
+    assert len(stops) <= 3
+    assert len(speeds) == pytest.approx(50, abs=4)
+
+
+def test_a_session_that_is_asked_to_end_says_why():
+    wire = Wire(emulated())
+
+    def watch(session):
+        session.asked_to_end = "somebody said so" if session.recording.newest.time > 2.0 else None
+
+    session = session_with(wire, policy=Drive(0.3, 0.3), watch=watch)
+    assert session.drive(60.0, 5.0) == "somebody said so"
+    assert isinstance(decode(wire.sent[-1]), Stop)
+    assert session.recording.newest.time < 2.5

@@ -10,9 +10,10 @@ from support.drives import ROBOT, ranges_at, room
 
 from limslam_agent.config.status import StatusConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.status.contradictions import KnownMap
-from limslam_agent.status.monitor import UNIFORM_HEADING, Sight, StatusMonitor
+from limslam_agent.status.contradictions import KnownMap, Sight
+from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
 from limslam_agent.status.status import Status, status_scores, worst
+from limslam_agent.status.sudden_changes import change_evidence
 from limslam_env.geometry.se2 import between
 
 CONFIG = StatusConfig()
@@ -98,6 +99,8 @@ def test_a_lost_robot_stays_lost_although_the_map_is_redrawn_around_it():
     watched = monitor()
     drive(watched, 40)
     wrong = room(-3.0, -3.0, 3.0, 3.0)
+    # After a step without readings, nothing has changed at once.
+    watched.observe(blind(0.01), is_busy=True)
     drive(watched, 200, walls=wrong, known=KnownMap(wrong, UNKNOWN), begin=40)
     assert watched.status.level == "ok"
     watched = monitor()
@@ -158,19 +161,73 @@ def test_readings_that_change_and_fit_the_map_afterwards_do_not_make_a_robot_los
     assert "changed at once" not in watched.status.reason
 
 
-@pytest.mark.parametrize(
-    ("beams", "motion", "level"),
-    [(4, (0.02, 0.0), "lost"), (3, (0.02, 0.0), "ok"), (6, (0.02, 0.2), "ok"), (6, (0.2, 0.0), "ok")],
-)
-def test_readings_that_change_at_once_without_motion_are_noticed(beams, motion, level):
-    watched, nowhere = monitor(), KnownMap(np.zeros((0, 4)), UNKNOWN)
-    for number in range(20):
+def changing(beams, motion, *, known=UNKNOWN, walls=None, lasts=20):
+    """The monitor of a robot whose readings change at once, of some beams, and the first step in which it is lost."""
+    watched, nowhere = monitor(), KnownMap(np.zeros((0, 4)) if walls is None else walls, known)
+    for number in range(10 + lasts):
         ranges = np.where(np.arange(6) < beams * (number >= 10), 0.4, 1.0)
         if watched.observe(Sight(place(0), ranges, EVERY, np.array([motion[0], 0.0, motion[1]])), is_busy=True):
             watched.check(SURE, nowhere)
+        if watched.status.level == "lost":
+            break
+    return watched
+
+
+@pytest.mark.parametrize(
+    ("beams", "motion", "level"),
+    [
+        (5, (0.02, 0.0), "lost"), (3, (0.02, 0.0), "ok"), (6, (0.02, 0.1), "lost"), (4, (0.02, 0.2), "ok"),
+        (6, (0.5, 0.0), "ok"),
+    ],
+)  # fmt: skip
+def test_readings_that_change_at_once_are_noticed_if_the_motion_does_not_explain_them(beams, motion, level):
+    watched = changing(beams, motion)
     assert watched.status.level == level
     if level == "lost":
-        assert watched.status.reason == "4 of 6 readings changed at once, and the robot hardly moved"
+        assert watched.status.reason == f"{beams} readings changed at once"
+        assert watched.carried.step == 10
+        assert watched.doubted <= 10
+
+
+def test_few_readings_that_change_at_once_suffice_if_the_map_is_contradicted_too():
+    free = GridView(np.array([-2.0, -2.0]), 0.1, np.full((40, 40), 9, dtype=np.int16))
+    assert changing(3, (0.02, 0.0), known=free).status.level == "lost"
+    assert changing(3, (0.02, 0.0), known=free).carried.contradicted >= 2
+    # Walls that are where the map has them speak against it.
+    walls = np.array([[-5.0, -1.1, 5.0, -1.1]])
+    assert changing(3, (0.02, 0.0), walls=walls).status.level == "ok"
+
+
+def test_a_suspicion_does_not_last():
+    watched = changing(4, (0.02, 0.04))
+    assert watched.status == Status("unsure", "4 readings changed at once")
+    drive(watched, math.ceil(CONFIG.sudden_changes.longest / 0.11) + 2, known=KnownMap(np.zeros((0, 4)), UNKNOWN))
+    assert watched.status == Status()
+
+
+def test_the_evidence_of_a_reading_is_that_of_two_explanations():
+    still = np.zeros((3, 2))
+    ranges = np.array([[1.0] * 6, [1.0] * 6, [1.0, 1.02, 1.2, 0.5, 1.5, np.nan]])
+    usable = np.isfinite(ranges)
+    (evidence,) = change_evidence(ranges, usable, still, ROBOT, 0.02)
+    assert evidence[0] < -1.0
+    assert evidence[1] < -1.0
+    assert (evidence[2:5] > 2.5).all()
+    assert evidence[5] == 0.0
+    (turning,) = change_evidence(ranges, usable, np.array([[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]]), ROBOT, 0.02)
+    assert (turning[2:5] < evidence[2:5]).all()
+    # Both saw nothing: that is likely here, and half as likely elsewhere.
+    nothing = np.full((3, 6), 1.5)
+    np.testing.assert_allclose(change_evidence(nothing, nothing > 0.0, still, ROBOT, 0.02), math.log(0.5))
+
+
+def test_a_beam_that_sweeps_along_a_wall_changes_as_its_last_readings_say():
+    motions = np.array([[0.0, 0.2]] * 3)
+    along = np.array([[1.4] * 6, [1.2] * 6, [1.0] * 6])
+    bent = np.array([[1.2] * 6, [1.2] * 6, [0.4] * 6])
+    straight, edge = (change_evidence(each, each > 0.0, motions, ROBOT, 0.02) for each in (along, bent))
+    assert (straight < 0.0).all()
+    assert (edge > 1.5).all()
 
 
 def test_a_beam_that_contradicts_the_map_alone_is_named_and_the_robot_is_not_lost():

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
 
 from limslam_agent.agent import LimSlamAgent
-from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
@@ -119,6 +119,18 @@ def test_loops_are_closed_alike() -> None:
     config = self_calibrating(preset("consistent", NominalNoise(0.0, 2e-4)), "never")
     slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
+
+
+@pytest.mark.parametrize("cone", [0.035, 0.26])
+def test_cones_are_modelled_alike(cone: float) -> None:
+    config = self_calibrating(config_of(0.02), "never")
+    assert isinstance(config.estimator, ConsistentConfig)
+    # The readings are those of rays. A single robot would find that out, or take it for an error of the odometry.
+    stated = replace(config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=False)))
+    observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP), noise=0.02)
+    slam, batch, _ = followed(observations, stated, replace(ROBOT, cone=cone))
+    assert batch.num_landmarks[0] >= 3
+    assert np.abs(slam.pose - followed(observations, stated)[0].pose).max() > 1e-3
 
 
 def test_walls_with_a_hole_between_them_create_no_landmark_alike() -> None:

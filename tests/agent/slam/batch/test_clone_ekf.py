@@ -22,7 +22,7 @@ add_line, observe, disagreement = (
     cached(each) for each in (clone_ekf.add_line, clone_ekf.observe, clone_ekf.disagreement)
 )
 difference, merge, moved = cached(clone_ekf.difference), cached(clone_ekf.merge), cached(motion_from_wheels)
-readings_in = cached(readings_of)
+readings_in, side_of = cached(readings_of), cached(clone_ekf.side_of)
 STEPS = 130
 
 
@@ -49,7 +49,7 @@ def fullest(estimator: ConsistentEstimator) -> int:
 def readings_on(state: States, side: int) -> tuple[IntArray, FloatArray]:
     ekf = state.filter
     waiting = state.pending[side, : ekf.counts[PENDING + side]]
-    return readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams)
+    return readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams, 0.0)
 
 
 def test_the_arrays_hold_the_plain_filter(state: States, plain: CloneEKF) -> None:
@@ -110,10 +110,12 @@ def test_gates(recorded: ConsistentEstimator, state: States, plain: CloneEKF) ->
         readings, (places, rows) = recorded._pending[0].readings(name), readings_on(state, side)
         for index in range(plain.num_lines):
             expected = plain.disagreement(readings, index, NOISE)
-            of_line, left, used = disagreement(state.filter, places, rows, index, NOISE)
+            of_line, left, used, offset, variance = disagreement(state.filter, places, rows, index, NOISE)
             assert used == (expected.used if expected else 0)
             if expected:
                 np.testing.assert_allclose([of_line, left], [expected.of_line, expected.left], rtol=1e-6)
+                np.testing.assert_allclose([offset, variance], [expected.offset, expected.variance], rtol=1e-6)
+                assert side_of(state.filter, places, rows, index) == plain.side(readings, index)
                 compared += 1
     assert compared > 2
 

@@ -17,6 +17,7 @@ from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.core.hough import ExtractedLine
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray
 
 uncontested, candidates, fits = (
@@ -51,7 +52,9 @@ def segments_near(estimator: ConsistentEstimator, points: FloatArray) -> list[tu
         normal = np.array([np.cos(theta), np.sin(theta)])
         middle = estimator._filter.anchors[index] + 0.1 * step * normal
         places = middle + along[:, None] * normal[::-1] * [-1, 1]
-        segment = WallSegment(np.arange(len(points)), theta + 0.05 * step, middle, places, 0.1 + 0.2 * step, 0.01)
+        segment = WallSegment(
+            np.arange(len(points)), theta + 0.05 * step, middle, places, 0.1 + 0.2 * step, 0.01, along, along
+        )
         row = np.zeros(8)
         row[[THETA, MIDDLE_X, MIDDLE_Y]] = segment.theta, *segment.middle
         row[EXTENT], row[ANGLE_STD] = segment.length, segment.angle_std
@@ -64,7 +67,7 @@ def test_association_gates(recorded: ConsistentEstimator, state: States) -> None
     side = int(np.argmax([len(recorded._pending[0].by_side[name]) for name in SIDES]))
     readings = recorded._pending[0].readings(SIDES[side])
     waiting = state.pending[side, : ekf.counts[PENDING + side]]
-    places, rows = readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams)
+    places, rows = readings_in(waiting, ekf.clones[: ekf.counts[CLONES]], spec().beams, 0.0)
     room = len(ekf.anchors)
     for segment, row in segments_near(recorded, rows):
         scores, which, told = np.empty(room), np.empty(room, dtype=np.int64), np.empty((room, 2))
@@ -92,14 +95,14 @@ def test_merging(recorded: ConsistentEstimator, state: States) -> None:
     merged = set()
     for first in range(number):
         # A second landmark on almost the same line, somewhat turned and shifted: some are one wall, some are not.
-        for shift in (0.02, 2.0):
+        for shift, side in product((0.02, 0.2, 2.0), (POSITIVE, NEGATIVE)):
             plain = copy.deepcopy(recorded)
             theta = float(plain._filter.anchored[first, 1])
             middle = plain._map.ends(first).mean(axis=0)
             index = plain._filter.add_line(theta + 0.01, middle + shift * np.array([np.cos(theta), np.sin(theta)]))
             plain._map.add()
             tangent = np.array([-np.sin(theta), np.cos(theta)])
-            plain._map.grow(index, middle + np.linspace(-0.3, 0.3, 9)[:, None] * tangent)
+            plain._map.grow(index, middle + np.linspace(-0.3, 0.3, 9)[:, None] * tangent, side)
             arrays = state_from(plain)
             told = closes_loop(arrays.filter, arrays.walls, index, first, settings)
             assert told == plain._closes_loop(index, first, 0)
@@ -107,6 +110,8 @@ def test_merging(recorded: ConsistentEstimator, state: States) -> None:
             assert_same(arrays.filter, plain._filter, 1e-8)
             for place, each in enumerate(plain._map.walls):
                 assert arrays.walls.table[place, 2:].tolist() == [each.groups, each.readings]
+                np.testing.assert_allclose(arrays.walls.seen[place], each.seen, rtol=0.0, atol=1e-8)
+                np.testing.assert_allclose(arrays.walls.behind[place], each.behind, rtol=0.0, atol=1e-8)
                 np.testing.assert_array_equal(
                     arrays.walls.counted[place, :, : len(each.extent._hits)], [each.extent._hits, each.extent._misses]
                 )

@@ -9,7 +9,7 @@ from limslam_agent.slam.batch import grid as batch_grid
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 
-update, change_cells = cached(batch_grid.update), cached(batch_grid.change_cells)
+update = cached(batch_grid.update)
 CELLS = 160
 
 
@@ -47,12 +47,3 @@ def test_random_readings(seed: int) -> None:
     spread = ROBOT.max_ranges * 1.2
     ranges = [np.clip(generator.random(number) * spread, ROBOT.min_ranges, ROBOT.max_ranges) for _ in poses]
     check(poses, ranges, [generator.random(number) < 0.8 for _ in poses])
-
-
-def test_values_are_limited_and_a_known_cell_is_never_zero() -> None:
-    values, stamps = np.array([[1, -9, 9, 0]], dtype=np.int16), np.zeros((1, 4), dtype=np.int32)
-    crossed, ended, skipped = batch_grid.CROSSED, batch_grid.ENDED, batch_grid.SKIPPED
-    cells = np.array([[0, 0, ended], [0, 0, crossed], [0, 1, ended], [0, 2, crossed], [0, 3, skipped]])
-    change_cells(values, cells, stamps, 1, 2, 1, 10)
-    assert values.tolist() == [[-1, -10, 10, 0]]
-    assert stamps.tolist() == [[1, 1, 1, 0]]

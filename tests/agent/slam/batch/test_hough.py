@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from support.batch_stages import NOISE, cached, estimator_after, estimator_config, spec
 
-from limslam_agent.slam.batch import hough, line_fit
+from limslam_agent.kernels import lines as line_kernels
+from limslam_agent.slam.batch import hough
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.core.hough import extract_lines
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_env.geometry import FloatArray
 
-extract, fit = cached(hough.extract_lines), cached(line_fit.fit_line)
+extract, fit = cached(hough.extract_lines), cached(line_kernels.fit_line)
 CONFIG = estimator_config().hough
 
 

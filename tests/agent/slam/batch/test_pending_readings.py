@@ -46,8 +46,10 @@ def test_a_drive_is_collected_alike() -> None:
     for side, name in enumerate(SIDES):
         rows = pending[side, : counts[PENDING + side]]
         rows = rows[rows[:, CLONE] >= 3]
-        places, found = readings_of(rows, clones, beams)
+        places, found = readings_of(rows, clones, beams, 0.02)
         expected_readings = plain.readings(name)
         kept = expected_readings.select(np.flatnonzero(expected_readings.clones >= 3))
         np.testing.assert_array_equal(clones[places], kept.clones)
-        np.testing.assert_array_equal(found, np.column_stack((kept.origins, kept.angles, kept.ranges)))
+        np.testing.assert_array_equal(
+            found, np.column_stack((kept.origins, kept.angles, kept.ranges, np.full(len(kept.ranges), 0.02)))
+        )

@@ -14,8 +14,9 @@ from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_env.geometry import FloatArray, IntArray
 
-split, predicted, ends = (
+split, predicted, ends, turned = (
     cached(segmentation.wall_segments), cached(beam_model.expected_ranges), cached(beam_model.hit_points),
+    cached(beam_model.towards),
 )  # fmt: skip
 CONFIG = estimator_config().segmentation
 
@@ -25,13 +26,15 @@ def estimator() -> ConsistentEstimator:
     return estimator_after(120)
 
 
-def readings_of_walls(estimator: ConsistentEstimator, shape: str, seed: int) -> tuple[Readings, FloatArray]:
+def readings_of_walls(
+    estimator: ConsistentEstimator, shape: str, seed: int, cone: float = 0.0
+) -> tuple[Readings, FloatArray]:
     """Readings, as rows of the batch too, that beams of the estimator's clones would take of a wall of some shape."""
     generator, clones = np.random.default_rng(seed), np.array(estimator._filter._clones)
     chosen = np.sort(generator.choice(clones, 40))
     poses = estimator._filter.clone_poses(chosen)
     origins, angles = generator.normal(0.0, 0.05, (40, 2)), generator.uniform(0.9, 2.2, 40)
-    flat = Readings(chosen, origins, angles, np.ones(40), np.zeros((40, 2), dtype=np.int64))
+    flat = Readings(chosen, origins, angles, np.ones(40), np.zeros((40, 2), dtype=np.int64), cone=cone)
     middle = poses[:, :2].mean(axis=0)
     heading = poses[:, 2].mean() + 0.5 * np.pi
     line, anchor = np.array([0.0, heading]), middle + 0.8 * np.array([np.cos(heading), np.sin(heading)])
@@ -42,7 +45,7 @@ def readings_of_walls(estimator: ConsistentEstimator, shape: str, seed: int) -> 
     if shape == "end":
         ranges = ranges + 0.12 * (np.arange(40) > 34)
     ranges = ranges + NOISE * generator.standard_normal(40)
-    rows = np.column_stack((origins, angles, ranges))
+    rows = np.column_stack((origins, angles, ranges, np.full(40, cone)))
     return flat._replace(ranges=ranges), rows
 
 
@@ -51,12 +54,13 @@ def places_of(estimator: ConsistentEstimator, readings: Readings) -> IntArray:
 
 
 @pytest.mark.parametrize("shape", ["straight", "corner", "end"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_segments(estimator: ConsistentEstimator, shape: str, seed: int) -> None:
-    readings, rows = readings_of_walls(estimator, shape, seed)
+@pytest.mark.parametrize(("seed", "cone"), [(0, 0.0), (1, 0.0), (2, 0.0), (0, 0.1), (1, 0.25)])
+def test_segments(estimator: ConsistentEstimator, shape: str, seed: int, cone: float) -> None:
+    readings, rows = readings_of_walls(estimator, shape, seed, cone)
     ekf, members = state_from(estimator).filter, np.arange(40)
-    points = hit_points(estimator._filter.clone_poses(readings.clones), readings)
-    line = fit_line(points, NOISE).line
+    poses = estimator._filter.clone_poses(readings.clones)
+    line = fit_line(hit_points(poses, readings), NOISE).line
+    points = hit_points(poses, readings.towards(line[1], poses[:, 2]))
     expected = wall_segments(readings, members, line, estimator._filter, NOISE, CONFIG)
     found, own = split(ekf, places_of(estimator, readings), rows, points, members, line, spec().settings[0])
     assert len(own) == len(expected)
@@ -79,8 +83,9 @@ def test_the_readings_bend(estimator: ConsistentEstimator) -> None:
     assert min(counts[1:]) < 40
 
 
-def test_beam_model(estimator: ConsistentEstimator) -> None:
-    readings, rows = readings_of_walls(estimator, "straight", 3)
+@pytest.mark.parametrize("cone", [0.0, 0.1])
+def test_beam_model(estimator: ConsistentEstimator, cone: float) -> None:
+    readings, rows = readings_of_walls(estimator, "straight", 3, cone)
     ekf, places = state_from(estimator).filter, places_of(estimator, readings)
     start, poses = POSE + 2 * int(ekf.counts[LINES]), estimator._filter.clone_poses(readings.clones)
     assert ekf.counts[CLONES] == len(estimator._filter._clones)
@@ -91,3 +96,6 @@ def test_beam_model(estimator: ConsistentEstimator) -> None:
     np.testing.assert_allclose(out, together, rtol=1e-9, atol=1e-9)
     points = ends(ekf.x, start, places, rows, rows[:, 3])
     np.testing.assert_allclose(points, hit_points(poses, readings), rtol=0.0, atol=1e-12)
+    rays = turned(ekf.x, start, places, rows, 0.7)
+    np.testing.assert_allclose(rays[:, 2], readings.towards(0.7, poses[:, 2]).angles, rtol=0.0, atol=1e-12)
+    assert not rays[:, 4].any()

@@ -42,6 +42,8 @@ def assert_same_walls(state: States, plain: WallMap) -> None:
     for index, wall in enumerate(plain.walls):
         assert_same_extent(state, index, wall.extent)
         assert state.walls.table[index, 2:].tolist() == [wall.groups, wall.readings]
+        np.testing.assert_allclose(state.walls.seen[index], wall.seen, rtol=0.0, atol=1e-12)
+        assert state.walls.behind[index] == wall.behind
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -71,8 +73,9 @@ def test_walls_grow(state: States, recorded: ConsistentEstimator) -> None:
     plain, generator = copy.deepcopy(recorded._map), np.random.default_rng(1)
     for index in range(len(plain)):
         points = plain.ends(index)[0] + generator.normal(0.0, 0.2, (7, 2))
-        plain.grow(index, points)
-        grow(state.filter, state.walls, index, points)
+        side = index % 2
+        plain.grow(index, points, side)
+        grow(state.filter, state.walls, index, points, side)
     assert_same_walls(state, plain)
 
 

@@ -59,7 +59,7 @@ def test_readings_wait_by_side_with_all_that_the_filter_needs() -> None:
 
 def test_nothing_that_waits_is_no_rows() -> None:
     readings = _Drive().pending.readings("right")
-    assert [part.shape for part in readings] == [(0,), (0, 2), (0,), (0,), (0, 2)]
+    assert [np.shape(part) for part in readings[:5]] == [(0,), (0, 2), (0,), (0,), (0, 2)]
     assert readings.clones.dtype.kind == "i"
 
 

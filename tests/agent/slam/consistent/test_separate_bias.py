@@ -11,7 +11,7 @@ from limslam_agent.config.presets import preset, self_calibrating
 from limslam_agent.mapper import Mapper
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.separate_bias import SeparateBias
+from limslam_agent.slam.consistent.separate_bias import OdometryErrors
 from limslam_agent.slam.core.motion import AS_SPECIFIED, OdometryCalibration, calibrated, motion_from_wheels
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -111,8 +111,9 @@ def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -
 
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
     generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
-    bias, jacobian = SeparateBias(3, prior), generator.normal(size=(5, 3))
-    bias.predict(slice(0, 3), np.eye(3), np.eye(3))
+    bias, jacobian = OdometryErrors(3, prior), generator.normal(size=(5, 3))
+    bias.predict(slice(0, 3), np.eye(3))
+    bias.drive(slice(0, 3), np.eye(3))
     innovation, noise = 0.02 * generator.normal(size=5), 1e-4 * np.eye(5)
     bias.update(jacobian, np.arange(3), innovation, noise, np.zeros((5, 3)))
     wide = noise + jacobian @ prior @ jacobian.T
@@ -123,9 +124,10 @@ def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
 
 def test_of_several_robots_the_worst_one_decides() -> None:
     prior = np.diag([1e-4, 4e-4, 9e-4])
-    alone, team = SeparateBias(3, prior), SeparateBias(6, prior)
+    alone, team = OdometryErrors(3, prior), OdometryErrors(6, prior)
     for bias, part in ((alone, slice(0, 3)), (team, slice(3, 6))):
-        bias.predict(part, np.eye(3), np.eye(3))
+        bias.predict(part, np.eye(3))
+        bias.drive(part, np.eye(3))
         columns = np.arange(part.start, part.stop)
         bias.update(np.eye(3), columns, np.full(3, 0.1), 1e-4 * np.eye(3), np.zeros((3, part.stop)))
     assert team.evidence == pytest.approx(alone.evidence)

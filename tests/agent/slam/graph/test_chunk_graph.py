@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import AgreementConfig, ChunkGraphConfig, LoopConfig
+from limslam_agent.config.graph import AgreementConfig, ChunkGraphConfig, GraphConfig, LoopConfig
 from limslam_agent.slam.graph.agreement import agreements, distances_after_alignment, groups_of, supported
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,
@@ -15,6 +15,7 @@ from limslam_agent.slam.graph.chunk_graph import (
     unbent,
 )
 from limslam_agent.slam.graph.key_poses import Trajectory, integrate
+from limslam_agent.slam.graph.loop_search import Belief, Chunks
 from limslam_env.geometry import se2
 
 CONFIG = ChunkGraphConfig()
@@ -162,3 +163,18 @@ def test_loops_that_contradict_are_in_different_groups(truth):
     assert distance[0, 3] == pytest.approx(2.0)
     assert groups_of([*pair, other], truth, LoopConfig()) == [[0, 1, 2], [3]]
     assert AgreementConfig().max_group >= 3
+
+
+def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
+    truth = ring(laps=6)
+    travel = 2.5 * np.arange(len(truth))
+    chunks = Chunks([None] * len(truth), np.arange(len(truth)), truth, travel, drifting(truth, bias=0.0), GraphConfig())
+    belief = Belief(chunks)
+    for newest in range(1, len(truth)):
+        belief.advance()
+        belief.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
+    covariance = belief.covariance
+    assert np.array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-9
+    information = information_matrix(truth, chunks.hops, belief.loops, np.ones(len(belief.loops)))
+    assert np.allclose(np.diag(covariance), np.diag(np.linalg.inv(information)), rtol=0.3, atol=1e-6)

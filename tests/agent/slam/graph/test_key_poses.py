@@ -10,7 +10,7 @@ from limslam_agent.slam.graph.key_poses import (
     LogData,
     calibrated_steps,
     choose_keys,
-    corrected_odometry,
+    corrected,
     event_poses,
     joined_bias,
     odometry_trajectory,
@@ -80,7 +80,7 @@ def test_constant_errors_of_odometry_are_undone():
     for row, move in enumerate(np.column_stack((x / (1.0 + scale), y / (1.0 + scale), turn)), 1):
         reported[row] = se2.compose(reported[row - 1], move)
     keys = keys_of(replace(truth, odometry=reported))
-    steps = calibrated_steps(keys, np.array([bias, scale, gain]))
+    steps = calibrated_steps(keys, np.array([bias, scale, gain, 0.0, 0.0]))
     wanted = se2.between(truth.odometry[keys.first_event[:-1]], truth.odometry[keys.first_event[1:]])
     raw = se2.between(reported[keys.first_event[:-1]], reported[keys.first_event[1:]])
     assert np.abs(steps - wanted).max() < 3e-3
@@ -89,12 +89,13 @@ def test_constant_errors_of_odometry_are_undone():
 
 def test_two_corrections_after_each_other_are_one():
     log = wandering()
-    first, second = np.array([0.05, 0.03, -0.02]), np.array([-0.02, 0.01, 0.04])
-    twice = corrected_odometry(corrected_odometry(log.odometry, first), second)
-    once = corrected_odometry(log.odometry, joined_bias(first, second))
+    first, second = np.array([0.05, 0.03, -0.02, 0.2, 0.02]), np.array([-0.02, 0.01, 0.04, -0.1, 0.01])
+    twice = corrected(corrected(log, first), second).odometry
+    once = corrected(log, joined_bias(first, second)).odometry
     # The direction of a motion turns by half of the missing heading, which is not exactly additive.
-    assert np.abs(se2.wrap_angle(twice[:, 2] - once[:, 2])).max() < 1e-3
-    assert np.abs(twice[:, :2] - once[:, :2]).max() < 5e-3
+    # Odometry ends with the log, so poses after the end are missing.
+    assert np.abs(se2.wrap_angle(twice[:, 2] - once[:, 2]))[2:-2].max() < 1e-3
+    assert np.abs(twice[2:-2, :2] - once[2:-2, :2]).max() < 5e-3
     assert np.abs(once - log.odometry).max() > 0.1
 
 
@@ -102,6 +103,17 @@ def test_a_standing_robot_gives_points_once():
     log = wandering()
     odometry = np.repeat(log.odometry[:1], len(log.time), axis=0)
     assert set(keys_of(replace(log, odometry=odometry)).point_event) <= {0}
+
+
+def test_dense_scans_are_thinned_to_all_beams_in_turn():
+    log = wandering(beams=180)
+    keys = keys_of(log)
+    all_points = choose_keys(log, KeyPoseConfig(points_per_metre=1e6), MotionConfig())
+    assert len(all_points.point_event) == log.hit[np.unique(all_points.point_event)].sum()
+    density = len(keys.point_event) / keys.travel[-1]
+    assert 100.0 < density < 210.0
+    angles = np.round(np.arctan2(*(keys.in_robot - keys.origin_in_robot).T[::-1]), 6)
+    assert len(np.unique(angles)) > 0.9 * 180
 
 
 def test_stated_variances_replace_those_of_the_settings():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
-from limslam_agent.slam.graph.key_poses import LogData, Trajectory, choose_keys, odometry_trajectory
+from limslam_agent.slam.graph.key_poses import ERRORS, LogData, Trajectory, choose_keys, odometry_trajectory
 from limslam_agent.slam.graph.least_squares import (
     NormalEquations,
     add_links,
@@ -56,7 +56,7 @@ def test_relation_jacobian():
 
 def test_odometry_jacobian_by_poses_and_constant_errors():
     keys = keys_of(curved_log())
-    bias = np.array([0.02, 0.01, -0.02])
+    bias = np.array([0.02, 0.01, -0.02, 0.1, 0.03])
     poses = odometry_trajectory(keys, np.array([1.0, 2.0, 0.5])).poses + RNG.normal(0.0, 0.02, (len(keys), 3))
     _, jacobian = odometry_factor(keys, Trajectory(poses, bias))
     by_bias = central_differences(lambda each: odometry_factor(keys, Trajectory(poses, each))[0], bias)
@@ -122,8 +122,8 @@ def test_linked_points_pull_a_wrong_pose_onto_the_line():
     geometry = key, np.array([[0.3, 1.0], [0.0, 1.0]]), normals
     before, scratch = [], np.empty(6)
     for std in (1e-3, 10.0):
-        equations = NormalEquations(3 * len(keys) + 3)
-        trajectory = Trajectory(poses, np.zeros(3))
+        equations = NormalEquations(3 * len(keys) + ERRORS)
+        trajectory = Trajectory(poses, np.zeros(ERRORS))
         add_odometry(equations, keys, trajectory, MotionConfig())
         add_links(equations, poses, geometry, np.array([[0, 1]]), std, 1e3)
         moved = poses + equations.solve()[: 3 * len(keys)].reshape(-1, 3)

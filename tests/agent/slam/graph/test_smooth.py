@@ -13,7 +13,7 @@ from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.slam.graph import smooth
 from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED
-from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.key_poses import LogData, delayed
 from limslam_agent.slam.graph.smooth import smooth_log
 from limslam_env.geometry import se2
 
@@ -36,9 +36,21 @@ def test_biased_odometry_comes_out_right(two_laps):
 
 def test_the_bias_of_odometry_is_found(two_laps):
     _, _, result = two_laps
-    assert result.turn_bias == pytest.approx(TURN_PER_METRE, rel=0.2)
-    assert abs(result.scale) < 0.03
-    assert abs(result.turn_gain) < 0.05
+    turn, scale, gain, delay, direction = result.errors
+    assert turn == pytest.approx(TURN_PER_METRE, rel=0.2)
+    assert abs(scale) < 0.03
+    assert abs(gain) < 0.05
+    assert abs(delay) < 0.03
+    assert abs(direction) < np.radians(0.7)
+
+
+def test_ranges_that_are_late_and_beams_that_are_turned_come_out_right(two_laps):
+    log, truth, _ = two_laps
+    late = replace(delayed(log, -0.2), angles=log.angles - np.radians(2.0))
+    result = smooth_log(late, truth[0], TWO_ROUNDS)
+    assert result.errors[3] == pytest.approx(0.2, abs=0.05)
+    assert np.degrees(result.errors[4]) == pytest.approx(-2.0, abs=0.7)
+    assert loop_errors(result.poses, truth, LAP).mean() < 0.1
 
 
 def results_of_searches(monkeypatch, two_laps, scores, biases):
@@ -49,7 +61,7 @@ def results_of_searches(monkeypatch, two_laps, scores, biases):
     def smoothed(data, *_others):
         seen.append(data.odometry)
         score, bias = next(given)
-        trajectory = replace(result.trajectory, bias=np.array([np.radians(bias), 0.0, 0.0]))
+        trajectory = replace(result.trajectory, bias=np.array([np.radians(bias), 0.0, 0.0, 0.0, 0.0]))
         return replace(result, score=score, trajectory=trajectory)
 
     monkeypatch.setattr(smooth, "_smoothed", smoothed)
@@ -60,7 +72,7 @@ def test_a_large_bias_is_corrected_and_the_log_smoothed_again(monkeypatch, two_l
     result, seen = results_of_searches(monkeypatch, two_laps, (0.5, 0.7, 0.8), (5.0, 4.0, 1.0))
     assert len(seen) == 3
     assert result.score == 0.8
-    assert np.degrees(result.turn_bias) == pytest.approx(10.0)
+    assert np.degrees(result.errors[0]) == pytest.approx(10.0)
     turned = np.degrees(np.diff(np.unwrap(seen[1][:, 2]) - np.unwrap(seen[0][:, 2])))
     forward = np.hypot(*np.diff(seen[0][:, :2], axis=0).T)
     np.testing.assert_allclose(turned, 5.0 * forward, atol=0.05)
@@ -69,7 +81,7 @@ def test_a_large_bias_is_corrected_and_the_log_smoothed_again(monkeypatch, two_l
 def test_a_correction_that_does_not_raise_the_score_is_not_kept(monkeypatch, two_laps):
     result, seen = results_of_searches(monkeypatch, two_laps, (0.5, 0.5), (5.0, 0.0))
     assert len(seen) == 2
-    assert np.degrees(result.turn_bias) == pytest.approx(5.0)
+    assert np.degrees(result.errors[0]) == pytest.approx(5.0)
 
 
 def test_every_loop_has_a_reason(two_laps):

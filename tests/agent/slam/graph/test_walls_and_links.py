@@ -5,7 +5,7 @@ import pytest
 from support.corridors import corridor_log, loop_errors
 
 from limslam_agent.config.graph import GraphConfig, LinkConfig, WallLineConfig
-from limslam_agent.slam.graph.key_poses import Trajectory, choose_keys, event_poses, odometry_trajectory
+from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, event_poses, odometry_trajectory
 from limslam_agent.slam.graph.local_smoothing import chained, smooth_locally
 from limslam_agent.slam.graph.point_links import PointCloud, find_normals, links_across, links_along, point_cloud
 from limslam_agent.slam.graph.wall_lines import find_lines, lines_in
@@ -23,7 +23,7 @@ def drive():
 @pytest.fixture(scope="module")
 def true_cloud(drive):
     log, truth, keys = drive
-    exact = Trajectory(truth[keys.first_event], np.zeros(3))
+    exact = Trajectory(truth[keys.first_event], np.zeros(ERRORS))
     return point_cloud(keys, exact, LinkConfig(), log.range_std)
 
 
@@ -70,7 +70,7 @@ def test_links_are_the_nearest_points_of_their_band(true_cloud):
 def test_visits_are_linked_across_and_only_they():
     log, truth = corridor_log(laps=2)
     keys = choose_keys(log, CONFIG.keys, CONFIG.motion)
-    cloud = point_cloud(keys, Trajectory(truth[keys.first_event], np.zeros(3)), LinkConfig(), 0.01)
+    cloud = point_cloud(keys, Trajectory(truth[keys.first_event], np.zeros(ERRORS)), LinkConfig(), 0.01)
     links = links_across(cloud, 0.3, LinkConfig())
     gap = np.abs(cloud.travel[links[:, 0]] - cloud.travel[links[:, 1]])
     assert len(links) > 0.3 * len(cloud.travel)
@@ -114,7 +114,7 @@ def test_a_chained_step_turns_all_that_comes_later(drive):
     by_pose = np.zeros((len(keys), 3))
     by_pose[50:, 2] = 0.3
     by_pose[50:, :2] = 0.3 * (before.poses[50:, :2] - before.poses[49, :2]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-    after = chained(before, np.append(by_pose.ravel(), np.zeros(3)))
+    after = chained(before, np.append(by_pose.ravel(), np.zeros(ERRORS)))
     lengths = [np.hypot(*np.diff(each.poses[:, :2], axis=0).T) for each in (before, after)]
     assert np.allclose(after.poses[:50], before.poses[:50])
     assert np.allclose(lengths[0][50:], lengths[1][50:], rtol=1e-6)
@@ -133,7 +133,9 @@ def test_a_cloud_is_the_same_wherever_the_frame_is(drive, true_cloud):
     log, truth, keys = drive
     cos, sin = np.cos(2.5), np.sin(2.5)
     turned = truth[keys.first_event] @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    cloud = point_cloud(keys, Trajectory(turned + np.array([0.0, 0.0, 2.5]), np.zeros(3)), LinkConfig(), log.range_std)
+    cloud = point_cloud(
+        keys, Trajectory(turned + np.array([0.0, 0.0, 2.5]), np.zeros(ERRORS)), LinkConfig(), log.range_std
+    )
     assert isinstance(cloud, PointCloud)
     assert np.allclose(cloud.normals_in_key, true_cloud.normals_in_key, atol=1e-6)
     assert np.array_equal(cloud.good, true_cloud.good)

@@ -1,0 +1,165 @@
+"""Occupancy grids: the cells that a step's beams touch, and how their values change."""
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.kernels.compilation import compiled, entry
+from limslam_agent.kernels.tables import FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+
+GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
+StampArray: TypeAlias = NDArray[np.int32]
+
+SKIPPED, CROSSED, ENDED = 0, 1, 2
+"""What happened in a touched cell: nothing that counts, a beam or the body crossed it, or a beam ended in it."""
+
+_ANGLES = np.arange(8) * (np.pi / 4)
+
+BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES)))))
+"""Points (9, 2) of the robot's body that are certainly free, in shares of its radius."""
+
+
+@compiled
+def touched_cells(
+    pose: FloatArray, ranges: FloatArray | ReadingArray, measured: BoolArray, beams: FloatArray, radius: float,
+    cell: float,
+) -> IntArray:  # fmt: skip
+    """The cells of the world that the beams and the body of a robot touch.
+
+    Parameters
+    ----------
+    pose
+        (3,), m, m, rad.
+    ranges, measured
+        Readings (b,), m, and which of them are new.
+    beams
+        (b, 6 or more): origin x, y (m), direction x, y, and the ranges (m) up to and from which nothing is measured.
+    radius, cell
+        Of the body, and side of a cell, m.
+
+    Returns
+    -------
+    cells
+        (n, 3): row and column, counted from the world's origin, and ``CROSSED`` or ``ENDED``. Cells may repeat, and
+        those in which a beam ended come first.
+    """
+    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    spacing, most = 0.5 * cell, len(BODY)
+    for beam in range(len(ranges)):
+        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
+            most += math.floor(float(ranges[beam]) / spacing) + 1
+    cells, size = np.empty((most, 3), dtype=np.int64), 0
+    for beam in range(len(ranges)):
+        length = float(ranges[beam])
+        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
+        if measured[beam] and beams[beam, TOO_NEAR] < length < beams[beam, TOO_FAR]:
+            px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
+            cells[size, 0] = math.floor((px * sin + py * cos + y) / cell)
+            cells[size, 1] = math.floor((px * cos - py * sin + x) / cell)
+            cells[size, 2] = ENDED
+            size += 1
+    for beam in range(len(ranges)):
+        length = float(ranges[beam])
+        if not (measured[beam] and length > beams[beam, TOO_NEAR]):
+            continue
+        first = size
+        for i in range(math.floor(length / spacing)):
+            px = beams[beam, FROM_X] + i * spacing * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + i * spacing * beams[beam, TOWARDS_Y]
+            row = math.floor((px * sin + py * cos + y) / cell)
+            column = math.floor((px * cos - py * sin + x) / cell)
+            # Samples are half a cell apart, so that many lie in the same cell as the one before.
+            if size > first and row == cells[size - 1, 0] and column == cells[size - 1, 1]:
+                continue
+            cells[size, 0], cells[size, 1], cells[size, 2] = row, column, CROSSED
+            size += 1
+    for k in range(len(BODY)):
+        cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)
+        cells[size, 1] = math.floor((x + radius * BODY[k, 0]) / cell)
+        cells[size, 2] = CROSSED
+        size += 1
+    return cells[:size]
+
+
+@compiled
+def change_cells(
+    values: GridArray, cells: IntArray, stamps: StampArray, stamp: int, seen_through: int, hit: int, limit: int
+) -> None:
+    """Change the values of touched cells, each of them once, however many beams touch it.
+
+    Parameters
+    ----------
+    values
+        (rows, columns), changed: positive is free, negative is occupied, 0 is unknown.
+    cells
+        (n, 3): row and column in ``values``, and what happened there. Of a cell that repeats, the first row counts.
+    stamps, stamp
+        Scratch (rows, columns), and a number that it does not contain yet.
+    seen_through, hit, limit
+        What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value.
+    """
+    for i in range(len(cells)):
+        row, column = cells[i, 0], cells[i, 1]
+        if cells[i, 2] == SKIPPED or stamps[row, column] == stamp:
+            continue
+        stamps[row, column] = stamp
+        amount = -hit if cells[i, 2] == ENDED else seen_through
+        value = min(max(values[row, column] + amount, -limit), limit)
+        # The value 0 is reserved for unknown cells.
+        values[row, column] = value or (1 if amount > 0 else -1)
+
+
+@compiled
+def include(touched: IntArray, column: int, row: int) -> None:
+    """Extend the first column and row that are touched, and those after the last ones (2, 2), to one more cell."""
+    touched[0, 0], touched[0, 1] = min(touched[0, 0], column), min(touched[0, 1], row)
+    touched[1, 0], touched[1, 1] = max(touched[1, 0], column + 1), max(touched[1, 1], row + 1)
+
+
+@entry
+def update_grid(
+    pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray, radius: float, cell: float,
+    values: GridArray, corner: IntArray, rules: IntArray, stamps: StampArray, stamp: int, touched: IntArray,
+) -> bool:  # fmt: skip
+    """Update a grid by one step's readings, if it holds all cells that they touch; whether it does.
+
+    Parameters
+    ----------
+    pose, ranges, measured, beams, radius, cell
+        As of :func:`touched_cells`. The beams are those of ``RobotSpec.beam_table``.
+    values, corner
+        Values of the cells (rows, columns), changed, and column and row (2,) of the first of them, counted from the
+        world's origin.
+    rules
+        What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value (3,).
+    stamps, stamp
+        Scratch (rows, columns), and a number that it does not contain yet.
+    touched
+        Set to the first column and row that are touched, and to those after the last ones (2, 2).
+    """
+    cells = touched_cells(pose, ranges, measured, beams, radius, cell)
+    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    for axis in range(2):
+        touched[0, axis], touched[1, axis] = cells[0, 1 - axis], cells[0, 1 - axis] + 1
+    for i in range(len(cells)):
+        include(touched, cells[i, 1], cells[i, 0])
+    for beam in range(len(ranges)):
+        # The cells of beams that saw nothing end a little before the beam.
+        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
+            px = beams[beam, FROM_X] + ranges[beam] * beams[beam, TOWARDS_X]
+            py = beams[beam, FROM_Y] + ranges[beam] * beams[beam, TOWARDS_Y]
+            include(
+                touched, math.floor((px * cos - py * sin + x) / cell), math.floor((px * sin + py * cos + y) / cell)
+            )  # fmt: skip
+    for axis in range(2):
+        if touched[0, axis] < corner[axis] or touched[1, axis] > corner[axis] + values.shape[1 - axis]:
+            return False
+    for i in range(len(cells)):
+        cells[i, 0] -= corner[1]
+        cells[i, 1] -= corner[0]
+    change_cells(values, cells, stamps, stamp, rules[0], rules[1], rules[2])
+    return True

@@ -1,0 +1,236 @@
+"""Readings beside the ranges that the walls of a map predict, for many poses at once."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+LEAST_COSINE = 0.2
+"""A beam that meets a wall at a smaller cosine to its normal grazes the wall."""
+
+_START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)
+WALL_COLUMNS = 5
+"""Number of columns of a table of walls."""
+
+
+class Predicted(NamedTuple):
+    """The readings of n steps and b beams (n, b), and what the map predicts for their poses.
+
+    Attributes
+    ----------
+    ranges, usable, ended
+        Readings, m, those that count, and those that ended at anything.
+    predicted, known, stds
+        Distance to the wall at which the beam should end, m, whether there is such a wall, and the standard deviation
+        of the difference, m.
+    misfit
+        Squared residual of the reading against the present pose, in variances, at most the clip. It is 0 if nothing can
+        be said.
+    """
+
+    ranges: FloatArray
+    usable: BoolArray
+    ended: BoolArray
+    predicted: FloatArray
+    known: BoolArray
+    stds: FloatArray
+    misfit: FloatArray
+
+    @classmethod
+    def of(cls, ranges: FloatArray, usable: BoolArray) -> "Predicted":
+        """The readings, with room for what a map predicts."""
+        shape = ranges.shape
+        return cls(
+            ranges, usable, np.empty(shape, dtype=np.bool_), np.empty(shape), np.empty(shape, dtype=np.bool_),
+            np.empty(shape), np.empty(shape),
+        )  # fmt: skip
+
+
+@compiled
+def fill_table(segments: FloatArray, table: FloatArray) -> None:
+    """Set rows (k, 5) to walls (k, 4), m: start, m, unit vector along the wall, and length, m."""
+    for wall in range(len(segments)):
+        x, y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
+        length = math.hypot(x, y)
+        table[wall, _START_X], table[wall, _START_Y] = segments[wall, 0], segments[wall, 1]
+        table[wall, _LENGTH] = length
+        table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = x / max(length, 1e-9), y / max(length, 1e-9)
+
+
+@compiled
+def beam_ray(pose: FloatArray, beams: FloatArray, beam: int) -> tuple[float, float, float, float]:
+    """Origin, m, and direction of a beam in the world, from a pose (3,)."""
+    cos, sin, heading = math.cos(pose[2]), math.sin(pose[2]), pose[2] + beams[beam, ANGLE]
+    x = beams[beam, FROM_X] * cos - beams[beam, FROM_Y] * sin + pose[0]
+    y = beams[beam, FROM_X] * sin + beams[beam, FROM_Y] * cos + pose[1]
+    return x, y, math.cos(heading), math.sin(heading)
+
+
+@compiled
+def crossing(ray: tuple[float, float, float, float], walls: FloatArray, wall: int) -> tuple[float, float, float]:
+    """Where a beam meets the line of a wall: how far along the beam, m, how far beyond the wall's ends, m, and cosine.
+
+    The distance is negative if the beam meets the line behind it, or at a grazing angle. The position is negative
+    between the ends. The cosine, without sign, is that of the angle between the beam and the wall's normal.
+    """
+    x, y, ux, uy = ray
+    tx, ty = walls[wall, _TANGENT_X], walls[wall, _TANGENT_Y]
+    cosine, away_x, away_y = uy * tx - ux * ty, x - walls[wall, _START_X], y - walls[wall, _START_Y]
+    distance = -1.0
+    if abs(cosine) > LEAST_COSINE:
+        distance = (away_x * ty - away_y * tx) / cosine
+    along = away_x * tx + away_y * ty + distance * (ux * tx + uy * ty)
+    return distance, max(-along, along - walls[wall, _LENGTH]), abs(cosine)
+
+
+@compiled
+def first_wall(ray: tuple[float, float, float, float], walls: FloatArray, inset: float) -> tuple[float, float]:
+    """Distance, m, to the first wall that a beam meets at least ``inset`` inside its ends, and the cosine there.
+
+    The distance is infinite if there is no such wall.
+    """
+    nearest, steepness = math.inf, 1.0
+    for wall in range(len(walls)):
+        distance, beyond, cosine = crossing(ray, walls, wall)
+        if 0.0 < distance < nearest and beyond < -inset:
+            nearest, steepness = distance, cosine
+    return nearest, steepness
+
+
+@lean_entry
+def predict_ranges(
+    poses: FloatArray, covariance: FloatArray, segments: FloatArray, beams: FloatArray, std: float, inset: float,
+    least_cosine: float, walls: FloatArray, ranges: FloatArray, stds: FloatArray,
+) -> None:  # fmt: skip
+    """Find the ranges that walls predict.
+
+    Parameters
+    ----------
+    poses, covariance
+        Poses (m, 3), m and rad, and the covariance of each of them (3, 3).
+    segments, beams
+        Walls (k, 4), m, and ``RobotSpec.beam_table``.
+    std
+        Standard deviation of a range, m.
+    inset
+        Distance from a wall's ends up to which no beam should end there, m.
+    least_cosine
+        A beam that meets the wall at a smaller cosine nearly grazes it. Its range is infinite, as that of a beam that
+        meets no wall.
+    walls
+        Scratch (k, 5).
+    ranges, stds
+        Set to the ranges (m, b), and to their standard deviations (m, b), m.
+    """
+    fill_table(segments, walls)
+    for i in range(len(poses)):
+        for beam in range(len(beams)):
+            distance, cosine = first_wall(beam_ray(poses[i], beams, beam), walls, inset)
+            is_met = cosine > least_cosine and distance < beams[beam, FARTHEST]
+            lever = distance if is_met else 0.0
+            variance = std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
+            ranges[i, beam] = distance if is_met else math.inf
+            stds[i, beam] = math.sqrt(variance) / max(cosine, LEAST_COSINE)
+
+
+@lean_entry
+def compare_steps(
+    poses: FloatArray, variances: FloatArray, segments: FloatArray, beams: FloatArray, std: float, rules: FloatArray,
+    walls: FloatArray, seen: Predicted,
+) -> None:  # fmt: skip
+    """Compare the readings of some steps with a map.
+
+    Parameters
+    ----------
+    poses, variances
+        Poses (n, 3), m and rad, and the variances of position and heading (n, 2).
+    segments, beams, std, walls
+        As of :func:`predict_ranges`.
+    rules
+        Inset and least cosine of :func:`predict_ranges`; number of standard deviations within which a reading fits;
+        clip, the largest squared residual that counts; and how far walls may go on beyond their known ends, m; (5,).
+    seen
+        The readings, of which all that the map predicts is set.
+    """
+    inset, least_cosine, sigmas, clip, beyond_end = rules[0], rules[1], rules[2], rules[3], rules[4]
+    ranges, ended, predicted, known, stds, misfit = (
+        seen.ranges, seen.ended, seen.predicted, seen.known, seen.stds, seen.misfit
+    )  # fmt: skip
+    fill_table(segments, walls)
+    for i in range(ranges.shape[0]):
+        for beam in range(ranges.shape[1]):
+            predicted[i, beam], stds[i, beam], misfit[i, beam] = 0.0, 1.0, 0.0
+            ray, reading = beam_ray(poses[i], beams, beam), ranges[i, beam]
+            distance, cosine = first_wall(ray, walls, inset)
+            is_wall, is_steep = distance < beams[beam, FARTHEST], cosine > least_cosine
+            ended[i, beam], known[i, beam] = reading < beams[beam, TOO_FAR], is_wall and is_steep
+            if known[i, beam]:
+                predicted[i, beam] = distance
+                stds[i, beam] = math.sqrt(std**2 + variances[i, 0] + variances[i, 1] * distance**2) / cosine
+            if not ended[i, beam]:
+                is_short = reading - distance < sigmas * stds[i, beam]
+                misfit[i, beam] = clip if known[i, beam] and not is_short else 0.0
+                continue
+            if is_wall and not is_steep:
+                continue
+            misfit[i, beam] = clip
+            for wall in range(len(walls)):
+                distance, beyond, cosine = crossing(ray, walls, wall)
+                if distance > 0.0 and beyond < beyond_end:
+                    variance = std**2 + variances[i, 0] + variances[i, 1] * distance**2
+                    residual = (reading - distance) * max(cosine, LEAST_COSINE)
+                    misfit[i, beam] = min(misfit[i, beam], residual**2 / variance)
+
+
+@compiled
+def gain(seen: Predicted, step: int, beam: int, lag: int, sigmas: float, clip: float) -> float:
+    """By how much a reading fits the prediction of ``lag`` steps before better than the present one, in variances."""
+    then = step - lag
+    if not seen.usable[step, beam]:
+        return 0.0
+    misfit, ended = float(seen.misfit[step, beam]), seen.ended[step, beam]
+    if not seen.known[then, beam]:
+        # A reading where the earlier beam should have met no known wall only counts if the present prediction fits.
+        return misfit if not ended else misfit - clip if seen.known[step, beam] and misfit < clip else 0.0
+    excess, std = seen.ranges[step, beam] - seen.predicted[then, beam], seen.stds[then, beam]
+    if ended:
+        return misfit - float(min((excess / std) ** 2, clip))
+    return misfit if excess < sigmas * std else misfit - clip
+
+
+@lean_entry
+def sum_gains(seen: Predicted, beam: int, lag: int, last: int, sigmas: float, clip: float) -> float:
+    """The sum of the gains of the ``last`` readings of a beam, or of all of them if there are fewer."""
+    total = 0.0
+    for step in range(max(len(seen.ranges) - last, lag), len(seen.ranges)):
+        total += gain(seen, step, beam, lag, sigmas, clip)
+    return total
+
+
+@lean_entry
+def evidence_of_delays(
+    seen: Predicted, lags: IntArray, sigmas: float, clip: float, both_signs: float, evidence: FloatArray
+) -> None:  # fmt: skip
+    """Find the evidence (k, b) that each beam has been late by each of k lags since some moment.
+
+    It is Page's cumulative sum of the gains. It counts at most ``both_signs`` times as much as its smaller part, by
+    readings that are too long, or too short.
+    """
+    count, beams = seen.ranges.shape
+    for row in range(len(lags)):
+        lag = lags[row]
+        for beam in range(beams):
+            total = least = long = short = 0.0
+            for step in range(lag, count):
+                gained = gain(seen, step, beam, lag, sigmas, clip)
+                is_long = seen.known[step, beam] and seen.ranges[step, beam] > seen.predicted[step, beam]
+                long, short = long + (gained if is_long else 0.0), short + (0.0 if is_long else gained)
+                total += gained
+                if total < least:
+                    # The sum has not been smaller, so the beam may be late from the next step on.
+                    least, long, short = total, 0.0, 0.0
+            evidence[row, beam] = min(long + short, both_signs * min(long, short))

@@ -1,0 +1,133 @@
+"""Lines in points: refinement of the candidates of a Hough transform by total least squares."""
+
+import math
+
+import numpy as np
+
+from limslam_agent.kernels.algebra import sort_with, wrapped
+from limslam_agent.kernels.compilation import compiled, entry
+from limslam_env.geometry import FloatArray, IntArray
+
+
+@compiled
+def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float, float]:
+    """(r, theta), normalised, of the line through some points by total least squares; fills its ends (2, 2), m."""
+    middle_x, middle_y, number = 0.0, 0.0, len(members)
+    for i in members:
+        middle_x += points[i, 0]
+        middle_y += points[i, 1]
+    middle_x, middle_y = middle_x / number, middle_y / number
+    xx, yy, xy = 0.0, 0.0, 0.0
+    for i in members:
+        x, y = points[i, 0] - middle_x, points[i, 1] - middle_y
+        xx, yy, xy = xx + x * x, yy + y * y, xy + x * y
+    axis = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    cos, sin, theta = math.cos(axis), math.sin(axis), axis + 0.5 * math.pi
+    r = middle_x * math.cos(theta) + middle_y * math.sin(theta)
+    least, most = np.inf, -np.inf
+    for i in members:
+        along = (points[i, 0] - middle_x) * cos + (points[i, 1] - middle_y) * sin
+        least, most = min(least, along), max(most, along)
+    ends[0, 0], ends[0, 1] = middle_x + least * cos, middle_y + least * sin
+    ends[1, 0], ends[1, 1] = middle_x + most * cos, middle_y + most * sin
+    return (-r, wrapped(theta + math.pi)) if r < 0.0 else (r, wrapped(theta))
+
+
+@compiled
+def near_line(points: FloatArray, free: np.ndarray, r: float, theta: float, most: float) -> IntArray:
+    """Indices (n,) of the free points within ``most``, m, of a line."""
+    chosen, size = np.empty(len(points), dtype=np.int64), 0
+    cos, sin = math.cos(theta), math.sin(theta)
+    for i in range(len(points)):
+        if free[i] and abs(points[i, 0] * cos + points[i, 1] * sin - r) <= most:
+            chosen[size] = i
+            size += 1
+    return chosen[:size]
+
+
+@compiled
+def refined(
+    points: FloatArray, free: np.ndarray, r: float, theta: float, limits: tuple[float, float], votes: int
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """Indices (n,) of a candidate line's points after two refinements, and their positions along it, m, sorted.
+
+    Points belong to it within the first of the ``limits``, m, and then within the second one.
+    """
+    ends = np.empty((2, 2))
+    for tolerance in limits:
+        members = near_line(points, free, r, theta, tolerance)
+        if len(members) < votes:
+            return members[:0], np.empty(0)
+        r, theta = fit_line(points, members, ends)
+    members = near_line(points, free, r, theta, limits[1])
+    cos, sin, along = math.cos(theta), math.sin(theta), np.empty(len(members))
+    for i in range(len(members)):
+        along[i] = -sin * points[members[i], 0] + cos * points[members[i], 1]
+    sort_with(along, members, len(members))
+    return members, along
+
+
+@compiled
+def refine_lines(
+    points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
+    only_best: bool, owner: IntArray, listed: IntArray, lines: FloatArray, ends: FloatArray,
+) -> int:  # fmt: skip
+    """Refine candidate lines on their points, and cut them at gaps; the number k of lines.
+
+    Parameters
+    ----------
+    points, candidates
+        Points (n, 2), m, and candidates as (r, theta) about the mean of the points, m and rad, best first.
+    limits, votes
+        As of :func:`refined`, and the least number of points of a line.
+    gap, least
+        Longest gap in a line, and its least length, m.
+    only_best
+        Whether to stop after the first candidate that has lines.
+    owner, listed
+        Set to the line of each point (n,), -1 for none, and to the points of all lines (n,), line by line, in the order
+        along each line.
+    lines, ends
+        Set to the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m.
+    """
+    total, size, done, middle_x, middle_y = len(points), 0, 0, 0.0, 0.0
+    for i in range(total):
+        owner[i] = -1
+        middle_x += points[i, 0]
+        middle_y += points[i, 1]
+    if total < votes:
+        return 0
+    middle_x, middle_y = middle_x / total, middle_y / total
+    free, left = np.ones(total, dtype=np.bool_), total
+    for number in range(len(candidates)):
+        theta = candidates[number, 1]
+        r = candidates[number, 0] + middle_x * math.cos(theta) + middle_y * math.sin(theta)
+        members, along = refined(points, free, r, theta, limits, votes)
+        first, before = 0, size
+        for i in range(1, len(members) + 1):
+            if i < len(members) and along[i] - along[i - 1] <= gap:
+                continue
+            part, first = members[first:i], i
+            if len(part) < votes:
+                continue
+            r_part, theta_part = fit_line(points, part, ends[size])
+            x, y = ends[size, 1, 0] - ends[size, 0, 0], ends[size, 1, 1] - ends[size, 0, 1]
+            if math.sqrt(x * x + y * y) >= least:
+                lines[size, 0], lines[size, 1] = r_part, theta_part
+                for each in part:
+                    owner[each], free[each], listed[done] = size, False, each
+                    done += 1
+                left -= len(part)
+                size += 1
+        if (only_best and size > before) or left < votes:
+            break
+    return size
+
+
+@entry
+def find_lines(
+    points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
+    only_best: bool, owner: IntArray, listed: IntArray, lines: FloatArray, ends: FloatArray,
+) -> int:  # fmt: skip
+    """:func:`refine_lines`, as Python calls it."""
+    return refine_lines(points, candidates, limits, votes, gap, least, only_best, owner, listed, lines, ends)

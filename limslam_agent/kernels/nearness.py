@@ -1,0 +1,204 @@
+"""Ends of beams beside walls and beside the body, and the places of lines that beams have passed through."""
+
+import math
+
+from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+
+@compiled
+def beam_end(
+    pose: FloatArray, cos: float, sin: float, beams: FloatArray, beam: int, reach: float
+) -> tuple[float, float]:
+    """The point of the world, m, that a beam reaches after ``reach`` (m), from a pose with this cosine and sine."""
+    x = beams[beam, FROM_X] + reach * beams[beam, TOWARDS_X]
+    y = beams[beam, FROM_Y] + reach * beams[beam, TOWARDS_Y]
+    return x * cos - y * sin + pose[0], x * sin + y * cos + pose[1]
+
+
+@lean_entry
+def place_readings(
+    pose: FloatArray, ranges: FloatArray, beams: FloatArray, touching: float, seen: FloatArray, touched: FloatArray
+) -> None:
+    """Find where a step's readings ended, and where something touched a sensor.
+
+    Parameters
+    ----------
+    pose, ranges, beams
+        Pose (3,), m and rad, readings (b,), m, and ``RobotSpec.beam_table``.
+    touching
+        A beam at its minimum range has hit something at this share of the minimum range.
+    seen, touched
+        Set to the points (b, 2), m; NaN where there is none.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for beam in range(len(ranges)):
+        near, reading = beams[beam, TOO_NEAR], ranges[beam]
+        if not math.isfinite(reading):
+            reading = beams[beam, FARTHEST]
+        for axis in range(2):
+            seen[beam, axis] = touched[beam, axis] = math.nan
+        if near < reading < beams[beam, TOO_FAR]:
+            seen[beam, 0], seen[beam, 1] = beam_end(pose, cos, sin, beams, beam, reading)
+        if reading <= near:
+            touched[beam, 0], touched[beam, 1] = beam_end(pose, cos, sin, beams, beam, touching * near)
+
+
+@compiled
+def is_clear(
+    pose: FloatArray, way_x: float, way_y: float, points: FloatArray, deepest: float, farthest: float
+) -> bool:  # fmt: skip
+    """Whether a body that moves by a way keeps its distance of points (n, k, 2), m, of which some may be NaN."""
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            x, y = points[i, j, 0] - pose[0], points[i, j, 1] - pose[1]
+            before = math.hypot(x, y)
+            # NaN is not more than any number.
+            if before > deepest and math.hypot(x - way_x, y - way_y) < min(before, farthest):
+                return False
+    return True
+
+
+@lean_entry
+def safe_share(
+    pose: FloatArray, way: FloatArray, seen: FloatArray, touched: FloatArray, deepest: float, farthest: float,
+    shares: FloatArray,
+) -> float:  # fmt: skip
+    """The first of some shares of a way that a body can move without coming too close to a point; 0 if there is none.
+
+    Parameters
+    ----------
+    pose, way
+        Pose (3,) of the body, m and rad, and the way (2,), m.
+    seen, touched
+        Points (n, b, 2), m, of which some may be NaN.
+    deepest
+        Points nearer than this to the body's middle do not count, m.
+    farthest
+        The body's middle must come no nearer to a point than this, m, or than it is.
+    shares
+        The shares (k,).
+    """
+    for number in range(len(shares)):
+        share = float(shares[number])
+        x, y = share * way[0], share * way[1]
+        if is_clear(pose, x, y, seen, deepest, farthest) and is_clear(pose, x, y, touched, deepest, farthest):
+            return share
+    return 0.0
+
+
+@lean_entry
+def room_ahead(ranges: FloatArray, beams: FloatArray, front: float, radius: float, margin: float) -> float:
+    """Distance (m) that a body can drive straight ahead before it meets the nearest point seen by a front beam.
+
+    Parameters
+    ----------
+    ranges, beams
+        Readings (b,), m, and ``RobotSpec.beam_table``.
+    front
+        Largest angle of a front beam from straight ahead, rad.
+    radius, margin
+        Of the body, and at its sides, m.
+    """
+    has_front, has_reading, room = False, False, math.inf
+    for beam in range(len(ranges)):
+        angle = math.pi - (math.pi - beams[beam, ANGLE]) % (2.0 * math.pi)
+        if abs(angle) > front:
+            continue
+        has_front = True
+        if not math.isfinite(ranges[beam]):
+            continue
+        has_reading = True
+        x = beams[beam, FROM_X] + ranges[beam] * beams[beam, TOWARDS_X]
+        y = abs(beams[beam, FROM_Y] + ranges[beam] * beams[beam, TOWARDS_Y])
+        if ranges[beam] < beams[beam, TOO_FAR] and y < radius + margin and x > 0.0:
+            lateral = min(y, radius)
+            room = min(room, x - math.sqrt(radius * radius - lateral * lateral))
+    # Without a reading nothing is known of what is ahead.
+    return 0.0 if has_front and not has_reading else room
+
+
+@lean_entry
+def count_on_walls(pose: FloatArray, ranges: FloatArray, beams: FloatArray, segments: FloatArray, near: float) -> int:
+    """Number of readings (b,), m, from a pose (3,) that end nearer than ``near`` (m) to one of the walls (k, 4), m."""
+    cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
+    for beam in range(len(ranges)):
+        if not beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]:
+            continue
+        x, y = beam_end(pose, cos, sin, beams, beam, ranges[beam])
+        for wall in range(len(segments)):
+            span_x, span_y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
+            away_x, away_y = x - segments[wall, 0], y - segments[wall, 1]
+            along = (away_x * span_x + away_y * span_y) / max(span_x**2 + span_y**2, 1e-300)
+            along = min(max(along, 0.0), 1.0)
+            if math.sqrt((away_x - along * span_x) ** 2 + (away_y - along * span_y) ** 2) < near:
+                count += 1
+                break
+    return count
+
+
+@lean_entry
+def aim_beams(
+    pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray,
+    origins: FloatArray, towards: FloatArray, reaches: FloatArray,
+) -> int:  # fmt: skip
+    """Take the new beams that went farther than the shortest reading into the world; their number n.
+
+    Parameters
+    ----------
+    pose
+        Pose (3,), m and rad.
+    ranges, measured, beams
+        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
+    origins, towards, reaches
+        The first n rows are set to where the beams begin (b, 2), m, their directions (b, 2), and how far they went
+        (b,), m.
+    """
+    cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
+    for beam in range(len(ranges)):
+        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
+            heading = pose[2] + beams[beam, ANGLE]
+            origins[count, 0], origins[count, 1] = beam_end(pose, cos, sin, beams, beam, 0.0)
+            towards[count, 0], towards[count, 1] = math.cos(heading), math.sin(heading)
+            reaches[count] = ranges[beam]
+            count += 1
+    return count
+
+
+@lean_entry
+def passed_lines(
+    origins: FloatArray, towards: FloatArray, ranges: FloatArray, margins: FloatArray, lines: FloatArray,
+    anchors: FloatArray, slack: float, grazing: float, numbers: IntArray, places: FloatArray,
+) -> int:  # fmt: skip
+    """Find the places of lines that beams have passed through; their number m.
+
+    Parameters
+    ----------
+    origins, towards, ranges
+        Where the beams begin (n, 2), m, their directions (n, 2), and how far they went (n,), m.
+    margins
+        How much farther than to the line a beam must have gone that meets it at a right angle (n,), m.
+    lines, anchors
+        The lines (k, 2) as distance, m, and angle, rad, about anchors (k, 2), m.
+    slack
+        Is added to the margin at any angle, m.
+    grazing
+        Least cosine between a beam and a line's normal at which the beam counts.
+    numbers, places
+        The first m entries (n * k,) are set to the number of the line, and to the position along it from its anchor, m.
+    """
+    count = 0
+    for beam in range(len(ranges)):
+        for line in range(len(lines)):
+            nx, ny = math.cos(lines[line, 1]), math.sin(lines[line, 1])
+            cosine = towards[beam, 0] * nx + towards[beam, 1] * ny
+            if abs(cosine) <= grazing:
+                continue
+            from_x, from_y = origins[beam, 0] - anchors[line, 0], origins[beam, 1] - anchors[line, 1]
+            ahead = (lines[line, 0] - from_x * nx - from_y * ny) / cosine
+            if ahead > 0.0 and ahead + margins[beam] / abs(cosine) + slack < ranges[beam]:
+                numbers[count] = line
+                places[count] = (from_y + ahead * towards[beam, 1]) * nx - (from_x + ahead * towards[beam, 0]) * ny
+                count += 1
+    return count

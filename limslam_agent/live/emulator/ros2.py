@@ -1,0 +1,203 @@
+"""A simulated robot behind topics of ROS 2: ``odom``, a topic for each beam or ``scan``, ``cmd_vel`` and ``/clock``."""
+
+import math
+import time
+from dataclasses import replace
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from limslam_agent.live.emulator.emulator import Body, truth_line
+from limslam_agent.live.ros2.node import check_installed, make, message_type
+from limslam_agent.output.formats.ros_builder import MessageBuilder
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env.interface import RobotSpec, SensorSpec
+from limslam_env.simulation.simulation import Simulation
+
+SCAN_BEAMS = 72
+"""Number of beams of the emulated laser, which turns around the middle of the robot."""
+
+ANSWER_WITHIN = 2.0
+"""Longest time for which an emulator without a fixed speed waits for an answer, s."""
+
+_START = 1.0  # s, the time of the first messages; a time of zero means that there is none
+_LONELY_POLL = 0.02  # s, between two steps of a robot that gets no speeds
+_BEAM_WIDTH = math.radians(2.0)
+_FRAMES = ("odom", "base_link")
+
+
+class Measured(NamedTuple):
+    """What the robot has measured: the time, s, its odometry (3,), its speeds (3,), and its ranges, m."""
+
+    time: float
+    odometry: FloatArray
+    speeds: FloatArray
+    ranges: list[float]
+
+
+class RosRobot:
+    """A simulated robot that is driven by speeds, and integrates its own odometry.
+
+    Parameters
+    ----------
+    body
+        The robot and its world. Its watchdog stops the wheels without new speeds.
+    has_laser
+        Whether it has a laser that looks all around, as far as its farthest beam, in place of its beams.
+
+    Attributes
+    ----------
+    robot
+        The robot, with the beams that it has.
+    pose
+        True pose (3,), m and rad.
+    """
+
+    def __init__(self, body: Body, *, has_laser: bool = False) -> None:
+        self.has_laser, self._watchdog = has_laser, 1e-3 * body.watchdog_ms
+        self.robot = _with_laser(body.robot) if has_laser else body.robot
+        self._simulation = Simulation(body.world, self.robot)
+        start, *_ = np.random.SeedSequence(body.seed).spawn(4)
+        _, truth = self._simulation.reset(start, body.noise)
+        self.pose: FloatArray = truth.poses[0]
+        self._odometry, self._steps = np.zeros(3), 0
+        self._wheels, self._obeyed = (0.0, 0.0), 0.0
+
+    @property
+    def time(self) -> float:
+        """Time of the robot's clock, s."""
+        return _START + self._steps * self.robot.control_period
+
+    @property
+    def truth(self) -> str:
+        """The true pose as a line of text."""
+        return truth_line(self.time, self.pose)
+
+    def obey(self, speed: float, turn_rate: float) -> None:
+        """Take speeds, m/s and rad/s."""
+        half = 0.5 * turn_rate * self.robot.axle
+        self._wheels = speed - half, speed + half
+        self._obeyed = self.time
+
+    def step(self) -> Measured:
+        """Drive for a control period, and measure."""
+        if self.time - self._obeyed > self._watchdog:
+            self._wheels = 0.0, 0.0
+        left, right = (wheel / self.robot.max_wheel_speed for wheel in self._wheels)
+        readings, truth = self._simulation.step([(left, right)])
+        self.pose, self._steps = truth.poses[0], self._steps + 1
+        moved = arc(*wheels_to_arc(readings.wheels[0], self.robot.axle))
+        self._odometry = compose(self._odometry, moved)
+        return Measured(self.time, self._odometry, moved / self.robot.control_period, readings.ranges[0].tolist())
+
+
+def _with_laser(robot: RobotSpec) -> RobotSpec:
+    turns = np.arange(SCAN_BEAMS) * (2.0 * math.pi / SCAN_BEAMS) - math.pi
+    beams = tuple(SensorSpec(0.0, 0.0, turn, robot.radius, robot.reach) for turn in turns.tolist())
+    return replace(robot, beams=beams)
+
+
+def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer.
+
+    Raises
+    ------
+    ValueError
+        If ROS 2 is not installed.
+    """
+    check_installed()
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        Served(robot, rclpy.create_node("limslam_emulator"), pace, truth).run()
+    finally:
+        rclpy.shutdown()
+
+
+class Served:
+    """The topics of an emulated robot.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    node
+        The node.
+    pace
+        Time that a control period takes, s; 0: as long as the host needs to answer.
+    truth
+        File for the true poses, or None.
+    """
+
+    def __init__(self, robot: RosRobot, node: Any, pace: float, truth: IO[str] | None) -> None:
+        from rclpy.qos import qos_profile_sensor_data
+
+        self._robot, self._node, self._pace, self._truth = robot, node, pace, truth
+        self._build, self._answers, self._answered = MessageBuilder(make), 0, -math.inf
+        node.create_subscription(message_type("geometry_msgs/msg/Twist"), "cmd_vel", self._obey, 1)
+
+        def publisher(kind: str, topic: str) -> Any:
+            return node.create_publisher(message_type(kind), topic, qos_profile_sensor_data)
+
+        self._clock = publisher("rosgraph_msgs/msg/Clock", "/clock")
+        self._odometry = publisher("nav_msgs/msg/Odometry", "odom")
+        kind = "sensor_msgs/msg/LaserScan" if robot.has_laser else "sensor_msgs/msg/Range"
+        names = ["scan"] if robot.has_laser else [f"beam_{number}" for number in range(len(robot.robot.beams))]
+        self._sensors = [publisher(kind, name) for name in names]
+
+    def run(self) -> None:
+        """Emulate for ever. The robot stands still until somebody listens."""
+        import rclpy
+
+        due = time.monotonic()
+        while True:
+            if not self._odometry.get_subscription_count():
+                rclpy.spin_once(self._node, timeout_sec=0.05)
+                due = time.monotonic()
+                continue
+            before = self._answers
+            self._publish(self._robot.step())
+            if self._truth is not None:
+                self._truth.write(self._robot.truth)
+            due = max(due + self._pace, time.monotonic() - self._pace)  # no attempt to catch up
+            self._listen_until(before, due)
+
+    def _listen_until(self, before: int, due: float) -> None:
+        """Listen to speeds until a time, or without a fixed speed until there is an answer."""
+        import rclpy
+
+        now = time.monotonic()
+        if not self._pace:
+            due = now + (ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else _LONELY_POLL)
+        while (left := due - time.monotonic()) > 0.0 and (self._pace or self._answers == before):
+            rclpy.spin_once(self._node, timeout_sec=left)
+
+    def _obey(self, twist: Any) -> None:
+        self._robot.obey(float(twist.linear.x), float(twist.angular.z))
+        self._answers, self._answered = self._answers + 1, time.monotonic()
+
+    def _publish(self, measured: Measured) -> None:
+        build, at = self._build, measured.time
+        self._clock.publish(build.make("rosgraph_msgs/msg/Clock", clock=build.stamp(at)))
+        self._odometry.publish(build.odometry(at, _FRAMES, measured.odometry, measured.speeds))
+        if self._robot.has_laser:
+            self._sensors[0].publish(self._scan(measured))
+            return
+        beams = zip(self._robot.robot.beams, measured.ranges, self._sensors, strict=True)
+        for number, (beam, reading, sensor) in enumerate(beams):
+            limits = beam.min_range, beam.max_range
+            sensor.publish(build.range(at, f"beam_{number}", limits, _BEAM_WIDTH, reading))
+
+    def _scan(self, measured: Measured) -> Any:
+        beams = self._robot.robot.beams
+        least, largest = beams[0].min_range, beams[0].max_range
+        step = 2.0 * math.pi / len(beams)
+        seen = [reading if reading < np.float32(largest) else math.inf for reading in measured.ranges]
+        return self._build.make(
+            "sensor_msgs/msg/LaserScan", header=self._build.header(measured.time, _FRAMES[1]),
+            angle_min=-math.pi, angle_max=math.pi - step, angle_increment=step, time_increment=0.0,
+            scan_time=self._robot.robot.control_period, range_min=least, range_max=largest, ranges=seen,
+        )  # fmt: skip

@@ -1,0 +1,222 @@
+"""The connection of a session to a robot of ROS 2: messages of topics in, speeds out."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
+from limslam_agent.live.recording import MM
+from limslam_agent.live.ros2.odometer import Sample
+from limslam_agent.live.ros2.parameters import Parameters
+from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors, Sensors
+from limslam_agent.live.ros2.synchroniser import Measurement, Synchroniser
+from limslam_agent.live.session import NoRobotError
+from limslam_agent.logs.ros_messages import pose_of
+from limslam_env.geometry.se2 import wheels_to_arc
+from limslam_env.interface import RobotSpec
+
+ODOMETRY = -1
+"""Number that stands for the odometry where others stand for the topics of the sensors."""
+
+_MICROMETRE = 1e-6
+_FIRST = 5  # number of measurements that show the period
+_MOST_SENT = 200  # number of commands that may wait to be acknowledged
+_POLL = 0.02  # s
+
+
+class Event(NamedTuple):
+    """A message of the topic with a number, and its time, s."""
+
+    number: int
+    time: float
+    message: Any
+
+
+class Ports(Protocol):
+    """The node, as far as the connection needs it.
+
+    Attributes
+    ----------
+    watchdog_stops
+        Number of times that the node's own watchdog has stopped the wheels.
+    """
+
+    watchdog_stops: int
+
+    def take(self, timeout: float) -> list[Event]:
+        """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
+        ...
+
+    def now(self) -> float:
+        """The time of ROS, s, by which headers are stamped."""
+        ...
+
+    def drive(self, speed: float, turn_rate: float) -> None:
+        """Publish speeds, m/s and rad/s, on ``cmd_vel``."""
+        ...
+
+    def hold(self) -> None:
+        """Publish the latest speeds again, unless the watchdog has stopped the wheels."""
+        ...
+
+
+@dataclass
+class _Acknowledgement:
+    """When the newest commands were sent, by the time of ROS."""
+
+    newest: int = 0
+    sent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MOST_SENT))
+
+    def at(self, time: float) -> int:
+        """Sequence number of the newest command that was sent before a measurement at ``time``."""
+        while self.sent and self.sent[0][0] < time:
+            self.newest = self.sent.popleft()[1]
+        return self.newest
+
+
+class RosLink:
+    """Makes telemetry of the messages of ROS, and speeds of commands.
+
+    A measurement counts as one that shows a command if it was made after the command was sent. This needs headers that
+    are stamped by the time of ROS. With other headers the delay is not known, and the robot drives at full speed.
+
+    Parameters
+    ----------
+    ports
+        The node.
+    robot
+        Description of the robot, with the beams that are wanted.
+    parameters
+        Parameters of the node.
+    clock
+        The host's clock, s.
+
+    Attributes
+    ----------
+    newest
+        The odometry at the newest measurement. None before the first one.
+    frames
+        Names of the frames of the odometry and of the robot, from the messages of the odometry.
+    """
+
+    def __init__(
+        self, ports: Ports, robot: RobotSpec, parameters: Parameters, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.clock, self.bad_lines = clock, 0
+        self.newest: Sample | None = None
+        self.frames = ("odom", "base_link")
+        self._ports, self._robot, self._parameters = ports, robot, parameters
+        topics = parameters.range_topics
+        self._sensors: Sensors = RangeSensors(robot) if topics else ScanSensors(robot, parameters.mount)
+        self._synchroniser = Synchroniser(robot, parameters.period)
+        self._acknowledgement = _Acknowledgement()
+        self._seq = self._row = self._stops = 0
+        self._hello: Hello | None = None
+        self._ready = list[Message]()
+        self._heard, self._trouble = set[int](), ""
+
+    @property
+    def late(self) -> int:
+        """Number of messages that came too late to be used."""
+        return self._synchroniser.late + self._sensors.late
+
+    @property
+    def doubled(self) -> int:
+        """Number of messages that came twice."""
+        return self._synchroniser.doubled + self._sensors.doubled
+
+    @property
+    def jumps(self) -> int:
+        """Number of jumps of the odometry."""
+        return self._synchroniser.jumps
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot, with the beams as the messages describe them. It is known after :meth:`first_hello`."""
+        return self._sensors.robot or self._robot
+
+    def first_hello(self, patience: float) -> Hello:
+        """Wait until sensors and odometry have shown the period.
+
+        Raises
+        ------
+        NoRobotError
+            If that takes more than ``patience`` s.
+        """
+        begin, found = self.clock(), list[Measurement]()
+        while len(found) < _FIRST or self._sensors.robot is None:
+            if self.clock() - begin > patience:
+                raise NoRobotError(f"within {patience:g} s {self._missing(found)}")
+            for event in self._ports.take(_POLL):
+                found += self._taken(event)
+        steps = [after.sample.time - before.sample.time for before, after in pairwise(found)]
+        period, watchdog = (max(1, round(1e3 * each)) for each in (np.median(steps), self._parameters.watchdog))
+        self._hello = Hello(VERSION, 0, "ros2", len(self.robot.beams), 1000, period, watchdog)
+        self._ready = [self._telemetry(each) for each in found]
+        return self._hello
+
+    def receive(self, timeout: float) -> list[Message]:
+        """The telemetry that is complete, and a hello where time has begun again."""
+        messages, self._ready = self._ready, []
+        for event in self._ports.take(0.0 if messages else timeout):
+            begun = self._synchroniser.begun
+            measurements = self._taken(event)
+            if self._synchroniser.begun > begun and self._hello is not None:
+                self._acknowledgement = _Acknowledgement(self._seq)
+                messages.append(replace(self._hello, boot=self._synchroniser.begun))
+            messages += [self._telemetry(each) for each in measurements]
+        return messages
+
+    def next_seq(self) -> int:
+        """A sequence number for the next command."""
+        self._seq += 1
+        return self._seq
+
+    def send(self, command: Command) -> None:
+        """Publish the speeds of a command."""
+        if isinstance(command, Heartbeat):
+            self._ports.hold()
+        if isinstance(command, Speeds | Stop):
+            left, right = (command.left, command.right) if isinstance(command, Speeds) else (0, 0)
+            self._ports.drive(*wheels_to_arc(MM * np.array([left, right]), self._robot.axle))
+            self._acknowledgement.sent.append((self._ports.now(), command.seq))
+            self._stops = self._ports.watchdog_stops
+
+    def greet(self) -> None:
+        """Do nothing: topics are found again by ROS itself."""
+
+    def _taken(self, event: Event) -> list[Measurement]:
+        """The measurements that are complete with a message."""
+        self._heard.add(event.number)
+        try:
+            if event.number == ODOMETRY:
+                self.frames = (event.message.header.frame_id or "odom", event.message.child_frame_id or "base_link")
+                return self._synchroniser.add_odometry(event.time, np.array(pose_of(event.message)))
+            readings = self._sensors.add(event.number, event.time, event.message)
+        except ValueError as error:
+            self.bad_lines += 1
+            self._trouble = str(error)
+            return []
+        return [each for reading in readings for each in self._synchroniser.add_reading(reading)]
+
+    def _telemetry(self, measurement: Measurement) -> Telemetry:
+        sample = self.newest = measurement.sample
+        self._row += 1
+        left, right = (round(travel / _MICROMETRE) for travel in (sample.left, sample.right))
+        ack, stopped = self._acknowledgement.at(sample.time), int(self._ports.watchdog_stops > self._stops)
+        return Telemetry(self._row, round(1e3 * sample.time), left, right, ack, stopped, measurement.ranges)
+
+    def _missing(self, found: list[Measurement]) -> str:
+        """What has not been heard, in words."""
+        topics = dict(enumerate(self._parameters.range_topics or ("scan",))) | {ODOMETRY: "odom"}
+        silent = [name for number, name in topics.items() if number not in self._heard]
+        if silent:
+            return f"there was no message on {', '.join(silent)}"
+        if self._trouble:
+            return f"no message could be used: {self._trouble}"
+        return f"the times of sensors and odometry gave {len(found)} measurements: are both stamped by the same clock?"

@@ -1,0 +1,267 @@
+"""The node of rclpy: its topics and parameters, a thread that listens, and a watchdog that stops the wheels."""
+
+import importlib
+import queue
+import threading
+import time
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.live.ros2.link import ODOMETRY, Event
+from limslam_agent.live.ros2.parameters import Parameters
+from limslam_agent.logs.ros_messages import stamp_of
+from limslam_agent.output.formats.ros_builder import MessageBuilder
+
+PACKAGES = ("rclpy", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "visualization_msgs")
+"""What a node needs of ROS 2. ``tf2_msgs`` is used where it is installed."""
+
+BEGIN = "--ros-args"
+"""What arguments for ROS begin with."""
+
+_OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_DEPTH = 50  # number of messages that wait for a busy host
+
+
+@dataclass
+class Orders:
+    """What the topics of ``explore`` have asked for.
+
+    Attributes
+    ----------
+    is_paused
+        Whether to map only.
+    go_home, stop
+        Whether to drive back to the start, and to end at once.
+    """
+
+    is_paused: bool = False
+    go_home: bool = False
+    stop: bool = False
+
+
+class RosNode:
+    """A node with the topics of a live robot. Its messages are taken by another thread than the one that listens.
+
+    Parameters
+    ----------
+    node
+        The node of rclpy.
+
+    Attributes
+    ----------
+    parameters
+        The parameters of the node.
+    orders
+        What was asked for.
+    build
+        Builds messages.
+    watchdog_stops
+        Number of times that the watchdog has stopped the wheels.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node, self.build = node, MessageBuilder(make)
+        self.parameters = Parameters.of(_given(node))
+        self.orders = Orders(is_paused=not self.parameters.explore)
+        self.watchdog_stops = 0
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._lock, self._decided, self._is_moving = threading.Lock(), 0.0, False
+        self._latest: Any = None
+        self._subscribe()
+        stamped = self.parameters.enable_stamped_cmd_vel
+        self._speeds = self.publisher(f"geometry_msgs/msg/Twist{'Stamped' if stamped else ''}", "cmd_vel", depth=1)
+        from rclpy.clock import Clock, ClockType
+
+        # The time of ROS may stand still. The watchdog's does not.
+        node.create_timer(0.2 * self.parameters.watchdog, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def take(self, timeout: float) -> list[Event]:
+        """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
+        events = list[Event]()
+        try:
+            events.append(self._events.get(timeout=timeout) if timeout > 0.0 else self._events.get_nowait())
+            while True:
+                events.append(self._events.get_nowait())
+        except queue.Empty:
+            return events
+
+    def now(self) -> float:
+        """The time of ROS, s."""
+        return 1e-9 * float(self._node.get_clock().now().nanoseconds)
+
+    def drive(self, speed: float, turn_rate: float) -> None:
+        """Publish speeds, m/s and rad/s. While paused they are zero."""
+        if self.orders.is_paused:
+            speed = turn_rate = 0.0
+        with self._lock:
+            self._decided, self._is_moving = time.monotonic(), bool(speed or turn_rate)
+            self._publish_speeds(self.build.twist(speed, 0.0, turn_rate))
+
+    def hold(self) -> None:
+        """Publish the latest speeds again, unless the watchdog has stopped the wheels."""
+        with self._lock:
+            if self._is_moving:
+                self._publish_speeds(self._latest)
+
+    def publisher(self, kind: str, topic: str, *, depth: int = 10, is_kept: bool = False) -> Callable[[Any], None]:
+        """What publishes messages of a type on a topic, reliably. ``is_kept``: also to those who subscribe later."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE
+        publish: Callable[[Any], None] = self._node.create_publisher(
+            message_type(kind), topic, QoSProfile(depth=depth, durability=durability)
+        ).publish
+        return publish
+
+    def _subscribe(self) -> None:
+        """Listen to sensors as they come, and to orders reliably."""
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        # This also fits publishers that are reliable.
+        quality = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        ranges = [("sensor_msgs/msg/Range", topic) for topic in self.parameters.range_topics]
+        sensors = dict(enumerate(ranges or [("sensor_msgs/msg/LaserScan", "scan")]))
+        for number, (kind, topic) in (sensors | {ODOMETRY: ("nav_msgs/msg/Odometry", "odom")}).items():
+            self._node.create_subscription(message_type(kind), topic, self._listener(number), quality)
+        for topic, obey in (("resume", self._resume), ("stop", self._stop), ("return_home", self._return_home)):
+            self._node.create_subscription(message_type("std_msgs/msg/Bool"), f"explore/{topic}", obey, 10)
+
+    def _listener(self, number: int) -> Callable[[Any], None]:
+        def hear(message: Any) -> None:
+            # Some drivers leave the stamp out.
+            self._events.put(Event(number, stamp_of(message) or self.now(), message))
+
+        return hear
+
+    def _resume(self, message: Any) -> None:
+        self.orders.is_paused = not message.data
+
+    def _stop(self, message: Any) -> None:
+        self.orders.stop |= message.data
+
+    def _return_home(self, message: Any) -> None:
+        if message.data:
+            self.orders.go_home, self.orders.is_paused = True, False
+
+    def _publish_speeds(self, twist: Any) -> None:
+        self._latest = twist
+        if self.parameters.enable_stamped_cmd_vel:
+            header = self.build.header(self.now(), self.parameters.base_frame)
+            twist = self.build.make("geometry_msgs/msg/TwistStamped", header=header, twist=twist)
+        self._speeds(twist)
+
+    def _watch(self) -> None:
+        """Stop the wheels if the latest decision is too old: a sensor is silent, or the host is busy."""
+        with self._lock:
+            if self._is_moving and time.monotonic() - self._decided > self.parameters.watchdog:
+                self._is_moving = False
+                self.watchdog_stops += 1
+                self._publish_speeds(self.build.twist(0.0, 0.0, 0.0))
+
+
+@contextmanager
+def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
+    """A node that listens in a thread of its own.
+
+    Parameters
+    ----------
+    arguments
+        Arguments for ROS, which begin with ``--ros-args``; or none.
+
+    Raises
+    ------
+    ValueError
+        If ROS 2 is not installed, or an argument cannot be used.
+    """
+    if arguments and arguments[0] != BEGIN:
+        raise ValueError(f"what follows -- is for ROS 2 and begins with {BEGIN}, not with {arguments[0]}")
+    check_installed()
+    try:
+        import rclpy
+        from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        context = rclpy.Context()
+        # Ctrl-C stops the wheels first, as for every robot.
+        rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
+    except (ImportError, RuntimeError) as error:
+        raise ValueError(f"ROS 2 cannot be started: {error}") from error
+    handle = rclpy.create_node("limslam", context=context, automatically_declare_parameters_from_overrides=True)
+    try:
+        node = RosNode(handle)
+    except BaseException:
+        context.try_shutdown()
+        raise
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(handle)
+
+    def listen() -> None:
+        with _ended(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=listen, name="ros2", daemon=True)
+    thread.start()
+    try:
+        yield node
+    finally:
+        executor.shutdown()
+        thread.join(5.0)
+        handle.destroy_node()
+        context.try_shutdown()
+
+
+@contextmanager
+def _ended(error: type[Exception]) -> Iterator[None]:
+    try:
+        yield
+    except error:
+        return
+
+
+def check_installed() -> None:
+    """Refuse where packages of ROS 2 are missing.
+
+    Raises
+    ------
+    ValueError
+        If they are. It says how they are installed.
+    """
+    missing = [name for name in PACKAGES if find_spec(name) is None]
+    if missing:
+        raise ValueError(
+            f"ROS 2 needs {', '.join(missing)}: source the setup file of a ROS 2 installation, "
+            "or on Linux and x86-64: pip install 'limslam[ros2]'"
+        )
+
+
+def make(kind: str, **values: Any) -> Any:
+    """A message of rclpy from its type, like ``std_msgs/msg/Header``, and its fields."""
+    return message_type(kind)(**{name: _plain(value) for name, value in values.items()})
+
+
+def message_type(kind: str) -> Any:
+    """The class of a type of messages."""
+    package, _, name = kind.partition("/msg/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def _plain(value: Any) -> Any:
+    """An array of bytes as rclpy takes it."""
+    is_bytes = isinstance(value, np.ndarray) and value.dtype.itemsize == 1
+    return array("b" if value.dtype == np.int8 else "B", value.tobytes()) if is_bytes else value
+
+
+def _given(node: Any) -> dict[str, Any]:
+    """The parameters that were set, without those of rclpy itself. The others are declared with their defaults."""
+    found = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
+    for field in fields(Parameters):
+        default: Any = field.default
+        if field.name not in found and default != ():  # an empty list has no type
+            node.declare_parameter(field.name, list(default) if isinstance(default, tuple) else default)
+    return {name: value for name, value in found.items() if not name.startswith(_OF_RCLPY)}

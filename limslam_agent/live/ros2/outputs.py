@@ -1,0 +1,107 @@
+"""What the node publishes while a session runs, and the orders that the session gets."""
+
+import time
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.live.ros2.link import RosLink
+from limslam_agent.live.ros2.node import RosNode
+from limslam_agent.live.ros2.odometer import map_to_odom
+from limslam_agent.live.session import Session
+from limslam_agent.output.formats.content import Grid
+from limslam_agent.policies.way_home import WayHome
+
+STOPPED = "stopped: a message on explore/stop"
+
+_LEVELS = {"ok": b"\x00", "unsure": b"\x01", "lost": b"\x02"}  # of DiagnosticStatus: OK, WARN, ERROR
+
+
+class Outputs:
+    """Publishes pose, transform, map, walls and status of a session, and passes orders on to it.
+
+    Parameters
+    ----------
+    node
+        The node.
+    link
+        The connection of the session.
+    policy
+        The policy that drives.
+    """
+
+    def __init__(self, node: RosNode, link: RosLink, policy: WayHome) -> None:
+        self._node, self._link, self._policy = node, link, policy
+        self._next_map, self._told = 0.0, ("", "")
+        self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
+        self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
+        self._map = node.publisher("nav_msgs/msg/OccupancyGrid", "map", depth=1, is_kept=True)
+        self._walls = node.publisher("visualization_msgs/msg/MarkerArray", "walls", depth=1, is_kept=True)
+        self._status = node.publisher("diagnostic_msgs/msg/DiagnosticArray", "status")
+        has_tf = node.parameters.publish_tf and find_spec("tf2_msgs") is not None
+        self._tf = node.publisher("tf2_msgs/msg/TFMessage", "/tf", depth=100) if has_tf else None
+
+    def watch(self, session: Session) -> None:
+        """Publish what the session believes after a decision, and pass orders on."""
+        self._publish_pose(session)
+        told = state_of(session, self._policy), session.agent.status
+        if time.monotonic() >= self._next_map or told != self._told:
+            self._told, self._next_map = told, time.monotonic() + self._node.parameters.map_period
+            self._publish_map(session)
+        orders = self._node.orders
+        session.is_paused = orders.is_paused
+        if orders.go_home:
+            self._policy.go_home()
+        if orders.stop:
+            session.asked_to_end = STOPPED
+
+    def _publish_pose(self, session: Session) -> None:
+        sample, mapper, names = self._link.newest, session.agent.mapper, self._node.parameters
+        assert sample is not None  # noqa: S101 (a session has decided)
+        build, pose = self._node.build, mapper.poses[0]
+        self._pose(build.uncertain_pose(sample.time, names.map_frame, pose, mapper.covariances[0]))
+        shift = map_to_odom(pose, sample.pose)
+        frame = names.odom_frame or self._link.frames[0]
+        # Other nodes look for a transform at times after the measurement.
+        transform = build.transform(sample.time + names.transform_tolerance, names.map_frame, frame, shift)
+        self._transform(transform)
+        if self._tf is not None:
+            self._tf(build.make("tf2_msgs/msg/TFMessage", transforms=[transform]))
+
+    def _publish_map(self, session: Session) -> None:
+        sample, frame, build = self._link.newest, self._node.parameters.map_frame, self._node.build
+        assert sample is not None  # noqa: S101 (a session has decided)
+        self._map(build.grid(sample.time, frame, ros_grid(session.agent.mapper.grid)))
+        self._walls(build.walls(sample.time, frame, session.agent.slam.segments))
+        self._status(self._diagnosis(session, sample.time))
+
+    def _diagnosis(self, session: Session, at: float) -> Any:
+        make, agent, figures = self._node.build.make, session.agent, session.figures
+        told = {
+            "state": state_of(session, self._policy), "walls": len(agent.slam.segments), **figures,
+            "odometry_jumps": self._link.jumps,
+        }  # fmt: skip
+        values = [make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value)) for key, value in told.items()]
+        status = make(
+            "diagnostic_msgs/msg/DiagnosticStatus", level=_LEVELS[agent.status], name="limslam", hardware_id="",
+            message=f"{agent.status}: {agent.status_reason}" if agent.status_reason else agent.status, values=values,
+        )  # fmt: skip
+        header = self._node.build.header(at, self._node.parameters.map_frame)
+        return make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
+
+
+def state_of(session: Session, policy: WayHome) -> str:
+    """What the robot is doing, in a word or a few."""
+    if session.agent.stop_reason is not None or session.asked_to_end is not None:
+        return "done"
+    if session.is_paused:
+        return "paused"
+    return "driving home" if policy.is_going_home else "exploring"
+
+
+def ros_grid(view: GridView) -> Grid:
+    """The occupancy grid as ROS has it: 0 free, 100 occupied, -1 unknown."""
+    cells = np.select([view.free, view.occupied], [0, 100], -1).astype(np.int8)
+    return Grid(cells, view.cell, view.low)

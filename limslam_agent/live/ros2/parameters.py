@@ -1,0 +1,125 @@
+"""The parameters of the node, as users of ROS set them: ``-p NAME:=VALUE``."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec, SensorSpec
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node.
+
+    Attributes
+    ----------
+    range_topics
+        A topic of Range messages for each beam of the robot, in the order of the beams. None: the topic ``scan`` has
+        LaserScans.
+    scan_mount
+        Pose of the laser on the robot: x (m), y (m), heading (deg).
+    beams_deg
+        Directions of the beams, deg, counter-clockwise from ahead, in place of those of the robot's description.
+    max_range
+        Longest range, m, in place of that of the description. 0: that of the description.
+    period
+        Time between two measurements that are used, s. Faster sensors are thinned out.
+    watchdog
+        Time after the latest decision after which the wheels are stopped, s.
+    map_period
+        Time between two publications of the map, s.
+    map_frame, odom_frame, base_frame
+        Names of the frames. Empty names are those of the odometry's messages.
+    transform_tolerance
+        By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s.
+    publish_tf
+        Whether to publish this transform on ``/tf``.
+    explore
+        Whether to explore from the start. If not, the robot maps until ``explore/resume`` says true.
+    return_to_init
+        Whether to drive back to the start when everything is explored.
+    enable_stamped_cmd_vel
+        Whether ``cmd_vel`` has TwistStamped messages.
+    """
+
+    range_topics: tuple[str, ...] = ()
+    scan_mount: tuple[float, ...] = (0.0, 0.0, 0.0)
+    beams_deg: tuple[float, ...] = ()
+    max_range: float = 0.0
+    period: float = 0.1
+    watchdog: float = 0.5
+    map_period: float = 1.0
+    map_frame: str = "map"
+    odom_frame: str = ""
+    base_frame: str = ""
+    transform_tolerance: float = 0.5
+    publish_tf: bool = True
+    explore: bool = True
+    return_to_init: bool = False
+    enable_stamped_cmd_vel: bool = False
+
+    def __post_init__(self) -> None:
+        for name, least in (("period", 0.0), ("watchdog", 0.05), ("map_period", 0.0), ("transform_tolerance", 0.0)):
+            value = getattr(self, name)
+            if not least <= value <= 60.0:
+                raise ValueError(f"the parameter {name} must be from {least:g} to 60 s, not {value:g}")
+        if not (math.isfinite(self.max_range) and self.max_range >= 0.0):
+            raise ValueError(f"the parameter max_range must be a length, m, not {self.max_range:g}")
+        if len(self.scan_mount) != 3 or not all(map(math.isfinite, self.scan_mount)):
+            raise ValueError("the parameter scan_mount must be three numbers: x (m), y (m), heading (deg)")
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """The parameters from the values of a node. Names that are missing keep their defaults.
+
+        Raises
+        ------
+        ValueError
+            If there is no such parameter, or a value cannot be used.
+        """
+        defaults = {field.name: field.default for field in fields(cls)}
+        unknown = sorted(set(values) - set(defaults))
+        if unknown:
+            raise ValueError(f"there is no parameter {unknown[0]}; there are {', '.join(defaults)}")
+        found: dict[str, Any] = {name: _checked(name, value, defaults[name]) for name, value in values.items()}
+        return cls(**found)
+
+    @property
+    def mount(self) -> FloatArray:
+        """Pose (3,) of the laser on the robot, m, m, rad."""
+        x, y, degrees = self.scan_mount
+        return np.array([x, y, math.radians(degrees)])
+
+    def robot(self, described: RobotSpec) -> RobotSpec:
+        """The robot with the beams that the parameters ask for.
+
+        Raises
+        ------
+        ValueError
+            If there is not one topic for each beam, or a beam cannot be.
+        """
+        beams = described.beams
+        if self.beams_deg:
+            longest = max(beam.max_range for beam in beams)
+            beams = tuple(SensorSpec(0.0, 0.0, math.radians(each), max_range=longest) for each in self.beams_deg)
+        if self.max_range:
+            beams = tuple(replace(beam, max_range=self.max_range) for beam in beams)
+        if self.range_topics and len(self.range_topics) != len(beams):
+            raise ValueError(f"range_topics has {len(self.range_topics)} topics, but the robot has {len(beams)} beams")
+        return replace(described, beams=beams)
+
+
+def _checked(name: str, value: Any, default: Any) -> Any:
+    """A value of the type that a parameter has."""
+    if isinstance(default, tuple) and not isinstance(value, str) and isinstance(value, Sequence):
+        kind: type[str | float] = str if name == "range_topics" else float
+        return tuple(_checked(name, each, kind()) for each in value)
+    is_number = isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool)
+    if is_number or type(value) is type(default):
+        return type(default)(value)
+    words = {bool: "true or false", float: "a number", str: "a text", tuple: "a list"}[type(default)]
+    raise ValueError(f"the parameter {name} must be {words}, not {value!r}")

@@ -1,0 +1,121 @@
+"""Exploration that ends where it began: the way back to the start."""
+
+import math
+
+import numpy as np
+
+from limslam_agent.belief import Belief
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import back_off, point_ahead, steer
+from limslam_agent.policies.policy import NO_PLAN, Policy
+from limslam_agent.policies.wall_views import path_to
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+
+_ARRIVED = 0.08  # m
+_AHEAD = 0.05  # m by which the path must become shorter
+_MOST_TRIES = 3  # number of times that the robot backs off where it cannot go on
+
+
+class WayHome:
+    """A policy, and after it the way back to the start.
+
+    Parameters
+    ----------
+    policy
+        Drives until it stops, or until :meth:`go_home`.
+    robot, config
+        Body and settings.
+    home
+        Where the robot began (2,), m. The origin by default.
+    always
+        Whether to drive home whenever the policy has stopped. If not, only :meth:`go_home` does so.
+
+    Attributes
+    ----------
+    is_going_home
+        Whether the robot is on its way home.
+    stop_reason
+        Why the policy has stopped, in words, and whether the robot is back. None while the robot drives.
+    plan
+        Path to the present goal (k, 2), m.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        robot: RobotSpec,
+        config: PolicyConfig,
+        home: FloatArray | None = None,
+        *,
+        always: bool = False,
+    ) -> None:
+        self._policy, self._robot, self._config, self._always = policy, robot, config, always
+        self._home = np.zeros(2) if home is None else np.asarray(home, dtype=float)
+        self._collision_guard = CollisionGuard(robot)
+        self.stop_reason: str | None = None
+        self.plan: FloatArray = NO_PLAN
+        self.is_going_home = False
+        self._why = "asked to drive home"
+        self._left, self._idle, self._until_plan, self._backing, self._tries = math.inf, 0, 0, 0, 0
+
+    def go_home(self) -> None:
+        """End the exploration, and drive home."""
+        if not self.is_going_home:
+            self.is_going_home, self.plan = True, NO_PLAN
+
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,). Zero after the policy has stopped."""
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._collision_guard.add_readings(belief.pose, belief.ranges)
+        if not self.is_going_home:
+            return self._explore(belief)
+        return self._collision_guard.limit_speed(belief.pose, self._drive(belief))
+
+    def _explore(self, belief: Belief) -> FloatArray:
+        wheels = self._policy.act(belief)
+        self.plan = self._policy.plan
+        reason = self._policy.stop_reason
+        if reason is not None and self._always:
+            self._why = reason
+            self.go_home()
+        elif reason is not None:
+            self.stop_reason = reason
+        return wheels
+
+    def _drive(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) along the path home."""
+        if self._backing > 0:
+            self._backing -= 1
+            return back_off(belief.pose, belief.grid, self._robot, self._config)
+        self._until_plan -= 1
+        if self._until_plan < 0:
+            self._plan(belief)
+        if self.stop_reason is None and float(np.hypot(*(self._home - belief.pose[:2]))) < _ARRIVED:
+            self.stop_reason = f"{self._why}; the robot is back at its start"
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        away = np.hypot(*(self.plan - belief.pose[:2]).T)
+        nearest, aim = point_ahead(self.plan, away, self._config.lookahead)
+        self._count_idle(float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell)
+        return steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
+
+    def _plan(self, belief: Belief) -> None:
+        self._until_plan = self._config.replan_period
+        path = path_to(belief, self._home, self._robot, self._config)
+        if path is None and not len(self.plan):
+            self.stop_reason = f"{self._why}; the map shows no way back to the start"
+        self.plan = self.plan if path is None else np.vstack((path, self._home))
+
+    def _count_idle(self, left: float) -> None:
+        """Count the steps in which the remaining path, ``left`` (m), became no shorter; back off, or give up."""
+        self._idle = 0 if left < self._left - _AHEAD else self._idle + 1
+        self._left = left if self._idle == 0 else self._left
+        if self._idle <= self._config.patience:
+            return
+        self._idle, self._left, self._tries = 0, math.inf, self._tries + 1
+        self._backing, self._until_plan = self._config.back_steps, 0
+        if self._tries > _MOST_TRIES:
+            self.stop_reason = f"{self._why}; something is in the way back to the start"

@@ -1,0 +1,173 @@
+"""Two logs of wheel travel as one run of the line smoother, if the map of one fits in the map of the other."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.decision import find_place, runner_up
+from limslam_agent.places.matching import best_fits
+from limslam_agent.places.place_map import PlaceMap, place_map
+from limslam_agent.replay.replay import Replay
+from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.status.smoothed_status import smoothed_status
+from limslam_agent.status.status import LEVELS, Status
+from limslam_env.geometry import FloatArray, se2
+
+_FURTHEST = 0.4, np.radians(10.0)
+"""The smoothed start of the second log differs by at most this from the matched one, m and rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class NotJoined:
+    """Why two logs are not joined, for ``result.json``."""
+
+    record: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedLines:
+    """Two logs of wheel travel that were joined.
+
+    Attributes
+    ----------
+    smoothed
+        Both logs as a run of two robots, of which the shorter one waits at its end.
+    record
+        The joining.
+    poses
+        Smoothed poses of all steps, (n, 3) and (m, 3), in the frame of the first log.
+    frame
+        Pose (3,) of the second log's frame in the frame of the first log.
+    grid
+        The occupancy grid of both logs.
+    status
+        Whether the smoothed paths and the map can be trusted.
+    """
+
+    smoothed: SmoothedRun
+    record: dict[str, Any]
+    poses: tuple[FloatArray, FloatArray]
+    frame: FloatArray
+    grid: GridView
+    status: Status
+
+
+def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
+    """Match the maps of two logs, and smooth both logs as one run if one map fits in the other at one place only.
+
+    The joining is taken back if the readings contradict the shared map, or if the map of one log fits in the shared map
+    at a second place.
+    """
+    one = replays[0]
+    places, settings = one.config.recovery, one.config.run_smoothing
+    if places is None or settings is None:
+        raise ValueError("two logs of wheel travel are joined by the preset graph only")
+    maps = [place_map(each.segments, each.grid) for each in replays]
+    is_second_local = maps[1].length <= maps[0].length
+    known, local = maps if is_second_local else maps[::-1]
+    decision = find_place(known, local, places)
+    if decision.fit is None or not decision.is_accepted:
+        return _not_joined(decision.refusal, decision.record)
+    matched = decision.fit.pose if is_second_local else se2.inverse(decision.fit.pose)
+    run = joined_run([_run_of(each) for each in replays], matched)
+    smoothed = smooth_run(run, settings)
+    if smoothed is None:
+        return _not_joined("the logs could not be smoothed together", decision.record)
+    poses = _own_steps(smoothed, replays)
+    frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
+    grid = grid_of(replays, poses)
+    status = smoothed_status(
+        smoothed.contradictions, (run.poses[1:], run.covariances[1:]), (smoothed.poses[1:], smoothed.covariances[1:]),
+        one.config.status.smoothed, while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
+    )  # fmt: skip
+    reason = _contradiction(status, frame, matched) or _ambiguity(place_map(smoothed.segments, grid), local, places)
+    if reason:
+        return _not_joined(f"joined and taken back: {reason}", decision.record)
+    record = {**decision.record, "event": "joined", "start": poses[1][0].tolist()}
+    return JoinedLines(smoothed, record, poses, frame, grid, status)
+
+
+def _not_joined(reason: str, match: dict[str, Any]) -> NotJoined:
+    return NotJoined({"event": "not joined", "reason": reason, "match": match})
+
+
+def _contradiction(status: Status, frame: FloatArray, matched: FloatArray) -> str:
+    """Why a joining is wrong by what the readings of both logs say together; empty if it may be right."""
+    off = se2.between(matched, frame)
+    if float(np.hypot(*off[:2])) > _FURTHEST[0] or abs(float(off[2])) > _FURTHEST[1]:
+        return "the readings lead away from the matched place"
+    return status.reason if status.level != "ok" else ""
+
+
+def _ambiguity(whole: PlaceMap, local: PlaceMap, places: PlaceConfig) -> str:
+    """Whether a map fits in the shared map at a second place, in words; empty if it does not."""
+    fits = best_fits(whole, local, places)
+    share = runner_up(fits, places) if fits else 1.0
+    return (
+        f"ambiguous: another place of the shared map has {share:.0%} of the score" if share > places.runner_up else ""
+    )
+
+
+def _run_of(replay: Replay) -> FilteredRun:
+    """The run that a log was smoothed from, with its smoothed poses."""
+    smoothed = replay.smoothed
+    if smoothed is None or not isinstance(smoothed.basis, FilteredRun):
+        raise ValueError("a log of wheel travel was not smoothed by the line smoother")
+    return replace(smoothed.basis, poses=smoothed.poses[: len(smoothed.basis.poses), None])
+
+
+def joined_run(runs: Sequence[FilteredRun], frame: FloatArray) -> FilteredRun:
+    """Two runs of one robot as a run of two robots. The start of the second one is unknown.
+
+    The shorter run waits at its end, without readings. ``frame`` (3,) is the pose of the second run's frame in that of
+    the first run.
+    """
+    first, second = runs
+    second = replace(second, poses=se2.compose(frame, second.poses))
+    steps = max(len(each.poses) for each in runs)
+    columns: dict[str, Any] = {
+        name: np.concatenate([_padded(getattr(each, name), steps, fill) for each in (first, second)], axis=1)
+        for name, fill in (("wheels", 0), ("ranges", np.nan), ("usable", False), ("poses", None), ("covariances", None))
+    }
+    columns["usable"][0, 1] = False
+    apart = 1 + max((record.landmark for record in first.associations), default=-1)
+    others = [
+        AssociationRecord(record.landmark + apart, record.is_new, record.readings, 1) for record in second.associations
+    ]
+    closures = [replace(each, older=each.older + apart, younger=each.younger + apart) for each in second.closures]
+    breaks = (*first.breaks, *((1, step) for _, step in second.breaks), (1, 1))
+    return FilteredRun(
+        robot=first.robot, noise=first.noise, associations=[*first.associations, *others],
+        closures=[*first.closures, *closures], breaks=breaks, **columns,
+    )  # fmt: skip
+
+
+def _padded(rows: FloatArray, steps: int, fill: float | None) -> FloatArray:
+    """Rows (t, 1, ...) with more rows at the end, up to a number of steps: of a value, or of the last row."""
+    more = np.repeat(rows[-1:], steps - len(rows), axis=0)
+    return np.concatenate((rows, more if fill is None else np.full_like(more, fill)))
+
+
+def _own_steps(smoothed: SmoothedRun, replays: tuple[Replay, Replay]) -> tuple[FloatArray, FloatArray]:
+    """The smoothed poses of each log. The first pose of the second log follows from its second pose."""
+    one, other = (smoothed.poses[: len(each.log), number].copy() for number, each in enumerate(replays))
+    alone = replays[1].smoothed
+    if alone is not None and len(other) > 1:
+        other[0] = se2.compose(other[1], se2.between(alone.poses[1], alone.poses[0]))
+    return one, other
+
+
+def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray]) -> GridView:
+    """The occupancy grid of the readings of several logs from poses (n, 3) of each."""
+    grid = OccupancyGrid(replays[0].config.grid)
+    for replay, path in zip(replays, poses, strict=True):
+        log = replay.log
+        for row in np.flatnonzero(log.has_scan):
+            ranges = log.ranges[row].astype(np.float64)
+            grid.update(path[row], log.robot, ranges, np.isfinite(ranges))
+    return grid.view

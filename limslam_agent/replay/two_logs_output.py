@@ -1,0 +1,180 @@
+"""The folder of two logs: each log's own results, and the map and the paths of both in one frame."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.logs.relations import RelationErrors, Relations, relation_errors, summary
+from limslam_agent.output.cost import run_cost
+from limslam_agent.output.export import map_content, write_json, write_map
+from limslam_agent.output.finished_run import UNPLACED
+from limslam_agent.output.tum import write_tum
+from limslam_agent.replay.replay import write_replay
+from limslam_agent.replay.two_logs import JointReplay
+from limslam_env.geometry import BoolArray, FloatArray
+
+LOG_FOLDERS = ("log_0", "log_1")
+"""The folders of the results of each log by itself."""
+
+Source = dict[str, str | None]
+
+
+def relation_scores(joint: JointReplay, relations: tuple[Relations | None, Relations | None]) -> dict[str, Any]:
+    """Errors of relative poses against known ones: over the relations of each log, and over those between the logs.
+
+    Relations between the logs are known only if one set of relations is given for both logs, and the times of the logs
+    do not overlap.
+    """
+    paths = {"": joint.online(), "odometry_": joint.odometry(), "smoothed_": joint.poses}
+    scores: dict[str, Any] = {}
+    for prefix, poses in paths.items():
+        errors = [
+            relation_errors(known, replay.log.time, path, replay.log.odometry)
+            for known, replay, path in zip(relations, joint.replays, poses, strict=True)
+            if known is not None
+        ]
+        if errors:
+            scores |= {prefix + name: value for name, value in summary(_together(errors)).items()}
+    one, other = relations
+    if joint.is_joined and one is not None and one is other and _are_apart(joint):
+        found = summary(_between(joint, one))
+        scores |= {f"smoothed_between_{name}": value for name, value in found.items() if "loop" not in name}
+    return scores
+
+
+def _together(errors: list[RelationErrors]) -> RelationErrors:
+    return RelationErrors(
+        np.concatenate([each.translation for each in errors]),
+        np.concatenate([each.rotation for each in errors]),
+        np.concatenate([each.is_loop for each in errors]),
+        sum(each.unmatched for each in errors),
+    )
+
+
+def _are_apart(joint: JointReplay) -> bool:
+    one, other = (each.log.time for each in joint.replays)
+    return bool(one.max() < other.min() or other.max() < one.min())
+
+
+def _between(joint: JointReplay, relations: Relations) -> RelationErrors:
+    """Errors of the relations that begin in one log and end in the other one."""
+    logs = [each.log for each in joint.replays]
+    begins, ends = (_inside(when, logs[0].time) for when in (relations.start_time, relations.end_time))
+    others = [_inside(when, logs[1].time) for when in (relations.start_time, relations.end_time)]
+    chosen = (begins & others[1]) | (ends & others[0])
+    known = Relations(relations.start_time[chosen], relations.end_time[chosen], relations.relative[chosen])
+    odometry = [log.odometry for log in logs if log.odometry is not None]
+    return relation_errors(
+        known,
+        np.concatenate([log.time for log in logs]),
+        np.concatenate(joint.poses),
+        np.concatenate(odometry) if odometry else None,
+    )
+
+
+def _inside(when: FloatArray, time: FloatArray) -> BoolArray:
+    return np.asarray((when >= time.min()) & (when <= time.max()))
+
+
+def write_joint_replay(
+    folder: Path,
+    joint: JointReplay,
+    sources: tuple[Source, Source],
+    scores: tuple[dict[str, Any], dict[str, Any], dict[str, Any]],
+    versions: dict[str, str],
+) -> dict[str, Any]:
+    """Write the results of two logs into a folder. Returns the content of ``result.json``.
+
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    joint
+        What is written.
+    sources
+        Names of the files that each log used.
+    scores
+        Metrics of each log by itself, and of both together.
+    versions
+        Versions of the libraries.
+    """
+    own = []
+    for name, replay, source, each in zip(LOG_FOLDERS, joint.replays, sources, scores[:2], strict=True):
+        (folder / name).mkdir()
+        own.append(write_replay(folder / name, replay, source, each, versions))
+    kinds = {"est": joint.online(), "odometry": joint.odometry(), "smoothed": joint.poses}
+    for number, replay in enumerate(joint.replays):
+        for kind, paths in kinds.items():
+            write_tum(folder / f"trajectory_{kind}_{number}.tum", replay.log.time, paths[number])
+    true = [(each.log.time, each.log.true_pose) for each in joint.replays if each.log.true_pose is not None]
+    if joint.is_joined and len(true) == len(joint.replays):
+        for number, (time, poses) in enumerate(true):
+            write_tum(folder / f"trajectory_true_{number}.tum", time, poses)
+    write_map(folder, joint)
+    if joint.unplaced is not None:
+        write_json(folder / UNPLACED, map_content(joint.unplaced, "local"))
+    if joint.loops is not None:
+        write_json(folder / "loops.json", joint.loops)
+    _draw(folder / "map.png", joint, sources)
+    result = _result(joint, sources, scores[2], own, versions)
+    write_json(folder / "result.json", result)
+    return result
+
+
+def _result(
+    joint: JointReplay,
+    sources: tuple[Source, Source],
+    scores: dict[str, Any],
+    own: list[dict[str, Any]],
+    versions: dict[str, str],
+) -> dict[str, Any]:
+    replays = joint.replays
+    duration = sum(float(np.ptp(each.log.time)) for each in replays)
+    records = [each["record"] for each in own]
+    statuses = {"status": joint.status.level, "status_reason": joint.status.reason, "status_note": ""}
+    counts = {"landmarks": len(joint.segments), "refused_readings": sum(each.refused_readings for each in replays)}
+    seconds = [each.smoothed.seconds for each in replays if each.smoothed is not None]
+    cost = run_cost(
+        duration, sum(each.wall_clock for each in replays), slam=np.concatenate([each.slam_ms for each in replays])
+    )
+    return {
+        "metrics": {**scores, **joint.figures, **statuses, **counts},
+        "cost": {**cost, "smoothing_cpu_s": sum(seconds) + joint.seconds},
+        "config": {
+            "log": " and ".join(str(each["log"]) for each in sources),
+            "logs": [each["log"] for each in sources],
+            "relations": [each["relations"] for each in sources],
+            "robot": asdict(replays[0].log.robot),
+            "robots": [asdict(each.log.robot) for each in replays],
+            "agent": asdict(replays[0].config),
+        },
+        "record": {
+            "steps": sum(each["steps"] for each in records),
+            "duration_s": duration,
+            "driven_m": sum(each["driven_m"] for each in records),
+            "places": [{"step": 0, "time_s": 0.0, **joint.record}],
+        },
+        "versions": versions,
+        "seed": None,
+    }
+
+
+def _draw(path: Path, joint: JointReplay, sources: tuple[Source, Source]) -> None:
+    """Draw the map with the paths of both logs; of the first log only if they are not joined."""
+    from limslam_agent.output.drawing import MapPicture, draw_map
+
+    count = 2 if joint.is_joined else 1
+    names = " and ".join(str(each["log"]) for each in sources[:count])
+    beams = " and ".join(str(number) for number in dict.fromkeys(len(each.log.robot.beams) for each in joint.replays))
+    true_paths = [each.log.true_pose[:, :2] for each in joint.replays[:count] if each.log.true_pose is not None]
+    smoothed, online, odometry = (
+        [poses[:, :2] for poses in paths[:count]] for paths in (joint.poses, joint.online(), joint.odometry())
+    )
+    picture = MapPicture(
+        f"{names}, {beams} beams, {joint.replays[0].config.preset}", joint.segments, smoothed, odometry,
+        true_path=true_paths if len(true_paths) == count else None,
+        grid=joint.grid, online=online,
+    )  # fmt: skip
+    draw_map(path, picture)

@@ -1,0 +1,149 @@
+"""Map merging: the decision whether two logs become one map, and the reason if they do not."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.config.merging import MergingConfig
+from limslam_agent.slam.graph.agreement import agreement_of_visits
+from limslam_agent.slam.graph.key_poses import Trajectory
+from limslam_agent.slam.merging.chains import Chain
+from limslam_agent.slam.merging.joint_graph import JointMap, joint_map
+from limslam_agent.slam.merging.placements import CrossScore, Placement, placements
+from limslam_agent.slam.merging.placing import Pieces, candidates
+from limslam_env.geometry import FloatArray, se2
+
+NO_MATCH = "no two local maps of one log fit in the other log at places that agree"
+
+
+@dataclass(frozen=True, eq=False)
+class Merging:
+    """The decision about two logs.
+
+    Attributes
+    ----------
+    joint
+        The map of both logs; None if they are not joined.
+    refusal
+        Why they are not joined; empty if they are.
+    record
+        The decision for ``result.json``.
+    """
+
+    joint: JointMap | None
+    refusal: str
+    record: dict[str, Any]
+
+
+def merge(
+    first: Chain,
+    second: Chain,
+    graph: GraphConfig,
+    config: MergingConfig | None = None,
+    report: Callable[[str], None] = lambda _: None,
+) -> Merging:
+    """Place the second log in the first one, and smooth both as one graph if one placement only fits.
+
+    The joining is taken back if the smoothed map of both logs contradicts itself.
+    """
+    config = config or MergingConfig()
+    reach = max(first.data.max_range, second.data.max_range)
+    report("both logs, local maps are matched")
+    known, local = (Pieces.of(chain, reach, graph, config) for chain in (first, second))
+    ranked = placements(known, local, candidates(known, local, config, graph), config, graph)
+    if not ranked:
+        return Merging(None, NO_MATCH, {"event": "not joined", "reason": NO_MATCH})
+    best = ranked[0]
+    runner_up = _runner_up(best, ranked[1:], config)
+    record = _figures(best, local, runner_up)
+    refusal = _refusal(best, local, runner_up, config)
+    if refusal:
+        return Merging(None, refusal, {"event": "not joined", "reason": refusal, "match": record})
+    joint = joint_map(first, second, known, local, best, graph, report)
+    checked, refusal = _checked(joint, reach, graph, config)
+    if refusal:
+        taken_back = f"joined and taken back: {refusal}"
+        return Merging(None, taken_back, {"event": "not joined", "reason": taken_back, "match": record, **checked})
+    start = joint.trajectory.poses[len(first.keys)]
+    details = {"start": start.tolist(), "match": record, **checked}
+    return Merging(joint, "", {"event": "joined", "reason": "the local maps fit at one place only", **details})
+
+
+def _runner_up(best: Placement, others: Sequence[Placement], config: MergingConfig) -> float:
+    """The value of the best other placement, as a share of the best value."""
+    limit = best.contradicted_share + config.discounted
+    values = [each.value(config) * (config.discount if each.contradicted_share > limit else 1.0) for each in others]
+    worth = best.value(config)
+    return max(*values, 0.0, 0.0) / worth if worth > 0.0 else 1.0
+
+
+def _figures(best: Placement, local: Pieces, runner_up: float) -> dict[str, Any]:
+    motion = se2.compose(best.poses[0], se2.inverse(local.poses[0]))
+    return {
+        "pose": motion.tolist(),
+        "score": float(np.mean([each.score for each in best.members])) if best.members else 0.0,
+        "local_maps": len(best.members),
+        "confirmed_points": best.confirmed,
+        "contradicted_points": best.contradicted,
+        "runner_up": float(runner_up),
+    }
+
+
+def _refusal(best: Placement, local: Pieces, runner_up: float, config: MergingConfig) -> str:
+    travel = [local.maps[each.piece].travel for each in best.members]
+    if not travel or max(travel) - min(travel) < config.spread:
+        return NO_MATCH
+    if best.confirmed < config.least_points:
+        return f"only {best.confirmed} points of walls fit"
+    if best.contradicted_share > config.placed_contradicted:
+        return f"one log looks through {best.contradicted_share:.0%} of the walls that the other log has seen there"
+    if runner_up > config.runner_up:
+        return f"ambiguous: another place has {runner_up:.0%} of the best score"
+    return ""
+
+
+def _checked(joint: JointMap, reach: float, graph: GraphConfig, config: MergingConfig) -> tuple[dict[str, Any], str]:
+    """Figures of a joined map, and why it contradicts itself; empty if it does not."""
+    chains = _smoothed_chains(joint)
+    known, local = (Pieces.of(chain, reach, graph, config) for chain in chains)
+    confirmed, contradicted = CrossScore.of(known, local, graph)(local.poses)
+    share = contradicted / max(confirmed + contradicted, 1)
+    kept = sum(each.kept for each in joint.cross_loops)
+    falls = [
+        _own_score(before, graph) - _own_score(after, graph)
+        for before, after in zip((joint.first, joint.second), chains, strict=True)
+    ]
+    figures = {
+        "loops_between": kept,
+        "loops_between_found": len(joint.cross_loops),
+        "confirmed_points": confirmed,
+        "contradicted_points": contradicted,
+        "score_changes": [-float(fall) for fall in falls],
+    }
+    if kept < config.least_loops:
+        return figures, f"only {kept} loops between the logs are left"
+    if share > config.joined_contradicted:
+        return figures, f"one log looks through {share:.0%} of the walls of the other log"
+    if max(falls) > config.fall:
+        which = ("first", "second")[int(np.argmax(falls))]
+        return figures, f"the map of the {which} log agrees less with itself"
+    return figures, ""
+
+
+def _smoothed_chains(joint: JointMap) -> tuple[Chain, Chain]:
+    count, bias = len(joint.first.keys), joint.trajectory.bias
+    poses: list[FloatArray] = [joint.trajectory.poses[:count], joint.trajectory.poses[count:]]
+    one, other = (
+        replace(chain, smoothed=Trajectory(part, bias))
+        for chain, part in zip((joint.first, joint.second), poses, strict=True)
+    )
+    return one, other
+
+
+def _own_score(chain: Chain, graph: GraphConfig) -> float:
+    """G of one log alone."""
+    confirmed, contradicted = agreement_of_visits(chain.keys, chain.smoothed, graph, chain.data.max_range)
+    return confirmed - contradicted

@@ -1,0 +1,115 @@
+"""Ends of beams beside walls and the body, and places where beams pass through lines: compiled as in plain numpy."""
+
+import math
+
+import numpy as np
+import pytest
+
+from limslam_agent.kernels.nearness import (
+    aim_beams,
+    count_on_walls,
+    passed_lines,
+    place_readings,
+    room_ahead,
+    safe_share,
+)
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry.segment import distances
+from limslam_env.interface import RobotSpec
+
+ROBOT, SEEDS = RobotSpec(), range(40)
+BEAMS = len(ROBOT.beams)
+
+
+def drawn(seed: int) -> tuple[np.random.Generator, FloatArray, FloatArray]:
+    """A generator, a pose (3,) and readings, some of them without a number."""
+    generator = np.random.default_rng(seed)
+    ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges * 1.2, ROBOT.min_ranges, ROBOT.max_ranges)
+    ranges[generator.random(BEAMS) < 0.1] = np.nan
+    return generator, np.array([*generator.normal(0.0, 1.0, 2), generator.uniform(-4.0, 4.0)]), ranges
+
+
+def ends_of(pose: FloatArray, reaches: FloatArray) -> FloatArray:
+    return transform_points(pose, ROBOT.beam_origins + reaches[:, None] * ROBOT.beam_directions)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_readings_are_placed(seed: int) -> None:
+    _, pose, ranges = drawn(seed)
+    seen, touched = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
+    place_readings(pose, ranges, ROBOT.beam_table, 0.4, seen, touched)
+    is_hit, is_near = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far), ranges <= ROBOT.too_near
+    np.testing.assert_allclose(seen, np.where(is_hit[:, None], ends_of(pose, ranges), np.nan), atol=1e-12)
+    near = ends_of(pose, 0.4 * ROBOT.too_near)
+    np.testing.assert_allclose(touched, np.where(is_near[:, None], near, np.nan), atol=1e-12)
+
+
+def test_the_share_of_a_way_that_is_safe() -> None:
+    shares, found = np.array([1.0, 0.5, 0.25]), set()
+    for seed in SEEDS:
+        generator, pose, _ = drawn(seed)
+        points = pose[:2] + generator.normal(0.0, 0.2, (8, BEAMS, 2))
+        points[generator.random((8, BEAMS)) < 0.9] = np.nan
+        way = generator.normal(0.0, 0.05, 2)
+        flat = points.reshape(-1, 2) - pose[:2]
+        flat = flat[np.hypot(*flat.T) > 0.08]
+        least = np.minimum(np.hypot(*flat.T), 0.125)
+        safe = [share for share in shares.tolist() if (np.hypot(*(flat - share * way).T) >= least).all()]
+        share = safe_share(pose, way, points[:5], points[5:], 0.08, 0.125, shares)
+        assert share == (safe[0] if safe else 0.0)
+        found.add(share)
+    assert found == {0.0, 0.25, 0.5, 1.0}
+
+
+def test_readings_that_end_on_walls() -> None:
+    counts = set()
+    for seed in SEEDS:
+        generator, pose, ranges = drawn(seed)
+        segments = generator.normal(0.0, 2.0, (7, 4))
+        hits = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far)
+        away = distances(ends_of(pose, ranges)[hits], segments).min(axis=1, initial=math.inf)
+        counts.add(count := count_on_walls(pose, ranges, ROBOT.beam_table, segments, 0.2))
+        assert count == np.count_nonzero(away < 0.2)
+    assert len(counts) > 2
+    assert count_on_walls(np.zeros(3), np.ones(BEAMS), ROBOT.beam_table, np.zeros((0, 4)), 0.2) == 0
+
+
+def test_room_ahead() -> None:
+    for seed in SEEDS:
+        _, _, ranges = drawn(seed)
+        front = (np.abs(ROBOT.beam_angles) <= math.radians(60.0)) & np.isfinite(ranges)
+        rooms = [math.inf if front.any() else 0.0]
+        for beam in np.flatnonzero(front & (ranges < ROBOT.too_far)):
+            x, y = ROBOT.beam_origins[beam] + ranges[beam] * ROBOT.beam_directions[beam]
+            if abs(y) < ROBOT.radius + 0.03 and x > 0.0:
+                rooms.append(x - math.sqrt(ROBOT.radius**2 - min(abs(y), ROBOT.radius) ** 2))
+        found = room_ahead(ranges, ROBOT.beam_table, math.radians(60.0), ROBOT.radius, 0.03)
+        assert found == pytest.approx(min(rooms), abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_lines_that_beams_pass_through(seed: int) -> None:
+    generator, pose, ranges = drawn(seed)
+    lines, anchors = generator.uniform(-2.0, 2.0, (9, 2)), generator.normal(0.0, 1.0, (9, 2))
+    measured, rays = generator.random(BEAMS) < 0.8, (np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS))
+    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, *rays)
+    beams = np.flatnonzero(measured & (ranges > ROBOT.too_near))
+    origins, towards, reaches = (each[:count] for each in rays)
+    margins = generator.uniform(0.0, 0.1, count)
+    headings = pose[2] + ROBOT.beam_angles[beams]
+    np.testing.assert_allclose(origins, transform_points(pose, ROBOT.beam_origins[beams]), atol=1e-12)
+    np.testing.assert_allclose(towards, np.column_stack((np.cos(headings), np.sin(headings))), atol=1e-12)
+    np.testing.assert_array_equal(reaches, ranges[beams])
+
+    numbers, places = np.empty(9 * count, dtype=np.int64), np.empty(9 * count)
+    found = passed_lines(origins, towards, reaches, margins, lines, anchors, 0.05, 0.2, numbers, places)
+    cosines = towards @ normal(lines).T
+    ahead = (lines[:, 0] + np.sum(anchors * normal(lines), axis=1) - origins @ normal(lines).T) / cosines
+    least = ahead + margins[:, None] / np.maximum(np.abs(cosines), 0.2) + 0.05
+    rows, indices = np.nonzero((np.abs(cosines) > 0.2) & (ahead > 0.0) & (least < reaches[:, None]))
+    assert numbers[:found].tolist() == indices.tolist()
+    points = origins[rows] + ahead[rows, indices, None] * towards[rows]
+    along = np.sum((points - anchors[indices]) * direction(lines)[indices], axis=1)
+    np.testing.assert_allclose(places[:found], along, atol=1e-12)

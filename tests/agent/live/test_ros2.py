@@ -1,0 +1,463 @@
+"""Robots of ROS 2 without ROS: messages become telemetry, and the belief becomes messages."""
+
+import math
+import runpy
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import typer
+from support.command_line import call
+
+from limslam_agent.cli.main import app, main
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
+from limslam_agent.live.recording import Recording
+from limslam_agent.live.ros2.link import ODOMETRY, Event, RosLink
+from limslam_agent.live.ros2.node import PACKAGES
+from limslam_agent.live.ros2.odometer import Odometer, map_to_odom, wheel_travel
+from limslam_agent.live.ros2.outputs import ros_grid
+from limslam_agent.live.ros2.parameters import Parameters
+from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
+from limslam_agent.live.ros2.synchroniser import MOST_WAITING, Synchroniser
+from limslam_agent.live.session import NoRobotError
+from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env.interface import RobotSpec, beams_on_rim
+
+ROBOT = RobotSpec()
+
+
+def stamped(time, frame=""):
+    seconds, rest = divmod(round(1e9 * time), 10**9)
+    return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=rest), frame_id=frame)
+
+
+def odometry(x, y, heading):
+    turn = SimpleNamespace(x=0.0, y=0.0, z=math.sin(0.5 * heading), w=math.cos(0.5 * heading))
+    pose = SimpleNamespace(position=SimpleNamespace(x=x, y=y), orientation=turn)
+    header = stamped(0.0, "wheels")
+    return SimpleNamespace(header=header, child_frame_id="body", pose=SimpleNamespace(pose=pose))
+
+
+def scan(ranges, *, first=-180.0, step=1.0, least=0.1, largest=3.5, time_increment=0.0):
+    return SimpleNamespace(
+        ranges=ranges, angle_min=math.radians(first), angle_increment=math.radians(step), range_min=least,
+        range_max=largest, time_increment=time_increment,
+    )  # fmt: skip
+
+
+def distance(reading, least=0.05, largest=1.2):
+    return SimpleNamespace(range=reading, min_range=least, max_range=largest)
+
+
+class FakePorts:
+    """A node without ROS. Each look for messages gives those of the next moment."""
+
+    def __init__(self, *moments):
+        self.moments, self.watchdog_stops, self.time, self.driven, self.held = list(moments), 0, 0.0, [], 0
+
+    def take(self, timeout):
+        self.time += timeout
+        return self.moments.pop(0) if self.moments else []
+
+    def now(self):
+        return self.time
+
+    def drive(self, speed, turn_rate):
+        self.driven.append((speed, turn_rate))
+
+    def hold(self):
+        self.held += 1
+
+
+# Wheel travel from odometry.
+
+
+@pytest.mark.parametrize("wheels", [(0.1, 0.1), (0.1, 0.3), (-0.2, -0.1), (0.2, -0.2), (0.0, 0.5), (0.0, 0.0)])
+def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
+    motion = arc(*wheels_to_arc(np.array(wheels), 0.16))
+    np.testing.assert_allclose(wheel_travel(motion, 0.16), wheels, atol=1e-12)
+
+
+def test_a_motion_to_the_side_is_no_travel():
+    assert wheel_travel(np.array([0.0, 0.1, 0.0]), 0.16) == pytest.approx((0.0, 0.0))
+
+
+def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages_lose_no_travel():
+    odometer, pose, wheels = Odometer(ROBOT), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
+    odometer.add(10.0, pose)
+    for number in range(1, 11):
+        pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
+        if number not in {3, 4}:  # lost
+            odometer.add(10.0 + 0.1 * number, pose)
+    end = odometer.at(11.0)
+    np.testing.assert_allclose((end.left, end.right), 10 * wheels, atol=1e-9)
+    np.testing.assert_allclose(end.pose, pose)
+    half = odometer.at(10.55)
+    np.testing.assert_allclose((half.left, half.right), 5.5 * wheels, atol=1e-9)
+    assert odometer.at(11.05) is None
+    assert odometer.at(9.95) is None
+    assert (odometer.late, odometer.doubled, odometer.jumps) == (0, 0, 0)
+
+
+def test_late_and_doubled_odometry_is_counted_and_a_jump_is_no_travel():
+    odometer = Odometer(ROBOT)
+    for time, x in ((1.0, 0.0), (1.1, 0.02), (1.1, 0.02), (1.05, 0.01), (1.2, 0.04), (1.3, -7.0), (1.4, -6.98)):
+        odometer.add(time, np.array([x, 0.0, 0.0]))
+    assert (odometer.late, odometer.doubled, odometer.jumps) == (1, 1, 1)
+    assert odometer.at(1.4).left == pytest.approx(0.06)
+    assert not odometer.has_begun_again
+
+
+def test_one_stray_time_is_ignored_and_a_clock_that_was_set_begins_again():
+    synchroniser = Synchroniser(ROBOT, 0.1)
+    for time in (100.0, 100.1, 3.0, 100.2):
+        synchroniser.add_odometry(time, np.zeros(3))
+    assert (synchroniser.begun, synchroniser.late) == (0, 1)
+    for time in (1.0, 1.1, 1.2, 1.3, 1.4):
+        synchroniser.add_odometry(time, np.zeros(3))
+    assert synchroniser.begun == 1
+    synchroniser.add_reading(Reading(1.45, (1,)))
+    assert [each.sample.time for each in synchroniser.add_odometry(1.5, np.zeros(3))] == [1.45]
+
+
+def test_the_transform_leads_from_the_odometry_to_the_map():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        estimated, measured = rng.uniform(-3.0, 3.0, (2, 3))
+        shift = map_to_odom(estimated, measured)
+        np.testing.assert_allclose(compose(shift, measured)[:2], estimated[:2], atol=1e-12)
+        assert math.cos(compose(shift, measured)[2] - estimated[2]) == pytest.approx(1.0)
+
+
+# Readings.
+
+
+def test_readings_mean_what_rep_117_says():
+    readings = [1.0, math.inf, -math.inf, math.nan, -1.0, 0.0, 0.09, 3.5, 3.6, 3.4999]
+    expected = (1000, NOTHING_SEEN, 0, None, None, 0, 0, NOTHING_SEEN, NOTHING_SEEN, 3500)
+    assert in_mm(readings, 0.1, 3.5) == expected
+    # Drivers that leave the limits out, and readings so far away that their number has another meaning.
+    assert in_mm([0.0, 5.0, 65.535, math.inf], 0.0, 0.0) == (0, 5000, NOTHING_SEEN - 1, NOTHING_SEEN)
+
+
+def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser():
+    sensors = ScanSensors(ROBOT, np.array([0.05, 0.0, math.radians(180.0)]))
+    ranges = np.full(360, math.inf)
+    # The laser looks back: its -90 deg is the left of the robot.
+    ranges[90], ranges[180 + 165] = 0.7, 0.4
+    (reading,) = sensors.add(0, 5.0, scan(ranges.tolist()))
+    assert reading.ranges == (700, NOTHING_SEEN, NOTHING_SEEN, 400, NOTHING_SEEN, NOTHING_SEEN)
+    assert reading.time == 5.0
+    np.testing.assert_allclose(np.degrees(sensors.robot.beam_angles), np.degrees(ROBOT.beam_angles), atol=1e-9)
+    np.testing.assert_allclose(sensors.robot.beam_origins, np.broadcast_to((0.05, 0.0), (6, 2)))
+    assert set(sensors.robot.max_ranges) == {1.5}
+    assert [beam.side for beam in sensors.robot.beams] == [beam.side for beam in ROBOT.beams]
+
+
+def test_a_laser_that_sees_less_far_shortens_the_beams_and_its_turn_takes_time():
+    sensors = ScanSensors(ROBOT, np.zeros(3))
+    message = scan([0.5] * 360, largest=1.0, time_increment=0.1 / 360)
+    assert sensors.add(0, 1.0, message)[0].time == pytest.approx(1.05, abs=1e-3)
+    assert set(sensors.robot.max_ranges) == {1.0}
+
+
+def test_a_scan_without_a_wanted_beam_is_refused_with_the_beam():
+    with pytest.raises(ValueError, match="no beam within 1 deg of 90 deg"):
+        ScanSensors(ROBOT, np.zeros(3)).add(0, 0.0, scan([1.0] * 91, first=-45.0))
+    sensors = ScanSensors(ROBOT, np.zeros(3))
+    sensors.add(0, 0.0, scan([1.0] * 360))
+    with pytest.raises(ValueError, match="the scan's beams have changed"):
+        sensors.add(0, 0.1, scan([1.0] * 91, first=-45.0))
+
+
+def collected(sensors, *messages):
+    """What sensors make of messages, each a number, a time and a range."""
+    found = [each for number, time, reading in messages for each in sensors.add(number, time, distance(reading))]
+    return [(round(each.time, 3), each.ranges) for each in found]
+
+
+def three_ranges():
+    """Sensors for three beams, whose topics have had two messages each at a spacing of 0.1 s."""
+    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)))
+    first = [(number, 0.8 + 0.1 * step, 1.0) for step in range(2) for number in range(3)]
+    # The time between two messages is known with the second one of the first topic.
+    assert collected(sensors, *first) == [(0.9, (1000, 1000, 1000))]
+    np.testing.assert_allclose(sensors.robot.max_ranges, 1.2)
+    return sensors
+
+
+def test_ranges_of_several_topics_that_are_near_in_time_belong_together():
+    sensors = three_ranges()
+    assert collected(sensors, (0, 1.00, 0.5), (2, 1.02, 0.7), (1, 1.01, math.inf)) == [
+        (1.01, (500, NOTHING_SEEN, 700))
+    ]  # fmt: skip
+
+
+def test_a_lost_message_is_no_reading_and_moments_are_not_mixed():
+    sensors = three_ranges()
+    # The message of the second topic at 1.0 s is lost, and its next one arrives before those of the others.
+    messages = [(0, 1.0, 0.5), (2, 1.0, 0.7), (1, 1.1, 0.6), (0, 1.1, 0.4), (2, 1.1, 0.3)]
+    assert collected(sensors, *messages) == [(1.0, (500, None, 700)), (1.1, (400, 600, 300))]
+
+
+def test_topics_may_overtake_each_other():
+    sensors = three_ranges()
+    messages = [(0, 1.0, 0.1), (1, 1.0, 0.2), (0, 1.1, 0.4), (1, 1.1, 0.5), (2, 1.0, 0.3), (2, 1.1, 0.6)]
+    assert collected(sensors, *messages) == [(1.0, (100, 200, 300)), (1.1, (400, 500, 600))]
+
+
+def test_a_topic_that_has_ended_is_not_waited_for_any_more():
+    sensors = three_ranges()
+    messages = [(number, 1.0 + 0.1 * step, 0.5) for step in range(6) for number in range(2)]
+    found = collected(sensors, *messages)
+    assert [ranges for _, ranges in found] == [(500, 500, None)] * 6
+    # All come at the third one: the topic was waited for until then.
+    assert collected(sensors, (0, 1.6, 0.5), (1, 1.6, 0.5)) == [(1.6, (500, 500, None))]
+
+
+def test_ranges_that_are_late_or_doubled_are_left_out():
+    sensors = three_ranges()
+    messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
+    assert collected(sensors, *messages) == [(1.1, (500, 400, 300))]
+    assert (sensors.doubled, sensors.late) == (1, 1)
+
+
+def test_topics_that_are_found_later_than_others_are_not_waited_for():
+    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)))
+    messages = [(0, 1.0, 0.5), (1, 1.0, 0.5), (0, 1.1, 0.5), (1, 1.1, 0.5), (2, 1.2, 0.4), (0, 1.2, 0.5), (1, 1.2, 0.5)]
+    assert collected(sensors, *messages) == [(1.1, (500, 500, None)), (1.2, (500, 500, 400))]
+
+
+# Readings and odometry together.
+
+
+def test_readings_wait_for_odometry_and_leave_in_the_order_of_their_times():
+    synchroniser = Synchroniser(ROBOT, 0.1)
+    assert synchroniser.add_reading(Reading(0.9, (1,))) == []
+    synchroniser.add_odometry(1.0, np.zeros(3))
+    assert synchroniser.late == 1  # from before the first odometry
+    for time in (1.25, 1.05, 1.15, 1.15):
+        assert synchroniser.add_reading(Reading(time, (round(100 * time),))) == []
+    assert synchroniser.doubled == 1
+    done = synchroniser.add_odometry(1.2, np.array([0.02, 0.0, 0.0]))
+    assert [(each.sample.time, each.ranges) for each in done] == [(1.05, (105,)), (1.15, (115,))]
+    assert done[0].sample.left == pytest.approx(0.005)
+    assert synchroniser.add_reading(Reading(1.1, (110,))) == []
+    assert synchroniser.late == 2
+    done = synchroniser.add_odometry(1.3, np.array([0.03, 0.0, 0.0]))
+    assert [each.sample.time for each in done] == [1.25]
+
+
+def test_fast_sensors_are_thinned_out_and_no_more_than_some_readings_wait():
+    synchroniser = Synchroniser(ROBOT, 0.1)
+    synchroniser.add_odometry(0.0, np.zeros(3))
+    for number in range(1, 41):
+        synchroniser.add_reading(Reading(0.025 * number, (number,)))
+    done = synchroniser.add_odometry(1.0, np.zeros(3))
+    np.testing.assert_allclose(np.diff([each.sample.time for each in done]), 0.075)
+    for number in range(MOST_WAITING + 5):
+        synchroniser.add_reading(Reading(2.0 + number, (0,)))
+    assert synchroniser.late == 5
+
+
+# The connection.
+
+
+def moment(time, x, reading=0.5):
+    return [
+        Event(ODOMETRY, time, odometry(x, 0.0, 0.0)),
+        *(Event(number, time, distance(reading)) for number in range(6)),
+    ]
+
+
+def link_of(*moments, **parameters):
+    topics = tuple(f"beam_{number}" for number in range(6))
+    ports = FakePorts(*moments)
+    return RosLink(ports, ROBOT, Parameters(range_topics=topics, **parameters), clock=ports.now), ports
+
+
+def test_messages_become_the_telemetry_of_a_session():
+    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.02 * step) for step in range(-1, 8)))
+    hello = link.first_hello(10.0)
+    assert (hello.beams, hello.period_ms, hello.watchdog_ms) == (6, 100, 500)
+    recording = Recording(link.robot, hello)
+    packets = [*link.receive(0.02), *link.receive(0.02), *link.receive(0.02)]
+    rows = [recording.add(packet) for packet in packets]
+    assert [row.time for row in rows] == pytest.approx([0.1 * step for step in range(8)])
+    np.testing.assert_allclose([row.left for row in rows], 0.02 * np.arange(8), atol=1e-6)
+    np.testing.assert_allclose(rows[3].ranges, 0.5)
+    assert (link.frames, link.newest.time) == (("wheels", "body"), pytest.approx(5.7))
+    link.send(Speeds(link.next_seq(), 0, 100, 260))
+    assert ports.driven == [(pytest.approx(0.18), pytest.approx(1.0))]
+    link.send(Heartbeat(link.next_seq()))
+    link.send(Stop(link.next_seq()))
+    assert (ports.driven[1:], ports.held) == ([(0.0, 0.0)], 1)
+
+
+def test_a_command_is_acknowledged_by_the_first_measurement_after_it():
+    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(-1, 8)))
+    link.first_hello(10.0)
+    assert {packet.ack for packet in link.receive(0.02)} == {0}
+    ports.time = 5.65
+    link.send(Speeds(link.next_seq(), 0, 1, 1))
+    acks = {round(1e-3 * packet.time_ms, 1): packet.ack for packet in (*link.receive(0.0), *link.receive(0.0))}
+    assert acks == {5.6: 0, 5.7: 1}
+
+
+def test_a_stop_by_the_watchdog_is_told_until_the_next_speeds():
+    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(9)))
+    link.first_hello(10.0)
+    link.receive(0.02)
+    ports.watchdog_stops = 1
+    assert [packet.stopped for packet in link.receive(0.02)] == [1]
+    link.send(Speeds(link.next_seq(), 0, 1, 1))
+    assert [packet.stopped for packet in link.receive(0.02)] == [0]
+
+
+def test_a_clock_that_was_set_is_a_robot_that_was_switched_on_again():
+    later, earlier = range(8), range(8)
+    moments = [moment(100.0 + 0.1 * step, 0.0) for step in later] + [moment(1.0 + 0.1 * step, 0.0) for step in earlier]
+    link, ports = link_of(*moments)
+    first = link.first_hello(10.0)
+    messages = []
+    while ports.moments:
+        messages += link.receive(0.02)
+    (again,) = (each for each in messages if isinstance(each, Hello))
+    assert (first.boot, again.boot) == (0, 1)
+    after = messages[messages.index(again) + 1 :]
+    assert after
+    assert all(packet.time_ms < 2000 for packet in after)
+
+
+def test_messages_that_cannot_be_used_are_counted_and_named():
+    broken = [Event(ODOMETRY, 5.0, odometry(math.nan, 0.0, 0.0))]
+    link, _ = link_of(*([broken] * 4), *(moment(6.0 + 0.1 * step, 0.0) for step in range(6)))
+    link.first_hello(10.0)
+    assert link.bad_lines == 4
+    link, _ = link_of(*([[*broken, *moment(5.0, 0.0)[1:]]] * 4))
+    with pytest.raises(NoRobotError, match="no message could be used: the position is nan"):
+        link.first_hello(1.0)
+
+
+@pytest.mark.parametrize(
+    ("moments", "words"),
+    [
+        ([], "there was no message on beam_0, beam_1, beam_2, beam_3, beam_4, beam_5, odom"),
+        ([moment(1.0, 0.0)[:4]], "there was no message on beam_3, beam_4, beam_5"),
+        ([moment(1.0, 0.0)[1:]], "there was no message on odom"),
+        ([moment(1.0, 0.0), moment(1.1, 0.0)], "gave 1 measurements: are both stamped by the same clock"),
+    ],
+)
+def test_what_is_silent_is_named(moments, words):
+    link, _ = link_of(*moments)
+    with pytest.raises(NoRobotError, match=words):
+        link.first_hello(0.5)
+
+
+# Parameters, and what is published.
+
+
+def test_parameters_change_the_beams():
+    robot = Parameters(beams_deg=(0.0, 90.0), max_range=3.0).robot(ROBOT)
+    np.testing.assert_allclose(np.degrees(robot.beam_angles), (0.0, 90.0))
+    assert set(robot.max_ranges) == {3.0}
+    given = {"range_topics": ["a"], "period": 1, "scan_mount": [0, 0.5, 180], "explore": False}
+    expected = Parameters(range_topics=("a",), period=1.0, scan_mount=(0.0, 0.5, 180.0), explore=False)
+    assert Parameters.of(given) == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"watchdog": 0.0}, "watchdog must be from 0.05 to 60 s, not 0"),
+        ({"period": math.nan}, "period must be"),
+        ({"max_range": -1.0}, "max_range must be a length"),
+        ({"scan_mount": (0.0, 1.0)}, "scan_mount must be three numbers"),
+    ],
+)
+def test_impossible_parameters_are_refused(values, words):
+    with pytest.raises(ValueError, match=words):
+        Parameters(**values)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"range_topic": ["a"]}, "there is no parameter range_topic; there are range_topics, scan_mount, "),
+        ({"period": "fast"}, "the parameter period must be a number, not 'fast'"),
+        ({"period": True}, "the parameter period must be a number, not True"),
+        ({"explore": 1}, "the parameter explore must be true or false, not 1"),
+        ({"range_topics": "a"}, "the parameter range_topics must be a list, not 'a'"),
+        ({"beams_deg": ["left"]}, "the parameter beams_deg must be a number, not 'left'"),
+    ],
+)
+def test_parameters_of_another_name_or_type_are_refused(values, words):
+    with pytest.raises(ValueError, match=words):
+        Parameters.of(values)
+
+
+def test_there_is_a_topic_for_each_beam():
+    with pytest.raises(ValueError, match="range_topics has 2 topics, but the robot has 6 beams"):
+        Parameters(range_topics=("a", "b")).robot(ROBOT)
+
+
+def test_the_grid_has_the_numbers_of_ros():
+    view = GridView(np.array([-1.0, 2.0]), 0.1, np.array([[3, 0], [-2, 1]], dtype=np.int16))
+    grid = ros_grid(view)
+    assert grid.cells.tolist() == [[0, -1], [100, 0]]
+    assert (grid.cells.dtype, grid.resolution, grid.origin.tolist()) == (np.int8, 0.1, [-1.0, 2.0])
+
+
+# The command line.
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (("--ros2", "--udp", 9), "either --serial PORT, --udp PORT or --ros2 is needed"),
+        (("--udp", 0, "--", "--ros-args"), "--ros-args: only --ros2 takes arguments for ROS 2"),
+    ],
+)
+def test_impossible_options_are_refused_in_one_line(told, words, tmp_path):
+    finished = call(main, "live", "--out", tmp_path / "room", *told)
+    assert finished.returncode == 2
+    assert words in finished.stderr.splitlines()[-1]
+
+
+def test_without_ros_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "limslam_agent.live.ros2.node.find_spec", lambda name: None if name in PACKAGES else find_spec(name)
+    )
+    finished = call(main, "live", "--ros2", "--robot", "paper", "--out", tmp_path / "room")
+    assert finished.returncode == 2
+    (line,) = finished.stderr.splitlines()
+    assert "ROS 2 needs rclpy, " in line
+    assert "pip install 'limslam[ros2]'" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_launch_file_starts_a_command_that_the_command_line_reads(monkeypatch):
+    example = Path(__file__).parents[3] / "examples" / "live" / "ros2" / "limslam.launch.py"
+    if not example.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    # Stand-ins for the launch system of ROS 2: each action keeps what it is given.
+    kept = SimpleNamespace(
+        LaunchDescription=list, DeclareLaunchArgument=lambda name, default_value: (name, default_value),
+        ExecuteProcess=lambda **given: given, LaunchConfiguration=lambda name: f"<{name}>",
+    )  # fmt: skip
+    for module in ("launch", "launch.actions", "launch.substitutions"):
+        monkeypatch.setitem(sys.modules, module, kept)
+    *arguments, process = runpy.run_path(str(example))["generate_launch_description"]()
+    values = dict(arguments)
+    words = [part if isinstance(part, str) else "".join(part) for part in process["cmd"]]
+    for name, value in values.items():
+        words = [word.replace(f"<{name}>", value) for word in words]
+    assert words[:2] == ["limslam", "live"]
+    command = typer.main.get_command(app).commands["live"]
+    told = command.make_context("live", words[2:]).params
+    assert (told["ros2"], told["robot"], told["noise"]) == (True, "paper", 0.02)
+    assert told["ros_arguments"][:3] == ["--ros-args", "-r", "scan:=scan"]

@@ -1,0 +1,93 @@
+"""The way back to the start: after the exploration, and when somebody asks for it."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.agent import LimSlamAgent
+from limslam_agent.belief import Belief
+from limslam_agent.config.presets import PolicyConfig, preset
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.simple_policies import WallFollower
+from limslam_agent.policies.way_home import WayHome
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import no_rows
+from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.simulation.simulation import Simulation
+from limslam_env.worlds.formats.loading import load_world
+
+ROBOT = RobotSpec()
+
+
+class Stands:
+    """A policy that stands still, and stops after some steps."""
+
+    plan = np.zeros((0, 2))
+
+    def __init__(self, steps):
+        self._left, self.stop_reason = steps, None
+
+    def act(self, belief):
+        del belief
+        self._left -= 1
+        self.stop_reason = "everything seen" if self._left <= 0 else None
+        return np.zeros(2)
+
+
+def belief_at(x, y, values=None):
+    values = np.full((40, 40), 5, dtype=np.int16) if values is None else values
+    grid = GridView(np.array([-2.0, -2.0]), 0.1, values)
+    return Belief(np.array([x, y, 0.0]), 1e-6 * np.eye(3), np.full(6, 1.5), no_rows(4), grid)
+
+
+@pytest.mark.parametrize("always", [True, False])
+def test_the_robot_drives_home_when_everything_was_seen_if_it_is_to(always):
+    policy = WayHome(Stands(3), ROBOT, PolicyConfig(), always=always)
+    for _ in range(3):
+        policy.act(belief_at(1.0, 0.5))
+    assert (policy.stop_reason, policy.is_going_home) == (None if always else "everything seen", always)
+    if always:
+        assert np.abs(policy.act(belief_at(1.0, 0.5))).max() > 0.1
+        np.testing.assert_array_equal(policy.plan[-1], 0.0)
+        policy.act(belief_at(0.02, 0.03))
+        assert policy.stop_reason == "everything seen; the robot is back at its start"
+    np.testing.assert_array_equal(policy.act(belief_at(1.0, 0.5)), 0.0)
+
+
+def test_a_robot_that_is_walled_off_says_that_there_is_no_way():
+    values = np.full((40, 40), 5, dtype=np.int16)
+    values[:, 25] = -5
+    policy = WayHome(Stands(100), ROBOT, PolicyConfig())
+    policy.go_home()
+    policy.act(belief_at(1.5, 0.0, values))
+    assert policy.stop_reason == "asked to drive home; the map shows no way back to the start"
+
+
+def test_a_robot_that_does_not_move_gives_up():
+    policy = WayHome(Stands(100), ROBOT, PolicyConfig())
+    policy.go_home()
+    for _ in range(1000):
+        policy.act(belief_at(1.5, 0.0))
+        if policy.stop_reason is not None:
+            break
+    assert policy.stop_reason == "asked to drive home; something is in the way back to the start"
+
+
+def test_a_robot_in_a_world_comes_back_to_its_start():
+    simulation = Simulation(load_world("env1"), ROBOT)
+    readings, truth = simulation.reset(np.random.SeedSequence(3), NoiseConfig(sensor_noise=0.02))
+    config = preset("consistent", NominalNoise(0.02))
+    policy = WayHome(WallFollower(ROBOT, config.policy), ROBOT, config.policy)
+    agent, start = LimSlamAgent(ROBOT, config, policy), truth.poses[0].copy()
+    farthest = 0.0
+    for step in range(900):
+        left, right = agent.act({"ranges": readings.ranges[0], "wheels": readings.wheels[0]})
+        readings, truth = simulation.step([(left, right)])
+        away = float(np.hypot(*(truth.poses[0] - start)[:2]))
+        farthest = max(farthest, away)
+        if step == 300:
+            policy.go_home()
+        if agent.done:
+            break
+    assert agent.stop_reason == "asked to drive home; the robot is back at its start"
+    assert farthest > 1.0
+    assert away < 0.2
