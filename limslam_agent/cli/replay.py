@@ -152,12 +152,12 @@ def warn(warnings: list[str]) -> None:
 
 
 def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
-    """Read a log, with all that its options say about it.
+    """Read a log and all that is known about it.
 
     Raises
     ------
     ValueError
-        If it cannot be read, or the options do not fit it.
+        If the log or another file cannot be used.
     """
     from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log

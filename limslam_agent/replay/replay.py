@@ -249,6 +249,8 @@ def write_replay(
         write_tum(folder / "trajectory_smoothed.tum", log.time, smoothed.poses)
         if smoothed.loops is not None:
             write_json(folder / "loops.json", smoothed.loops)
+        if smoothed.graph is not None:
+            write_json(folder / "graph.json", smoothed.graph)
     if log.true_pose is not None:
         write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
     write_map(folder, replay)

@@ -59,6 +59,9 @@ class Smoothed:
         Whether the smoothed path and map can be trusted. None from the graph of local maps.
     basis
         What two logs are joined from: the graph of local maps, or the run of the line smoother.
+    graph
+        For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
+        smoother.
     """
 
     poses: FloatArray
@@ -68,6 +71,7 @@ class Smoothed:
     covariances: FloatArray | None = None
     status: Status | None = None
     basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
+    graph: dict[str, list[float]] | None = None
 
 
 def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
@@ -81,7 +85,8 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     found, landmarks, signals = _trusted(found, config, log, range_std)
     seconds = time.process_time() - begin
     figures = {**_figures(found), **signals.figures}
-    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, basis=found)
+    graph = _graph(found, log)
+    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found)
     grid = draw_grid(replay, found.poses)
     return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
 
@@ -237,6 +242,11 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "loops_kept": sum(verdict.kept for verdict in found.verdicts),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
+
+
+def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:
+    places = {"key_pose_times": found.keys.first_event, "local_map_times": found.chunk_events}
+    return {name: log.time[events].tolist() for name, events in places.items()}
 
 
 def _loops(found: GraphResult, log: RecordedLog) -> list[dict[str, Any]]:

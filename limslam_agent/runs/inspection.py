@@ -36,7 +36,7 @@ Progress = Callable[[int], None]
 SAME = 2e-6
 """Poses that differ by less than this, m and rad, are equal: the files of trajectories have six digits."""
 
-_LOOPS = "loops.json"
+_LOOPS, _GRAPH = "loops.json", "graph.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,9 @@ def _inspection(recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edg
     if run.smoothed:
         arrays["smoothed"] = np.array(run.smoothed).swapaxes(0, 1)[rows].astype(np.float32)
     arrays["final_walls"] = run.segments.astype(np.float32)
-    meta["path_loops"] = _loops(run.folder / _LOOPS, float(run.time[0]))
+    start = float(run.time[0])
+    meta["path_loops"] = _read(run.folder / _LOOPS, lambda told: [_loop(each, start) for each in told], [])
+    meta["graph"] = _read(run.folder / _GRAPH, lambda told: _graph(told, start), {"key_poses": [], "local_maps": []})
     difference = _difference(recorder, mapper, run)
     return Inspection(arrays, {**meta, "check": _words(difference)}, len(rows), difference)
 
@@ -181,8 +183,8 @@ def _words(difference: float) -> str:
     return f"The poses differ by up to {difference:.2g} (m, rad) from those in the folder: its version was another one."
 
 
-def _loops(path: Path, start: float) -> list[dict[str, Any]]:
-    """The loops that the graph of local maps has found, kept and refused ones, with times from the start, s.
+def _read(path: Path, found: Callable[[Any], Any], otherwise: Any) -> Any:
+    """What a function finds in a JSON file of the smoother, or something else if there is no such file.
 
     Raises
     ------
@@ -190,11 +192,19 @@ def _loops(path: Path, start: float) -> list[dict[str, Any]]:
         If the file is damaged.
     """
     if not path.is_file():
-        return []
+        return otherwise
     try:
-        return [_loop(each, start) for each in json.loads(read_limited(path))]
+        return found(json.loads(read_limited(path)))
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise FolderError(f"{path}: is damaged: {error}") from error
+
+
+def _graph(told: dict[str, Any], start: float) -> dict[str, Any]:
+    """Times of key poses and of local maps, from the start, s."""
+    return {
+        name: rounded([time - start for time in told[key]], 3)
+        for name, key in (("key_poses", "key_pose_times"), ("local_maps", "local_map_times"))
+    }
 
 
 def _loop(told: dict[str, Any], start: float) -> dict[str, Any]:

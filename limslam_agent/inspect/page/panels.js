@@ -17,7 +17,7 @@ const KINDS = {
 };
 const TESTS = {
   direction: 'direction', offset: 'offset', ends: 'gap along the wall', range: 'out of range', hidden: 'beams cannot see it',
-  beams: 'too few beams meet it', gate: 'gate',
+  beams: 'these beams cannot show it', gate: 'gate',
 };
 
 const byId = (id) => document.getElementById(id);
@@ -279,8 +279,10 @@ function showLoops(recording, frame, seek) {
     found.push({t: times[1], text: `Smoother: the place at ${times[0].toFixed(1)} s again. Score ${score.toFixed(2)}, found by ${source}: ${reason}.`});
   }
   const items = found.sort((a, b) => a.t - b.t).map(({t, text}) => moment(t, text, seek));
+  const {key_poses: keys, local_maps: maps} = recording.meta.graph || {key_poses: [], local_maps: []};
+  const graph = maps.length ? [element('p', `The smoother divided the path into ${maps.length} local maps of ${keys.length} key poses. The layer Smoothed shows them.`, {class: 'note'})] : [];
   byId('loop-count').textContent = items.length ? String(items.length) : 'none';
-  box.replaceChildren(items.length ? element('ol', items, {class: 'events'}) : element('p', 'No loop was closed.', {class: 'note'}));
+  box.replaceChildren(...graph, items.length ? element('ol', items, {class: 'events'}) : element('p', 'No loop was closed.', {class: 'note'}));
 }
 
 function moment(seconds, text, seek) {

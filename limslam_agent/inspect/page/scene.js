@@ -116,7 +116,7 @@ class Scene {
       const pose = recording.poseOf('pose', frame, robot);
       if (this.on.beams) this.beams(pen, pose, frame, robot, true);
     }
-    if (this.on.smoothed) this.pathLoops(pen, frame);
+    if (this.on.smoothed) { this.graph(pen, frame); this.pathLoops(pen, frame); }
     if (this.on.points) this.buffers(pen, frame);
     this.observed(pen, frame);
     for (let robot = 0; robot < recording.robots; robot++) {
@@ -354,6 +354,34 @@ class Scene {
     pen.restore();
   }
 
+  // Key poses as dots, and local maps as diamonds; the local map of the moment is the thick part of the path.
+  graph(pen, frame) {
+    const {recording, colours} = this, poses = recording.smoothed, {key_poses: keys, local_maps: maps} = recording.meta.graph || {};
+    if (!poses || !maps || !maps.length) return;
+    const place = (seconds) => { const at = 3 * recording.robots * recording.frameAt(seconds); return [poses[at], poses[at + 1]]; };
+    for (const seconds of keys) this.dot(pen, place(seconds), colours.smoothed, 1.6);
+    const now = recording.seconds[frame], current = nearest(maps, now);
+    const borders = [-1, 1].map((way) => (maps[current + way] === undefined ? maps[current] + way * 1e9 : (maps[current] + maps[current + way]) / 2));
+    pen.strokeStyle = colours.smoothed;
+    pen.lineWidth = 5 * this.pixel;
+    pen.globalAlpha = 0.5;
+    pen.beginPath();
+    for (let at = recording.frameAt(borders[0]); at <= recording.frameAt(borders[1]); at++) pen.lineTo(poses[3 * recording.robots * at], poses[3 * recording.robots * at + 1]);
+    pen.stroke();
+    pen.globalAlpha = 1;
+    for (const seconds of maps) {
+      const [x, y] = place(seconds), half = 5 * this.pixel;
+      pen.fillStyle = seconds <= now ? colours.smoothed : colours.paper;
+      pen.strokeStyle = colours.smoothed;
+      pen.lineWidth = 1.2 * this.pixel;
+      pen.beginPath();
+      for (const [dx, dy] of [[half, 0], [0, half], [-half, 0], [0, -half]]) pen.lineTo(x + dx, y + dy);
+      pen.closePath();
+      pen.fill();
+      pen.stroke();
+    }
+  }
+
   // The loops of a log that was smoothed by its local maps: chords between two places of the path.
   pathLoops(pen, frame) {
     const {recording, colours} = this, poses = recording.smoothed;
@@ -382,6 +410,12 @@ function boundsOf(recording) {
   for (let at = 0; at < edges.length; at += 2) add(edges[at], edges[at + 1]);
   const margin = 0.055 * Math.max(box[2] - box[0], box[3] - box[1], 1);
   return [box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin];
+}
+
+// The index of the number of a sorted list that is nearest to a value.
+function nearest(sorted, value) {
+  const after = Math.min(firstAfter(sorted, value), sorted.length - 1);
+  return after > 0 && value - sorted[after - 1] < sorted[after] - value ? after - 1 : after;
 }
 
 // A colour as one number of four channels, as the pixels of an image hold it.

@@ -15,13 +15,13 @@ import numpy as np
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
-from limslam_agent.slam.consistent.explanation import segment_ends, tested
+from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
@@ -360,7 +360,8 @@ class ConsistentEstimator(Estimator):
                 break
             candidates = self._candidates(readings, segment)
         if self.on_comparison is not None:
-            self.on_comparison(self._comparison(robot, step, readings, segment, candidates))
+            known = {each.landmark: each.of_line for each in candidates}
+            self.on_comparison(comparison(robot, step, readings, segment, known, self._filter, self._map, settings))
         best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
         if second <= settings.gate and second - best < settings.ambiguity:
             return True
@@ -380,8 +381,9 @@ class ConsistentEstimator(Estimator):
         A landmark that was only seen from the other side is one of them if it is a board, and not the other face.
         """
         settings = self._settings.association
+        loose = 2.0 * math.atan2(2.0 * self._usual_std, max(segment.length, SHORTEST))
         found = []
-        for index in self._near(segment.theta, segment.middle, self._max_angle(segment), settings.max_offset):
+        for index in self._near(segment.theta, segment.middle, settings.max_angle + loose, settings.max_offset):
             along, (low, high) = self._map.along(index, segment.points), self._map[index].extent.ends
             if max(along.min() - high, low - along.max()) > settings.max_end_gap:
                 continue
@@ -389,23 +391,6 @@ class ConsistentEstimator(Estimator):
             if disagreement is not None and self._may_show(index, readings, segment, disagreement):
                 found.append(_Candidate(disagreement.of_line, disagreement.left, disagreement.used, index))
         return sorted(found)
-
-    def _max_angle(self, segment: WallSegment) -> float:
-        """Largest difference of direction, rad, at which a landmark is compared with a wall segment."""
-        loose = 2.0 * math.atan2(2.0 * self._usual_std, max(segment.length, SHORTEST))
-        return self._settings.association.max_angle + loose
-
-    def _comparison(
-        self, robot: int, step: int, readings: Readings, segment: WallSegment, candidates: list[_Candidate]
-    ) -> Comparison:
-        """A wall segment and all landmarks, with the test that threw each of them out, as diagnostics."""
-        settings, known = self._settings.association, {each.landmark: each.of_line for each in candidates}
-        limits = self._max_angle(segment), settings.max_offset, settings.max_end_gap, settings.gate
-        tests = [
-            tested(self._filter, self._map, segment, index, known.get(index, math.nan), limits)
-            for index in range(len(self._map))
-        ]
-        return Comparison(robot, step, segment_ends(segment), readings.sources, tuple(tests))
 
     def _may_show(self, index: int, readings: Readings, segment: WallSegment, known: Disagreement) -> bool:
         """Whether a landmark was seen from the side of readings near them, or it is a board."""

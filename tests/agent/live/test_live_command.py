@@ -99,15 +99,19 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     robot.write_text("radius = 0.06\naxle = 0.115\nbeams_deg = [90, 45, 0, -45, -90]\nmax_range = 2.0\n")
     _, name = emulator("--pty", "--robot", robot)
     folder = tmp_path / "room"
-    finished = call(
-        main, "live", "--serial", name, "--robot", robot, "--preset", "consistent", "--max-time", 6, "--out", folder
-    )
+    told = ("--preset", "consistent", "--max-time", 6, "--watch", "--out", folder)
+    finished = call(main, "live", "--serial", name, "--robot", robot, *told)
     assert finished.returncode == 0, finished.stderr
+    assert "watch       http://127.0.0.1:" in finished.stderr
     metrics = json.loads((folder / "result.json").read_text())["metrics"]
     assert metrics["stop_reason"] == "time: the longest time of the session is over"
     assert metrics["packets"] >= 60
     assert (metrics["lines_bad"], metrics["packets_implausible"]) == (0, 0)
     assert read_log(folder / "log.npz").robot.axle == 0.115
+    inspected = call(main, "inspect", folder)
+    assert inspected.returncode == 0, inspected.stderr
+    assert "The poses equal those in the folder" in inspected.stdout
+    assert (folder / "inspect.html").is_file()
     assert "live small, consistent" in call(main, "show", folder, "--out", tmp_path / "room.png").stdout
 
 

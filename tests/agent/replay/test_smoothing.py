@@ -11,8 +11,10 @@ from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations
+from limslam_agent.output.finished_run import FolderError, read_run
 from limslam_agent.replay.replay import relation_scores, replay_log, write_replay
 from limslam_agent.replay.smoothing import draw_walls
+from limslam_agent.runs.inspection import inspect_log
 from limslam_agent.slam.graph.point_links import PointCloud
 from limslam_env.geometry import se2
 from limslam_env.geometry.segment import distances
@@ -81,6 +83,17 @@ def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):
     write_replay(tmp_path, replay, {"log": "corridor", "relations": None}, {}, {})
     result = json.loads((tmp_path / "result.json").read_text())
     loops = json.loads((tmp_path / "loops.json").read_text())
+    graph = json.loads((tmp_path / "graph.json").read_text())
+    assert graph["key_pose_times"][0] == replay.log.time[0]
+    assert len(graph["key_pose_times"]) > len(graph["local_map_times"]) > 1
+    assert {each[name] for each in loops for name in ("first_time", "second_time")} <= set(graph["local_map_times"])
+    found = inspect_log(replay.log, replay.config, lambda _: None, read_run(tmp_path))
+    assert found.difference < 2e-6
+    assert len(found.meta["path_loops"]) == len(loops)
+    assert len(found.meta["graph"]["local_maps"]) == len(graph["local_map_times"])
+    (tmp_path / "graph.json").write_text("[]")
+    with pytest.raises(FolderError, match=r"graph\.json: is damaged"):
+        inspect_log(replay.log, replay.config, lambda _: None, read_run(tmp_path))
     paths = [np.loadtxt(tmp_path / f"trajectory_{name}.tum") for name in ("est", "smoothed")]
     assert np.allclose(paths[0][:, 1:3], replay.estimated[:, :2], atol=1e-5)
     assert np.allclose(paths[1][:, 1:3], replay.smoothed.poses[:, :2], atol=1e-5)
