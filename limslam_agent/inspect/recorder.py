@@ -129,6 +129,10 @@ class Recorder:
         """Note what the mapper has done with the pending readings at the end of the run."""
         self._row = max(self._row - 1, 0)
         self._close()
+        if self._mapper.frame != self._frame and self._frame_rows and self._frame_rows[-1] == self._row:
+            # The last row of a run is in the frame in which the run has ended.
+            for name, column in self._estimates().items():
+                self._columns[name][-1] = column
         self._look_at(self._mapper.slam)
         self._note_changes()
 
@@ -291,12 +295,8 @@ class Recorder:
     def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
         mapper, columns = self._mapper, self._columns
         self._frame_rows.append(self._row)
-        statuses, covariances = mapper.statuses, mapper.covariances
-        columns["pose"].append(mapper.poses)
-        columns["cov"].append(covariances[:, *np.triu_indices(3)])
-        columns["odometry"].append(mapper.odometry)
-        columns["level"].append([LEVELS.index(status.level) for status in statuses])
-        columns["reason"].append([self._reason_index(status) for status in statuses])
+        for name, column in self._estimates().items():
+            columns[name].append(column)
         columns["ranges"].append(self._millimetres(ranges))
         columns["landmarks"].append(len(mapper.slam.segments))
         self._keep_buffers(mapper.slam)
@@ -308,6 +308,17 @@ class Recorder:
         if policies is not None:
             self._keep_frontiers(goals)
         columns["frontier_index"].append(len(self._frontiers) - 1)
+
+    def _estimates(self) -> dict[str, Any]:
+        """What the mapper estimates now of each robot."""
+        mapper, statuses = self._mapper, self._mapper.statuses
+        return {
+            "pose": mapper.poses,
+            "cov": mapper.covariances[:, *np.triu_indices(3)],
+            "odometry": mapper.odometry,
+            "level": [LEVELS.index(status.level) for status in statuses],
+            "reason": [self._reason_index(status) for status in statuses],
+        }
 
     def _reason_index(self, status: Status) -> int:
         return self._reasons.setdefault(status.reason, len(self._reasons))
