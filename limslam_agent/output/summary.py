@@ -80,10 +80,10 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
     if event == "not joined":
         where = "the map of the second robot is in map_unplaced.json, in its own frame"
         return f"not joined: {details.get('reason')}; {where}"
-    if event == "joined" and "reason" in details:
-        x, y, heading = details["start"]
-        where = f"the second log begins at x {x:.2f} m, y {y:.2f} m, heading {np.degrees(heading):.1f} deg"
-        return f"joined: {details['reason']}; {where}"
+    start = _numbers(details.get("start"))
+    if event == "joined" and "reason" in details and start is not None:
+        where = f"x {start[0]:.2f} m, y {start[1]:.2f} m, heading {np.degrees(start[2]):.1f} deg"
+        return f"joined: {details['reason']}; the second log begins at {where}"
     if not event.startswith("not found"):
         return f"{event} at {details['time_s']:.1f} s"
     own_frame = f": {details.get('reason')}; the results are in the run's own frame"
@@ -103,9 +103,13 @@ def _calibration_line(found: Any) -> str:
 def _pose(record: Mapping[str, Any]) -> list[float] | None:
     """Where the odometry of the first robot ended."""
     ends = record.get("odometry_end")
-    end = ends[0] if isinstance(ends, list) and ends else None
-    is_pose = isinstance(end, list) and len(end) == 3 and all(isinstance(value, int | float) for value in end)
-    return end if is_pose else None
+    return _numbers(ends[0] if isinstance(ends, list) and ends else None)
+
+
+def _numbers(pose: Any) -> list[float] | None:
+    """A pose as three numbers; None if it is something else."""
+    is_pose = isinstance(pose, list) and len(pose) == 3 and all(isinstance(value, int | float) for value in pose)
+    return pose if is_pose else None
 
 
 def _part(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -11,6 +11,7 @@ from limslam_agent.cli.main import main
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
+from limslam_agent.mapper import Mapper
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.place_map import place_map
@@ -18,6 +19,7 @@ from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.smoothing import final_status
+from limslam_agent.status.status import Status
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -74,6 +76,32 @@ def test_a_place_is_unsure_until_the_map_has_no_other_one():
     meeting.confirm(own, is_complete=True)
     assert not meeting.is_doubtful
     assert [each["event"] for each in meeting.records] == ["joined", "confirmed"]
+
+
+def test_a_joining_that_the_readings_contradict_is_taken_back(episode, monkeypatch):
+    mapper = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
+    mapper.reset(np.array([episode.true[0, 0], HERE]))
+    last = episode.places.records[0]["step"]
+    for step in range(last + 1):
+        mapper.step(*observations_of(episode, step))
+    assert not mapper.is_apart
+    with monkeypatch.context() as patch:
+        patch.setattr(Mapper, "statuses", property(lambda _: [Status("lost", "made up")] * 2))
+        mapper.step(*observations_of(episode, last + 1))
+    assert mapper.is_apart
+    assert mapper.joined is None
+    assert [each["event"] for each in mapper.places.records] == ["joined", "not joined"]
+    assert mapper.places.records[1]["reason"] == "joined, and taken back: the readings contradict the shared map"
+    assert mapper.parted is not None
+    assert len(mapper.parted.poses) == last + 2
+    # Each robot has the map again that it makes by itself.
+    alone = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), HERE)
+    for step in range(last + 2):
+        alone.step(observations_of(episode, step)[1])
+    np.testing.assert_array_equal(mapper.poses[1], alone.slam.pose)
+    mapper.step(*observations_of(episode, last + 2))
+    mapper.finish()
+    assert mapper.places.unplaced is not None
 
 
 def test_a_joined_run_is_smoothed_with_an_unknown_start(episode):
