@@ -402,7 +402,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
-    doubtful_share: NonNegative = 0.15
+    doubtful_share: NonNegative = 0.12
 
 
 @dataclass(frozen=True)

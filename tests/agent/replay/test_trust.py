@@ -26,7 +26,7 @@ def test_a_path_crosses_a_wall_only_inside_of_its_ends():
         (signals(), ""),
         (signals(times=(1.0, 2.0)), ""),
         (signals(driven=20.0, times=(1.0,)), ""),
-        (signals(times=(1.0, 2.0, 3.0)), "the path passes through walls at 3 places"),
+        (signals(times=(1.0, 2.0, 3.0, 4.0)), "the path passes through walls at 4 places"),
         (signals(contradicted=0.2), "visits of a place contradict each other at 29% of the points"),
         (signals(confirmed=0.0, contradicted=0.0, loops=0), "no place was recognised again in 100 m"),
         (signals(driven=30.0, confirmed=0.0, contradicted=0.0, loops=0), ""),
