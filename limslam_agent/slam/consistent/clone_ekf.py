@@ -34,23 +34,6 @@ LEAST_RESIDUAL = 1e-9
 """Least residual that the Huber weight divides by, m."""
 
 
-def poses_moved_with(place: tuple[float, float], poses: FloatArray) -> FloatArray:
-    """Derivative (3 n, 3) of poses (n, 3) by a rigid motion of the world that moves a pose at a place, m."""
-    by_pose = np.zeros((len(poses), POSE, POSE))
-    by_pose[:] = np.eye(POSE)
-    by_pose[:, 0, 2], by_pose[:, 1, 2] = place[1] - poses[:, 1], poses[:, 0] - place[0]
-    return by_pose.reshape(-1, POSE)
-
-
-def lines_moved_with(place: tuple[float, float], lines: FloatArray, anchors: FloatArray) -> FloatArray:
-    """Derivative (2 n, 3) of lines (n, 2) about anchors (n, 2), as of the poses in :func:`poses_moved_with`."""
-    by_line, (x, y) = np.zeros((len(lines), 2, POSE)), place
-    cos, sin, (anchor_x, anchor_y) = np.cos(lines[:, 1]), np.sin(lines[:, 1]), anchors.T
-    by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)
-    by_line[:, 1, 2] = 1.0
-    return by_line.reshape(-1, POSE)
-
-
 class Disagreement(NamedTuple):
     """How badly readings fit a line, as chi-squares.
 

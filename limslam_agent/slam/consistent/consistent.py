@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
-from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
@@ -33,7 +33,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.geometry.segment import sample
-from limslam_env.interface import LARGEST_CONE, RobotSpec, Side
+from limslam_env.interface import RobotSpec, Side
 
 BESIDE_CORNER = 0.15
 """A reading this close to the end of another line, m along it, may belong to either line."""
@@ -53,12 +53,6 @@ KNOWN_SPACING = 0.01
 
 KNOWN_VARIANCES = (0.01**2, math.radians(0.2) ** 2)
 """Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations are not known."""
-
-USUAL_RANGE = 0.7
-"""The noise of points is that of ranges with this share of the longest one, where the noise grows with the range."""
-
-LEAST_ERRORS = (2e-3, math.radians(0.25))
-"""A bias, m, and an opening angle, rad, that differ by less are as assumed."""
 
 SHORTEST = 0.1
 """Least length of a wall segment, m, that the error of its direction is based on."""
@@ -108,8 +102,9 @@ class ConsistentEstimator(Estimator):
             self._filter.calibrate()
         self._config = config
         super().__init__(robot, self._filter)
-        self._specified = RangeSensor(range_std, cone=robot.cone)
-        self._assume(sensor or self._specified)
+        specified = RangeSensor(range_std, cone=robot.cone)
+        self._sensor = AssumedSensor(specified, float(robot.max_ranges.max()), errors)
+        self._assume(sensor or specified)
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
 
@@ -138,7 +133,7 @@ class ConsistentEstimator(Estimator):
     @property
     def sensor(self) -> RangeSensor:
         """How the sensor measures, as specified or as the data require."""
-        return self._sensor
+        return self._sensor.sensor
 
     @property
     def map_state(self) -> MapState:
@@ -214,45 +209,20 @@ class ConsistentEstimator(Estimator):
 
     def _assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
-        self._sensor, self._std, errors = sensor, sensor.std, self._config.range_errors
-        reach = float(self.robot.max_ranges.max())
-        self._usual_std = float(sensor.stds(np.array([USUAL_RANGE * reach]))[0]) if sensor.growth else sensor.std
+        self._sensor.assume(sensor)
+        self._std, self._usual_std = sensor.std, self._sensor.usual_std
         self._settings = self._config.for_ranges(self._usual_std)
-        ratio = errors.least_ratio if sensor == self._specified else errors.further_ratio
-        self._noise = RangeNoise(sensor, reach, errors.least_std, ratio)
-        self._is_counted = False
 
     def _correct_sensor(self) -> None:
-        """Estimate the sensor's errors anew if the readings so far say that the assumed ones are wrong."""
-        settings, sensor, errors = self._config.range_errors, self._sensor, self._filter.range_errors
-        if not self._is_counted or errors is None:
-            return
-        self._is_counted = False
-        change, evidence, noise = errors.estimate[0], errors.evidence, self._noise.estimate
-        change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
-        evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
-        gate, noise_gate = settings.gate, settings.noise_gate
-        if sensor != self._specified:
-            gate = noise_gate = settings.further_gate
-        # What a model of wide cones leaves unexplained would be taken for a bias.
-        may_be_biased = sensor.cone == self._specified.cone
-        is_biased = may_be_biased and evidence[0] > (settings.further_gate if sensor.bias else settings.gate)
-        if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
-            return
-        # Noise and opening angle feign each other, so that any evidence counts. A bias does not show itself that early.
-        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
-        std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
-        self._filter.correct_ranges(change)
-        self._assume(RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0])))
-
-    def _count(self, segment: WallSegment) -> None:
-        """Count the residuals of a segment that is used."""
-        self._noise.count(segment.residuals, segment.ranges)
-        self._is_counted = True
+        """Take the sensor's errors as estimated, if the readings say that they are not as assumed."""
+        found = self._sensor.correction(self._filter.range_errors)
+        if found is not None:
+            self._filter.correct_ranges(found.change)
+            self._assume(found.sensor)
 
     def _readings(self, pending: PendingReadings, side: Side) -> Readings:
         """The pending readings of a side, as the sensor takes them."""
-        readings, sensor = pending.readings(side), self._sensor
+        readings, sensor = pending.readings(side), self.sensor
         return readings._replace(ranges=readings.ranges - sensor.bias, growth=sensor.growth, cone=sensor.cone)
 
     def _points(self, readings: Readings, theta: float | None = None) -> FloatArray:
@@ -271,7 +241,7 @@ class ConsistentEstimator(Estimator):
         count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
         origins, towards, ranges = (each[:count] for each in rays)
         x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
-        stds = np.sqrt(self._sensor.variances(ranges) + (x + y) + heading * ranges**2)
+        stds = np.sqrt(self.sensor.variances(ranges) + (x + y) + heading * ranges**2)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:
@@ -428,7 +398,7 @@ class ConsistentEstimator(Estimator):
         """Update by a wall segment of a known landmark, if it fits; whether it did."""
         fits = self._fits(segment, known)
         if fits:
-            self._count(segment)
+            self._sensor.count(segment)
             self._update(robot, step, readings, self._map[known.landmark], self._settings.update.iterations)
         return fits
 
@@ -454,7 +424,7 @@ class ConsistentEstimator(Estimator):
         return segment.hole <= self._settings.segmentation.max_hole_share * self.robot.reach
 
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
-        self._count(segment)
+        self._sensor.count(segment)
         self._filter.add_line(segment.theta, segment.middle)
         self._update(robot, step, readings, self._map.add(), self._settings.creation.iterations)
 

@@ -1,0 +1,105 @@
+"""How the consistent estimator takes the range sensor to measure: as specified, until the readings say otherwise."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.config.consistent import RangeErrorConfig
+from limslam_agent.slam.consistent.beam_model import RangeSensor
+from limslam_agent.slam.consistent.range_noise import RangeNoise
+from limslam_agent.slam.consistent.segmentation import WallSegment
+from limslam_agent.slam.consistent.separate_bias import RangeErrors
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import LARGEST_CONE
+
+USUAL_RANGE = 0.7
+"""The noise of points is that of ranges with this share of the longest one, where the noise grows with the range."""
+
+LEAST_ERRORS = (2e-3, math.radians(0.25))
+"""A bias, m, and an opening angle, rad, that differ by less are as assumed."""
+
+
+class SensorCorrection(NamedTuple):
+    """A sensor that explains the readings better than the assumed one.
+
+    Attributes
+    ----------
+    change
+        By what its bias, m, and half its opening angle, rad, differ from those assumed so far (2,).
+    sensor
+        The sensor.
+    """
+
+    change: FloatArray
+    sensor: RangeSensor
+
+
+class AssumedSensor:
+    """The sensor that is assumed, and the residuals since then.
+
+    Parameters
+    ----------
+    specified
+        The sensor as the robot's settings state it.
+    reach
+        Longest range, m.
+    config
+        When the sensor is taken to be different.
+
+    Attributes
+    ----------
+    sensor
+        The assumed sensor.
+    """
+
+    def __init__(self, specified: RangeSensor, reach: float, config: RangeErrorConfig) -> None:
+        self._specified, self._reach, self._config = specified, reach, config
+        self.assume(specified)
+
+    def assume(self, sensor: RangeSensor) -> None:
+        """Take the sensor to measure like this from now on."""
+        self.sensor, config = sensor, self._config
+        ratio = config.least_ratio if sensor == self._specified else config.further_ratio
+        self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
+        self._is_counted = False
+
+    @property
+    def usual_std(self) -> float:
+        """Standard deviation of a range of usual length, m."""
+        usual = self.sensor.stds(np.array([USUAL_RANGE * self._reach]))
+        return float(usual[0]) if self.sensor.growth else self.sensor.std
+
+    def count(self, segment: WallSegment) -> None:
+        """Count the residuals of a segment that is used."""
+        self._noise.count(segment.residuals, segment.ranges)
+        self._is_counted = True
+
+    def correction(self, errors: RangeErrors | None) -> SensorCorrection | None:
+        """The sensor that the readings so far require; None if the assumed one will do, or nothing is new.
+
+        Parameters
+        ----------
+        errors
+            Bias and opening angle as estimated beside the filter; None if they are not estimated.
+        """
+        if not self._is_counted or errors is None:
+            return None
+        self._is_counted = False
+        config, sensor, noise = self._config, self.sensor, self._noise.estimate
+        change, evidence = errors.estimate[0], errors.evidence
+        change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
+        evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
+        gate, noise_gate = config.gate, config.noise_gate
+        if sensor != self._specified:
+            gate = noise_gate = config.further_gate
+        # What a model of wide cones leaves unexplained would be taken for a bias.
+        may_be_biased = sensor.cone == self._specified.cone
+        is_biased = may_be_biased and evidence[0] > (config.further_gate if sensor.bias else config.gate)
+        if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
+            return None
+        # Noise and opening angle feign each other, so that any evidence counts. A bias does not show itself that early.
+        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
+        std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
+        found = RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0]))
+        return SensorCorrection(change, found)
