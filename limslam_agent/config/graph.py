@@ -27,7 +27,7 @@ class KeyPoseConfig(Bounded):
     turn: Angle = 12.0 * _DEGREE
     scan_distance: NonNegative = 0.015
     scan_turn: Angle = 1.0 * _DEGREE
-    points_per_metre: Positive = 200.0
+    points_per_metre: Positive = 140.0
 
 
 @dataclass(frozen=True)
