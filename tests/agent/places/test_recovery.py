@@ -25,7 +25,7 @@ LOST, UNSURE = 2, 1
 
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(RunConfig("env3", NOISE, seed=110, kidnap_at=KIDNAPPED, max_time=130.0, until="walls"))
+    return run_episode(RunConfig("env3", NOISE, seed=111, kidnap_at=KIDNAPPED, max_time=130.0, until="walls"))
 
 
 def errors(poses, true):
@@ -87,7 +87,7 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path):
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # The robot never drives as far as it has to before it looks for its place.
     settings = replace(settings, places=replace(settings.places, lost_first=1e3))
-    config = RunConfig("env3", NOISE, seed=110, kidnap_at=30.0, max_time=50.0, settings=settings)
+    config = RunConfig("env3", NOISE, seed=113, kidnap_at=30.0, max_time=50.0, settings=settings)
     episode = run_episode(config)
     assert (episode.places.breaks, episode.places.revisions) == ([], [])
     assert 0 < episode.places.unplaced.begin <= 300
@@ -111,7 +111,7 @@ def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_awa
     # Only the last 10 s are kept, and the search begins later than that.
     places = replace(settings.places, longest=100, lost_first=3.0, lost_spacing=0.1)
     config = RunConfig(
-        "env3", NOISE, seed=110, kidnap_at=90.0, max_time=125.0, settings=replace(settings, places=places)
+        "env3", NOISE, seed=112, kidnap_at=90.0, max_time=125.0, settings=replace(settings, places=places)
     )
     episode = run_episode(config)
     events = {event["event"]: event for event in episode.places.records}
@@ -126,7 +126,7 @@ def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_awa
 
 def test_settings_without_a_search_leave_a_robot_lost():
     settings = replace(preset("graph", NominalNoise(NOISE)), places=None)
-    episode = run_episode(RunConfig("env3", NOISE, seed=110, kidnap_at=10.0, max_time=22.0, settings=settings))
+    episode = run_episode(RunConfig("env3", NOISE, seed=111, kidnap_at=10.0, max_time=22.0, settings=settings))
     assert (episode.places.records, episode.places.breaks) == ([], [])
 
 

@@ -20,7 +20,7 @@ BEGIN, NOISE = 30.0, 0.02
 
 @pytest.mark.parametrize(
     ("kind", "world", "seed"),
-    [("kidnapped", "env2", 1), ("reversed", "env3", 1), ("swapped", "env1", 4), ("jump", "env2", 3)],
+    [("kidnapped", "env2", 1), ("reversed", "env3", 1), ("swapped", "env1", 1), ("jump", "env2", 3)],
 )
 def test_a_fault_is_noticed_within_ten_seconds(kind, world, seed):
     levels = []
