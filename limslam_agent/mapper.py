@@ -353,11 +353,12 @@ class Mapper:
         self._begin_anew()
         self._recovery = self._new_recovery()
         for observations in self._early:
+            may_calibrate = self.slam.may_calibrate
             motions = self._process(observations)
-            if self.slam.sensor != self._sensor and self._may_restart:
+            if self._may_restart and (self.slam.may_calibrate, self.slam.sensor) != (may_calibrate, self._sensor):
                 self._restart()
                 return
-            if self._recovery is not None:
+            if self._recovery is not None and "wheels" in observations[0]:
                 self._follow(self._recovery, observations[0], motions[0])
 
     @property
@@ -440,12 +441,14 @@ class Mapper:
         """Begin a new map in a local frame, with the steps since the robot was lost."""
         absence, log = recovery.absence, recovery.log
         assert absence is not None  # noqa: S101 (the robot is lost)
-        listener = self.slam.on_association
-        self._listener = listener or self._listener
-        slam = self._slam_at(log[absence.first - 1].pose)
-        self._use(slam, OccupancyGrid(self.config.grid))
+        self._listener = self.slam.on_association or self._listener
+        self._use(self._slam_at(log[absence.first - 1].pose), OccupancyGrid(self.config.grid))
         self.slam.robots[0].step = absence.first - 1
-        self._play(recovery, absence.first)
+        # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
+        second = min(absence.first + 1, log.end)
+        self._play(recovery, absence.first, second)
+        self._begin_anew()
+        self._play(recovery, second)
 
     def _seek(self, recovery: Recovery) -> None:
         """Match the local map with the map that the robot was lost from, and go on there if the place is clear."""
@@ -488,6 +491,8 @@ class Mapper:
 
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame."""
+        if self._sensor is not None and slam.sensor != self._sensor:
+            slam.assume(self._sensor)  # what was found out about the sensor holds in every frame
         self.slam, self._grid, self.frame = slam, grid, self.frame + 1
         self._begin_anew()
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from limslam_agent.config.bounds import Bounded, NonNegative
+from limslam_agent.config.bounds import Bounded, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
@@ -89,7 +89,7 @@ class AgentConfig(Bounded):
     preset: str = DEFAULT_PRESET
     estimator: EstimatorConfig = field(default_factory=lambda: ESTIMATORS[DEFAULT_PRESET])
     noise: NominalNoise = field(default_factory=NominalNoise)
-    min_range_std: NonNegative = 0.005
+    min_range_std: Positive = 0.005
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)

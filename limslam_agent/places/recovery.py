@@ -201,7 +201,8 @@ class Recovery:
             self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
-            self.log.forget_before(self._copies[0].step)
+            # A copy of this very step would leave no step to begin at.
+            self.log.forget_before(min(self._copies[0].step, self.log.end - 2))
 
     def lose(
         self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid, *, is_dated: bool = False

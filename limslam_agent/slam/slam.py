@@ -236,6 +236,11 @@ class LineSlam:
         """How the sensor measures, as specified or as the data require; None for the published estimator."""
         return self._estimator.sensor if isinstance(self._estimator, ConsistentEstimator) else None
 
+    def assume(self, sensor: RangeSensor) -> None:
+        """Take the sensor to measure like this from now on, and correct the estimate for what was assumed before."""
+        if isinstance(self._estimator, ConsistentEstimator):
+            self._estimator.assume(sensor)
+
     @property
     def ranges(self) -> FloatArray:
         """The first robot's latest readings (n_beams,), m."""

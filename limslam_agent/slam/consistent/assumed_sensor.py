@@ -1,7 +1,6 @@
 """How the consistent estimator takes the range sensor to measure: as specified, until the readings say otherwise."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.consistent.separate_bias import RangeErrors
-from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
 USUAL_RANGE = 0.7
@@ -18,21 +16,6 @@ USUAL_RANGE = 0.7
 
 LEAST_ERRORS = (2e-3, math.radians(0.25))
 """A bias, m, and an opening angle, rad, that differ by less are as assumed."""
-
-
-class SensorCorrection(NamedTuple):
-    """A sensor that explains the readings better than the assumed one.
-
-    Attributes
-    ----------
-    change
-        By what its bias, m, and half its opening angle, rad, differ from those assumed so far (2,).
-    sensor
-        The sensor.
-    """
-
-    change: FloatArray
-    sensor: RangeSensor
 
 
 class AssumedSensor:
@@ -75,7 +58,7 @@ class AssumedSensor:
         self._noise.count(segment.residuals, segment.ranges)
         self._is_counted = True
 
-    def correction(self, errors: RangeErrors | None) -> SensorCorrection | None:
+    def correction(self, errors: RangeErrors | None) -> RangeSensor | None:
         """The sensor that the readings so far require; None if the assumed one will do, or nothing is new.
 
         Parameters
@@ -98,8 +81,8 @@ class AssumedSensor:
         is_biased = may_be_biased and evidence[0] > (config.further_gate if sensor.bias else config.gate)
         if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
             return None
-        # Noise and opening angle feign each other, so that any evidence counts. A bias does not show itself that early.
+        # Too little noise looks like an opening angle, and the reverse. So once one of them is known to be wrong, any
+        # evidence for the other one counts. A bias is not found that early.
         change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
         std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
-        found = RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0]))
-        return SensorCorrection(change, found)
+        return RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0]))

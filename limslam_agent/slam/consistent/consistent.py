@@ -117,6 +117,7 @@ class ConsistentEstimator(Estimator):
                 index = self._filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
                 self._map.add()
                 self._map.grow(index, points, POSITIVE, NEGATIVE)
+                self._map[index].is_known = True
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
         """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
@@ -213,12 +214,17 @@ class ConsistentEstimator(Estimator):
         self._std, self._usual_std = sensor.std, self._sensor.usual_std
         self._settings = self._config.for_ranges(self._usual_std)
 
+    def assume(self, sensor: RangeSensor) -> None:
+        """Take the sensor to measure like this from now on, and correct the state for what was assumed before."""
+        change = np.array([sensor.bias - self.sensor.bias, sensor.cone - self.sensor.cone])
+        self._filter.correct_ranges(change)
+        self._assume(sensor)
+
     def _correct_sensor(self) -> None:
         """Take the sensor's errors as estimated, if the readings say that they are not as assumed."""
         found = self._sensor.correction(self._filter.range_errors)
         if found is not None:
-            self._filter.correct_ranges(found.change)
-            self._assume(found.sensor)
+            self.assume(found)
 
     def _readings(self, pending: PendingReadings, side: Side) -> Readings:
         """The pending readings of a side, as the sensor takes them."""

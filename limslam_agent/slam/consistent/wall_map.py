@@ -45,6 +45,8 @@ class Wall:
         ``NEGATIVE`` of ``core.wall_faces``.
     behind
         Length of the stretch with another face behind it, m, if the landmark is a face of a wall.
+    is_known
+        Whether the landmark is from an earlier map, which does not say from which sides it was seen.
     """
 
     number: int
@@ -53,11 +55,12 @@ class Wall:
     readings: int = 0
     seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
     behind: float = 0.0
+    is_known: bool = False
 
     @property
     def board(self) -> float:
         """Length of the stretch that is seen from both sides, m."""
-        return max(float(self.seen[:, 1].min() - self.seen[:, 0].max()), 0.0)
+        return 0.0 if self.is_known else max(float(self.seen[:, 1].min() - self.seen[:, 0].max()), 0.0)
 
 
 class WallMap:
@@ -91,10 +94,11 @@ class WallMap:
         return self.walls[-1]
 
     def count_in(self, walls: list[Wall]) -> None:
-        """Give landmarks of an earlier moment the extents by all beams until now, if they still exist."""
-        present = {wall.number: wall.extent for wall in self.walls}
+        """Give landmarks of an earlier moment what all beams until now say of them, if they still exist."""
+        present = {wall.number: wall for wall in self.walls}
         for wall in walls:
-            wall.extent = present.get(wall.number, wall.extent)
+            newest = present.get(wall.number, wall)
+            wall.extent, wall.seen, wall.behind = newest.extent, newest.seen, newest.behind
 
     def is_wall(self, wall: Wall) -> bool:
         """Whether there is a place along a landmark where beams have ended and at most as many have passed."""

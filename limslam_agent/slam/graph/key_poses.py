@@ -220,10 +220,18 @@ def _has_times(time: FloatArray) -> bool:
 
 
 def delayed(data: LogData, delay: float) -> LogData:
-    """The log with the odometry poses of ``delay`` s before the times of its events, by linear interpolation."""
+    """The log with the odometry poses of ``delay`` s before the times of its events, by linear interpolation.
+
+    A log whose times do not tell its events apart stays as it is. Of several events with one time, each keeps its own
+    pose, to which the motion during the delay is added.
+    """
+    if not delay or not _has_times(data.time):
+        return data
     time, odometry = np.maximum.accumulate(data.time), data.odometry
-    columns = odometry[:, 0], odometry[:, 1], np.unwrap(odometry[:, 2])
-    poses = np.column_stack([np.interp(time - delay, time, column) for column in columns])
+    nodes, chosen = np.unique(time, return_index=True)
+    columns = np.column_stack((odometry[:, :2], np.unwrap(odometry[:, 2])))
+    changes = [np.interp(time - delay, nodes, each) - np.interp(time, nodes, each) for each in columns[chosen].T]
+    poses = columns + np.column_stack(changes)
     poses[:, 2] = se2.wrap_angle(poses[:, 2])
     return replace(data, odometry=poses)
 

@@ -58,7 +58,7 @@ def test_the_step_at_which_it_was_carried_away_is_known_afterwards(episode):
 
 
 def test_the_smoothed_path_is_right_on_both_sides(episode):
-    assert errors(episode.smoothed.poses, episode.true).max() < 0.2
+    assert errors(episode.smoothed.poses, episode.true).max() < 0.25
     assert errors(episode.estimated, episode.true).max() > 1.0
     poses, _ = revised(episode.estimated, episode.covariances, episode.places.revisions)
     assert np.median(errors(poses, episode.true)) < 0.1
@@ -210,13 +210,16 @@ def test_a_relocated_robot_is_independent_of_the_map():
     assert len(mapper.slam.segments) >= len(segments)
 
 
-@pytest.mark.parametrize("step", [1, 20, 49, 50])
+@pytest.mark.parametrize("step", [0, 1, 20, 49, 50])
 def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
     mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
     for number in range(80):
         wheels = episode.wheels[number, 0] + (2.0 if number == step else 0.0)
         mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
-    assert "lost" in {mapper.statuses[0].level, *(event["event"] for event in mapper.places.records)}
+    events = [event["event"] for event in mapper.places.records]
+    assert "lost" in {mapper.statuses[0].level, *events}
+    # The jump is doubted once, and not again in each step of the local frame, which begins with it.
+    assert events.count("lost") <= 2
     mapper.finish()
     before = mapper.places
     mapper.finish()

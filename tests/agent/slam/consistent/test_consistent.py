@@ -615,6 +615,15 @@ def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
     assert walls == pytest.approx(2.0 if opposite and std < 0.05 < behind else 0.0)
 
 
+def test_walls_of_an_earlier_map_say_nothing_about_boards() -> None:
+    slam = two_landmarks(0.15, 0.08, (POSITIVE, NEGATIVE))
+    before = slam._map.kinds
+    wall = Landmark(9.0, 0.0, 1e-4 * np.eye(2), np.array([[9.0, -3.0], [9.0, 3.0]]), 1, segments=(0,))
+    slam.know([wall], np.array([[9.0, -3.0, 9.0, 3.0]]))
+    assert slam._map.kinds == before
+    assert len(slam._map) == 3
+
+
 def test_boards_that_are_known_let_vague_landmarks_merge() -> None:
     slam = two_landmarks(0.02, 0.2, (POSITIVE, NEGATIVE))
     other = slam._filter.add_known_line(np.array([7.0, 0.0]), 1e-4 * np.eye(2), np.array([7.0, 0.0]))

@@ -143,6 +143,22 @@ def test_a_sensor_as_specified_keeps_its_drive_to_the_bit() -> None:
     np.testing.assert_array_equal(covariances, spread)
 
 
+def test_ranges_without_any_noise_are_refused_in_one_line() -> None:
+    with pytest.raises(ValueError, match="min_range_std"):
+        replace(config_of(), min_range_std=0.0)
+
+
+def test_what_is_known_of_the_sensor_holds_for_a_copy_of_an_earlier_moment() -> None:
+    observations, _ = observed(CONE, 0)
+    mapper, _, _ = mapped(observations, config_of())
+    found, copy = mapper.slam.sensor, mapper.slam.copied()
+    assert found is not None
+    copy.assume(found._replace(cone=0.5 * found.cone))
+    assert copy.sensor == found._replace(cone=0.5 * found.cone)
+    assert mapper.slam.sensor == found
+    assert np.isfinite(copy.pose).all()
+
+
 def test_an_unknown_opening_angle_is_found_and_corrects_the_drive() -> None:
     observations, true = observed(CONE, 0)
     mapper, poses, _ = mapped(observations, config_of())

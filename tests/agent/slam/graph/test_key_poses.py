@@ -11,6 +11,7 @@ from limslam_agent.slam.graph.key_poses import (
     calibrated_steps,
     choose_keys,
     corrected,
+    delayed,
     event_poses,
     joined_bias,
     odometry_trajectory,
@@ -136,3 +137,21 @@ def test_a_log_with_holes_in_its_odometry_is_refused():
     odometry[5, 1] = np.nan
     with pytest.raises(ValueError, match="odometry"):
         replace(log, odometry=odometry)
+
+
+def test_a_log_whose_times_do_not_tell_its_events_apart_keeps_its_odometry():
+    log = wandering(60)
+    same = replace(log, time=np.repeat(np.arange(20.0), 3))
+    for delay in (0.0, 0.3):
+        np.testing.assert_array_equal(delayed(same, delay).odometry, log.odometry)
+    np.testing.assert_array_equal(delayed(log, 0.0).odometry, log.odometry)
+
+
+def test_events_with_one_time_keep_what_they_differ_by():
+    log = wandering(60)
+    time = log.time.copy()
+    time[30] = time[29]
+    moved = delayed(replace(log, time=time), 0.05).odometry
+    np.testing.assert_allclose(moved[30, :2] - moved[29, :2], log.odometry[30, :2] - log.odometry[29, :2], atol=1e-12)
+    alone = delayed(log, 0.05).odometry
+    np.testing.assert_allclose(alone[10, :2], 0.5 * (log.odometry[9, :2] + log.odometry[10, :2]), atol=1e-12)
