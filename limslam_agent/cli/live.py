@@ -82,6 +82,10 @@ class Wired(Protocol):
         """Called after each decision."""
         ...
 
+    def obey(self, session: "Session") -> None:
+        """Called before each decision, and again and again while the robot is silent."""
+        ...
+
 
 class WiredByLines:
     """A robot that speaks the line protocol.
@@ -127,6 +131,9 @@ class WiredByLines:
     def watch(self, session: "Session") -> None:
         """Do nothing."""
 
+    def obey(self, session: "Session") -> None:
+        """Do nothing: a robot gives no orders."""
+
 
 def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None:
     """Drive a robot, write the folder of the session, and print its summary.
@@ -153,7 +160,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None
         with _named(copy), kept(recording, copy) as save_if_due:
             agent = _agent(options, config, recording.robot, wired)
             with _display(options, agent, wired, save_if_due) as watch:
-                session = Session(wired.link, hello, agent, recording, watch)
+                session = Session(wired.link, hello, agent, recording, watch, wired.obey)
                 reason = _driven(session, options)
             if not len(recording):
                 raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")

@@ -89,7 +89,7 @@ class Recorder:
         self._frontiers_at = -_FRONTIERS_EVERY
         self._restarted, mapper.on_restart = mapper.on_restart, self._on_restart
         self._slam: LineSlam | None = None
-        self._heard: Callable[[AssociationRecord], None] | None = None
+        self._composites: list[Callable[[AssociationRecord], None]] = []
         self._listen()
 
     def note(
@@ -206,12 +206,19 @@ class Recorder:
         self._events.sort(key=lambda event: int(event["row"]))
 
     def _listen(self) -> None:
-        """Attach the listeners. A mapper that begins anew has another SLAM."""
+        """Attach the listeners. A mapper that begins anew has another SLAM.
+
+        Only the first SLAM may have no listener yet. A later one without a listener is that of a lost robot in its
+        local frame: the mapper wants to hear nothing of it, and would keep a listener for the map that it returns to.
+        """
         slam = self._mapper.slam
         if slam is not self._slam:
-            if slam.on_association is None or slam.on_association is not self._heard:
-                self._heard = slam.on_association = _both(slam.on_association, self._on_association)
-            slam.on_comparison = self._on_comparison
+            heard = slam.on_association
+            if heard not in self._composites and (heard is not None or self._slam is None):
+                slam.on_association = _both(heard, self._on_association)
+                self._composites.append(slam.on_association)
+            if slam.on_association is not None:
+                slam.on_comparison = self._on_comparison
             self._slam, self._closures, self._extraction = slam, len(slam.closures), slam.last_extraction
 
     def _on_comparison(self, comparison: Comparison) -> None:

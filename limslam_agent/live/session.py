@@ -201,6 +201,8 @@ class Session:
         Takes everything that the robot has measured.
     watch
         Called after each decision.
+    obey
+        Called before each decision, and again and again while the robot is silent. It may set the attributes below.
 
     Attributes
     ----------
@@ -217,9 +219,10 @@ class Session:
         agent: LimSlamAgent,
         recording: Recording,
         watch: Callable[["Session"], None] = lambda _: None,
+        obey: Callable[["Session"], None] = lambda _: None,
     ) -> None:
         self.link, self.agent, self.recording, self.counts = link, agent, recording, LinkCounts()
-        self._hello, self._watch = hello, watch
+        self._hello, self._watch, self._obey = hello, watch, obey
         agent.mapper.longest_travel = math.inf  # the recording knows the times, and checks the travel
         self._observed: Row | None = None
         self._last_new = self._last_command = link.clock()
@@ -282,7 +285,12 @@ class Session:
     def _turn(self, max_time: float, patience: float) -> str | None:
         """Take what has arrived, and answer. The reason to end the session, if there is one."""
         fresh = self._take(self.link.receive(_POLL))
+        self._obey(self)
         if not fresh:
+            if self.asked_to_end is not None:
+                return self.asked_to_end
+            if self.is_paused:
+                self._rest()
             self._keep_alive()
             silence = self.link.clock() - self._last_new
             return f"the robot has sent nothing new for {patience:g} s" if silence > patience else None
@@ -290,7 +298,8 @@ class Session:
             self.agent.observe(self.recording.observation(row, self._observed))
             self._observed = row
         if self.is_paused:
-            self._rest(fresh[-1])
+            self.recording.note_action(fresh[-1], np.zeros(2))
+            self._rest()
         else:
             self._answer(fresh[-1])
         self._watch(self)
@@ -359,9 +368,8 @@ class Session:
         self._command(Speeds(seq, self.recording.newest_seq, left, right))
         self._is_silent = False
 
-    def _rest(self, row: Row) -> None:
+    def _rest(self) -> None:
         """While paused: stop the wheels once."""
-        self.recording.note_action(row, np.zeros(2))
         if not self._is_silent:
             self._command(Stop(self.link.next_seq()))
         self._is_silent = True

@@ -21,6 +21,9 @@ _MOST_TRIES = 3  # number of times that the robot backs off where it cannot go o
 class WayHome:
     """A policy, and after it the way back to the start.
 
+    While the robot is lost, the way is not known. The policy drives then, so that the robot sees the places by which
+    it is found again.
+
     Parameters
     ----------
     policy
@@ -53,12 +56,10 @@ class WayHome:
     ) -> None:
         self._policy, self._robot, self._config, self._always = policy, robot, config, always
         self._home = np.zeros(2) if home is None else np.asarray(home, dtype=float)
-        self._collision_guard = CollisionGuard(robot)
         self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
         self.is_going_home = False
-        self._why = "asked to drive home"
-        self._left, self._idle, self._until_plan, self._backing, self._tries = math.inf, 0, 0, 0, 0
+        self._why, self._tries = "asked to drive home", 0
+        self._begin((0, False))
 
     def go_home(self) -> None:
         """End the exploration, and drive home."""
@@ -69,10 +70,30 @@ class WayHome:
         """Wheel speeds (2,). Zero after the policy has stopped."""
         if self.stop_reason is not None:
             return np.zeros(2)
+        is_lost = belief.status.level == "lost"
+        if (belief.frame, is_lost) != self._place:
+            self._begin((belief.frame, is_lost))
         self._collision_guard.add_readings(belief.pose, belief.ranges)
         if not self.is_going_home:
             return self._explore(belief)
+        if is_lost:
+            return self._look_around(belief)
         return self._collision_guard.limit_speed(belief.pose, self._drive(belief))
+
+    def _begin(self, place: tuple[int, bool]) -> None:
+        """Forget all points and paths. They are of another frame, or of a pose that was wrong."""
+        self._place = place  # the frame, and whether the robot is lost
+        self._collision_guard = CollisionGuard(self._robot)
+        self.plan = NO_PLAN
+        self._left, self._idle, self._until_plan, self._backing = math.inf, 0, 0, 0
+
+    def _look_around(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) of the policy, while the robot is lost on its way home."""
+        wheels = self._policy.act(belief)
+        self.plan = self._policy.plan
+        if self._policy.stop_reason is not None:
+            self.stop_reason = f"{self._why}; the robot is lost, and does not know the way back to the start"
+        return wheels
 
     def _explore(self, belief: Belief) -> FloatArray:
         wheels = self._policy.act(belief)

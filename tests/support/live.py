@@ -52,13 +52,13 @@ class Wire:
         pass
 
 
-def session_with(wire, *, name="consistent", policy=None, watch=lambda _: None):
+def session_with(wire, *, name="consistent", policy=None, watch=lambda _: None, obey=lambda _: None):
     """A session with the robot at the end of a wire, after its hello."""
     link = Link(wire, wire.clock)
     hello = link.first_hello(30.0)
     recording = Recording(RobotSpec(), hello)
     agent = LimSlamAgent(recording.robot, preset(name, NominalNoise(NOISE)), policy)
-    return Session(link, hello, agent, recording, watch)
+    return Session(link, hello, agent, recording, watch, obey)
 
 
 def start_emulator(*options):

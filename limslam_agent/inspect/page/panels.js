@@ -17,7 +17,7 @@ const KINDS = {
 };
 const TESTS = {
   direction: 'direction', offset: 'offset', ends: 'gap along the wall', range: 'out of range', hidden: 'beams cannot see it',
-  beams: 'these beams cannot show it', gate: 'gate',
+  beams: 'these beams cannot show it', side: 'seen from the other side only', gate: 'gate',
 };
 
 const byId = (id) => document.getElementById(id);

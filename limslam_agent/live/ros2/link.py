@@ -61,7 +61,7 @@ class Ports(Protocol):
         ...
 
     def hold(self) -> None:
-        """Publish the latest speeds again, unless the watchdog has stopped the wheels."""
+        """Publish the latest speeds again, unless the watchdog has stopped the wheels; or zero once, if so ordered."""
         ...
 
 

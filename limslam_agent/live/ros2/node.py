@@ -44,6 +44,11 @@ class Orders:
     go_home: bool = False
     stop: bool = False
 
+    @property
+    def shall_stand(self) -> bool:
+        """Whether the session shall move no wheel."""
+        return self.is_paused or self.stop
+
 
 class RosNode:
     """A node with the topics of a live robot. Its messages are taken by another thread than the one that listens.
@@ -96,18 +101,19 @@ class RosNode:
         return 1e-9 * float(self._node.get_clock().now().nanoseconds)
 
     def drive(self, speed: float, turn_rate: float) -> None:
-        """Publish speeds, m/s and rad/s. While paused they are zero."""
-        if self.orders.is_paused:
+        """Publish speeds, m/s and rad/s. While paused, and after the order to stop, they are zero."""
+        if self.orders.shall_stand:
             speed = turn_rate = 0.0
         with self._lock:
             self._decided, self._is_moving = time.monotonic(), bool(speed or turn_rate)
             self._publish_speeds(self.build.twist(speed, 0.0, turn_rate))
 
     def hold(self) -> None:
-        """Publish the latest speeds again, unless the watchdog has stopped the wheels."""
+        """Publish the latest speeds again, unless the watchdog has stopped the wheels; or zero once, if so ordered."""
         with self._lock:
             if self._is_moving:
-                self._publish_speeds(self._latest)
+                self._is_moving = not self.orders.shall_stand
+                self._publish_speeds(self._latest if self._is_moving else self.build.twist(0.0, 0.0, 0.0))
 
     def publisher(self, kind: str, topic: str, *, depth: int = 10, is_kept: bool = False) -> Callable[[Any], None]:
         """What publishes messages of a type on a topic, reliably. ``is_kept``: also to those who subscribe later."""

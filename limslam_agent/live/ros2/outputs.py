@@ -44,12 +44,15 @@ class Outputs:
         self._tf = node.publisher("tf2_msgs/msg/TFMessage", "/tf", depth=100) if has_tf else None
 
     def watch(self, session: Session) -> None:
-        """Publish what the session believes after a decision, and pass orders on."""
+        """Publish what the session believes after a decision."""
         self._publish_pose(session)
         told = state_of(session, self._policy), session.agent.status
         if time.monotonic() >= self._next_map or told != self._told:
             self._told, self._next_map = told, time.monotonic() + self._node.parameters.map_period
             self._publish_map(session)
+
+    def obey(self, session: Session) -> None:
+        """Pass orders on to a session."""
         orders = self._node.orders
         session.is_paused = orders.is_paused
         if orders.go_home:

@@ -52,9 +52,14 @@ class WiredByRos:
         return way_home
 
     def watch(self, session: Session) -> None:
-        """Publish what the session believes, and pass orders on to it."""
+        """Publish what the session believes."""
         if self._outputs is not None:
             self._outputs.watch(session)
+
+    def obey(self, session: Session) -> None:
+        """Pass orders on to the session."""
+        if self._outputs is not None:
+            self._outputs.obey(session)
 
 
 @contextmanager

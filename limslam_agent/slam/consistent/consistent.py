@@ -337,7 +337,10 @@ class ConsistentEstimator(Estimator):
             candidates = self._candidates(readings, segment)
         if self.on_comparison is not None:
             known = {each.landmark: each.of_line for each in candidates}
-            self.on_comparison(comparison(robot, step, readings, segment, known, self._filter, self._map, settings))
+            other_side = {index for index, _ in self._comparable(readings, segment)} - known.keys()
+            self.on_comparison(
+                comparison(robot, step, readings, segment, known, other_side, self._filter, self._map, settings)
+            )
         best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
         if second <= settings.gate and second - best < settings.ambiguity:
             return True
@@ -356,17 +359,23 @@ class ConsistentEstimator(Estimator):
 
         A landmark that was only seen from the other side is one of them if it is a board, and not the other face.
         """
+        return sorted(
+            _Candidate(known.of_line, known.left, known.used, index)
+            for index, known in self._comparable(readings, segment)
+            if self._may_show(index, readings, segment, known)
+        )
+
+    def _comparable(self, readings: Readings, segment: WallSegment) -> Iterator[tuple[int, Disagreement]]:
+        """Landmarks near a wall segment that its readings can be compared with, seen from whichever side."""
         settings = self._settings.association
         loose = 2.0 * math.atan2(2.0 * self._usual_std, max(segment.length, SHORTEST))
-        found = []
         for index in self._near(segment.theta, segment.middle, settings.max_angle + loose, settings.max_offset):
             along, (low, high) = self._map.along(index, segment.points), self._map[index].extent.ends
             if max(along.min() - high, low - along.max()) > settings.max_end_gap:
                 continue
             disagreement = self._filter.disagreement(readings, index, self._std)
-            if disagreement is not None and self._may_show(index, readings, segment, disagreement):
-                found.append(_Candidate(disagreement.of_line, disagreement.left, disagreement.used, index))
-        return sorted(found)
+            if disagreement is not None:
+                yield index, disagreement
 
     def _may_show(self, index: int, readings: Readings, segment: WallSegment, known: Disagreement) -> bool:
         """Whether a landmark was seen from the side of readings near them, or it is a board."""

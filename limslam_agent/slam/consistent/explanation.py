@@ -1,7 +1,8 @@
 """Explains why a wall segment was or was not taken for a landmark. Only diagnostics use this."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +22,7 @@ def comparison(
     readings: Readings,
     segment: WallSegment,
     distances: Mapping[int, float],
+    other_side: Collection[int],
     belief: CloneEKF,
     walls: WallMap,
     limits: WallAssociationConfig,
@@ -33,6 +35,8 @@ def comparison(
         The segment, and where its readings are from.
     distances
         Squared Mahalanobis distances of the landmarks that it was compared with, by their indices.
+    other_side
+        Indices of the landmarks that were only seen from the other side, and are no boards.
     belief, walls
         The lines of the landmarks, and their extents.
     limits
@@ -41,6 +45,8 @@ def comparison(
     tests = [
         _tested(index, distances.get(index, math.nan), segment, belief, walls, limits) for index in range(len(walls))
     ]
+    for index in other_side:
+        tests[index] = replace(tests[index], excluded="side")
     return Comparison(robot, step, _ends(segment), readings.sources, tuple(tests))
 
 

@@ -10,9 +10,12 @@ from support.inspection import data_in, inspected, short_run
 
 from limslam_agent.cli import main as cli
 from limslam_agent.config.presets import preset
+from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.inspect import recorder
 from limslam_agent.inspect.columns import unpacked
+from limslam_agent.mapper import Mapper
 from limslam_agent.output.finished_run import read_run
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise
@@ -122,6 +125,25 @@ def test_listening_changes_nothing(name):
     assert np.array_equal(slams[0].segments, slams[1].segments)
     assert len(heard) > 5
     assert any(test.excluded for comparison in heard for test in comparison.tests)
+
+
+def test_a_recorder_leaves_the_slam_of_a_lost_robot_alone_and_hears_each_association_once():
+    log, heard = laps_of_square(0.02, laps=0.5), []
+    mapper = Mapper(FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), log.poses[0])
+    mapper.slam.on_association = heard.append
+    watching, known = recorder.Recorder(mapper, 10), mapper.slam
+    listener, row = known.on_association, (log.observations[0]["ranges"][None],)
+    for _ in range(2):
+        # As the mapper does when the robot is lost, and when it has found its place.
+        mapper._use(mapper._slam_at(log.poses[0]), OccupancyGrid(mapper.config.grid))
+        watching.note(0.0, *row)
+        assert mapper.slam.on_association is None
+        mapper._use(known.copied(), OccupancyGrid(mapper.config.grid))
+        mapper.slam.on_association = listener
+        watching.note(0.0, *row)
+        assert mapper.slam.on_association is listener
+    mapper.slam.on_association(AssociationRecord(0, is_new=True, readings=np.zeros((1, 2), dtype=int)))
+    assert len(heard) == len(watching._associations) == 1
 
 
 @pytest.mark.parametrize("options", [("--robots", 2), ("--preset", "paper"), ("--policy", "tour", "--laps", 1)])

@@ -12,7 +12,7 @@ from support.command_line import call
 from support.ros2 import Listener, start, wait_for
 
 from limslam_agent.cli.main import main
-from limslam_agent.live.ros2.node import PACKAGES
+from limslam_agent.live.ros2.node import PACKAGES, ros_node
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry.se2 import between
@@ -148,6 +148,21 @@ def test_a_scan_that_ends_stops_the_wheels_and_ends_the_session(processes, liste
     metrics = json.loads((folder / "result.json").read_text())["metrics"]
     assert metrics["stop_reason"] == "the robot has sent nothing new for 3 s"
     assert read_log(folder / "log.npz").robot.beams[0].x == 0.0
+
+
+@pytest.mark.parametrize("order", ["stop", "is_paused"])
+def test_an_order_to_stand_holds_no_old_speeds(order, monkeypatch):
+    heard = []
+    with ros_node([]) as node:
+        monkeypatch.setattr(node, "_speeds", lambda twist: heard.append(twist.linear.x))
+        node.drive(0.2, 0.0)
+        node.hold()
+        setattr(node.orders, order, True)
+        node.hold()
+        node.hold()
+        assert heard == [0.2, 0.2, 0.0]
+        node.drive(0.2, 0.0)
+        assert heard[3:] == [0.0]
 
 
 def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_path):

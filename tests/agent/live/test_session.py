@@ -314,3 +314,30 @@ def test_a_session_that_is_asked_to_end_says_why():
     assert session.drive(60.0, 5.0) == "somebody said so"
     assert isinstance(decode(wire.sent[-1]), Stop)
     assert session.recording.newest.time < 2.5
+
+
+def silent_from(seconds, order):
+    """A session with a robot whose cable is pulled, and that gets an order 0.2 s after that; and the wire."""
+    wire = Wire(emulated())
+
+    def obey(session):
+        wire.is_cut = wire.clock() > seconds
+        if wire.clock() > seconds + 0.2:
+            order(session)
+
+    return session_with(wire, policy=Drive(0.3, 0.3), obey=obey), wire
+
+
+def test_a_session_ends_when_it_is_asked_to_while_the_robot_is_silent():
+    session, wire = silent_from(3.0, lambda session: setattr(session, "asked_to_end", "somebody said so"))
+    assert session.drive(60.0, 30.0) == "somebody said so"
+    assert wire.clock() < 6.0
+    assert isinstance(decode(wire.sent[-1]), Stop)
+
+
+def test_a_pause_while_the_robot_is_silent_stops_the_wheels_once_and_holds_no_speeds():
+    session, wire = silent_from(3.0, lambda session: setattr(session, "is_paused", True))
+    assert "nothing new" in session.drive(60.0, 2.0)
+    kinds = [type(decode(line)) for line in wire.sent]
+    assert kinds.count(Stop) == 1
+    assert Heartbeat not in kinds[kinds.index(Stop) :]

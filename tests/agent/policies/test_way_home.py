@@ -1,7 +1,10 @@
 """The way back to the start: after the exploration, and when somebody asks for it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.beliefs import BLOCKED
 
 from limslam_agent.agent import LimSlamAgent
 from limslam_agent.belief import Belief
@@ -9,6 +12,7 @@ from limslam_agent.config.presets import PolicyConfig, preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.way_home import WayHome
+from limslam_agent.status.status import Status
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import no_rows
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -31,6 +35,16 @@ class Stands:
         self._left -= 1
         self.stop_reason = "everything seen" if self._left <= 0 else None
         return np.zeros(2)
+
+
+class Turns:
+    """A policy that turns for ever."""
+
+    plan, wheels, stop_reason = np.array([[9.0, 9.0]]), np.array([-0.1, 0.1]), None
+
+    def act(self, belief):
+        del belief
+        return self.wheels
 
 
 def belief_at(x, y, values=None):
@@ -70,6 +84,44 @@ def test_a_robot_that_does_not_move_gives_up():
         if policy.stop_reason is not None:
             break
     assert policy.stop_reason == "asked to drive home; something is in the way back to the start"
+
+
+def test_while_the_robot_is_lost_its_policy_drives_and_the_way_is_planned_anew_after_that():
+    inner = Turns()
+    policy = WayHome(inner, ROBOT, PolicyConfig(), home=np.array([1.5, 0.0]))
+    policy.go_home()
+    for _ in range(50):
+        policy.act(belief_at(-1.0, 0.0))
+    assert policy._idle > 0
+    lost = replace(belief_at(1.5, 0.0), frame=1, status=Status("lost", "carried away"))
+    for _ in range(3):
+        np.testing.assert_array_equal(policy.act(lost), inner.wheels)
+    assert policy.stop_reason is None  # the start of another frame is nothing to arrive at
+    np.testing.assert_array_equal(policy.plan, inner.plan)
+    policy.act(replace(belief_at(0.0, 1.0), frame=2))
+    np.testing.assert_allclose(policy.plan[[0, -1]], [[0.0, 1.0], [1.5, 0.0]], atol=0.1)
+    assert policy._idle == 0
+    policy.act(replace(belief_at(1.5, 0.0), frame=2))
+    assert policy.stop_reason == "asked to drive home; the robot is back at its start"
+
+
+def test_points_of_another_frame_stop_no_robot():
+    policy = WayHome(Stands(100), ROBOT, PolicyConfig())
+    policy.go_home()
+    blocked = replace(belief_at(-1.0, 0.0), ranges=BLOCKED)
+    policy.act(blocked)
+    policy.act(replace(belief_at(-1.0, 0.0), frame=1))
+    fresh = WayHome(Stands(100), ROBOT, PolicyConfig())
+    fresh.go_home()
+    np.testing.assert_array_equal(policy.act(belief_at(-1.0, 0.0)), fresh.act(belief_at(-1.0, 0.0)))
+
+
+def test_a_robot_that_is_lost_and_has_seen_everything_stops():
+    policy = WayHome(Stands(2), ROBOT, PolicyConfig())
+    policy.go_home()
+    for _ in range(2):
+        policy.act(replace(belief_at(0.0, 0.0), status=Status("lost", "carried away")))
+    assert policy.stop_reason == "asked to drive home; the robot is lost, and does not know the way back to the start"
 
 
 def test_a_robot_in_a_world_comes_back_to_its_start():

@@ -26,7 +26,7 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
-from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.slam import LineSlam
@@ -264,6 +264,20 @@ def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
     assert np.ptp(local(marks[0].ends, start)[:, 0]) == pytest.approx(3.0, abs=0.15)
     assert len(slam.landmarks) == 5
     check_pose(slam, poses[-1], 0.08, 2.0)
+
+
+def test_a_comparison_names_the_test_with_sides() -> None:
+    # As above, with a wall that is too thick to be a board.
+    walls = np.vstack(([[0.0, 0.45, 3.0, 0.45], [0.0, 0.6, 3.0, 0.6]], room(-0.8, -0.5, 4.0, 1.5)))
+    observations, _ = drive(walls, np.zeros(3), along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.1), (-0.3, 1.1)]), noise=0.02)
+    slam, heard = LineSlam(ROBOT, NOISY, np.zeros(3)), list[Comparison]()
+    slam.on_comparison = heard.append
+    for observation in observations:
+        slam.step(observation)
+    near = [test for each in heard if abs(each.ends[0, 1] - 0.6) < 0.1 for test in each.tests if test.offset < 0.25]
+    sides = [test for test in near if test.excluded == "side"]
+    assert len(sides) >= 3
+    assert all(math.isnan(test.distance) and test.angle < 0.2 for test in sides)
 
 
 @pytest.mark.parametrize("degrees", [60.0, 90.0, 120.0])
