@@ -1,4 +1,4 @@
-"""Constant errors of the odometry, estimated beside a filter that takes them to be zero.
+"""Constant errors of odometry and ranges, estimated beside a filter that takes them to be zero.
 
 A filter with these errors in its state estimates them from the first step, and a robot that is as specified pays for
 that: a regression on noisy odometry is not exact. Here the filter does not know of the errors. Beside its state x and
