@@ -38,7 +38,7 @@ function table(caption, heads, rows) {
     return row;
   });
   const made = element('table', [element('caption', caption), element('thead', [head]), element('tbody', lines)]);
-  return element('div', [made], {class: 'scroll'});
+  return element('div', [made], {class: 'scroll', tabindex: '0'});
 }
 
 const number = (value, digits, unit = '') => (Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : '\u2013');
