@@ -1,4 +1,7 @@
-"""Settings of map merging: when two logs become one map. Lengths are in metres, angles in radians."""
+"""Settings of map merging: when two logs become one map. Lengths are in metres, angles in radians.
+
+They can be changed in Python only: a settings file has no table for them.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +13,7 @@ _DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True)
-class MergingConfig(Bounded):
+class MapMergingConfig(Bounded):
     """How a log is placed in another log, and when the placement counts.
 
     Attributes

@@ -62,8 +62,11 @@ class StepLog:
         return self.steps[number - self.begin :]
 
     def forget_before(self, number: int) -> list[LoggedStep]:
-        """Remove the steps before a number; the removed steps."""
-        gone = self.steps[: max(number - self.begin, 0)]
+        """Remove the steps before a number; the removed steps.
+
+        The last two steps always stay: a local frame begins at the pose after the first one kept, with the step after.
+        """
+        gone = self.steps[: max(min(number, self.end - 2) - self.begin, 0)]
         self.steps, self.begin = self.steps[len(gone) :], self.begin + len(gone)
         return gone
 

@@ -201,8 +201,7 @@ class Recovery:
             self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
-            # A copy of this very step would leave no step to begin at.
-            self.log.forget_before(min(self._copies[0].step, self.log.end - 2))
+            self.log.forget_before(self._copies[0].step)
 
     def lose(
         self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid, *, is_dated: bool = False
@@ -220,8 +219,7 @@ class Recovery:
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
             view = known.grid.view
             self.absence = Absence(known, first, status.reason, jump, place_map(known.slam.segments, view))
-            # A copy of this very step leaves no step before it to begin at.
-            self.log.forget_before(min(known.step, self.log.end - 2))
+            self.log.forget_before(known.step)
         else:
             if before.is_placed:
                 self.breaks.pop()

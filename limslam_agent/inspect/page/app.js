@@ -126,7 +126,7 @@ class Player {
     document.addEventListener('keydown', (press) => this.onKey(press));
     window.addEventListener('hashchange', () => this.readHash());
     window.addEventListener('resize', () => { this.plots.resize(); this.show(true); });
-    window.matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.recolour());
+    systemIsDark.addEventListener('change', () => { applyTheme(); this.recolour(); });
     for (const panel of document.querySelectorAll('.panels details')) panel.addEventListener('toggle', () => this.show(true));
     for (const canvas of Object.values(this.scene.canvases)) this.movable(canvas);
   }
@@ -196,7 +196,7 @@ class Player {
   }
 
   setTheme(theme) {
-    document.documentElement.dataset.theme = theme;
+    applyTheme(theme);
     try { localStorage.setItem('limslam-theme', theme); } catch { /* a file may not store anything */ }
     this.recolour();
   }
@@ -329,10 +329,19 @@ class Player {
   }
 }
 
+const systemIsDark = window.matchMedia('(prefers-color-scheme: dark)');
+let chosenTheme = null;
+
+// The theme that the reader has chosen, or that of the system.
+function applyTheme(chosen = chosenTheme) {
+  chosenTheme = chosen;
+  document.documentElement.dataset.theme = chosen || (systemIsDark.matches ? 'dark' : 'light');
+}
+
 async function start() {
-  let theme = null;
-  try { theme = localStorage.getItem('limslam-theme'); } catch { /* a file may not read anything */ }
-  if (theme) document.documentElement.dataset.theme = theme;
+  let stored = null;
+  try { stored = localStorage.getItem('limslam-theme'); } catch { /* a file may not read anything */ }
+  applyTheme(stored);
   if (!('DecompressionStream' in window)) throw new Error('This browser is too old: it cannot decompress the recording.');
   const text = byId('data').textContent.trim(), isLive = !text;
   const recording = await unpack(text || await firstState());

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.merging import MergingConfig
+from limslam_agent.config.merging import MapMergingConfig
 from limslam_agent.slam.graph.agreement import agreement_of_visits
 from limslam_agent.slam.graph.key_poses import Trajectory
 from limslam_agent.slam.merging.chains import Chain
@@ -42,14 +42,14 @@ def merge(
     first: Chain,
     second: Chain,
     graph: GraphConfig,
-    config: MergingConfig | None = None,
+    config: MapMergingConfig | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> Merging:
     """Place the second log in the first one, and smooth both as one graph if one placement only fits.
 
     The joining is taken back if the smoothed map of both logs contradicts itself.
     """
-    config = config or MergingConfig()
+    config = config or MapMergingConfig()
     reach = max(first.data.max_range, second.data.max_range)
     report("both logs, local maps are matched")
     known, local = (Pieces.of(chain, reach, graph, config) for chain in (first, second))
@@ -72,7 +72,7 @@ def merge(
     return Merging(joint, "", {"event": "joined", "reason": "the local maps fit at one place only", **details})
 
 
-def _runner_up(best: Placement, others: Sequence[Placement], config: MergingConfig) -> float:
+def _runner_up(best: Placement, others: Sequence[Placement], config: MapMergingConfig) -> float:
     """The value of the best other placement, as a share of the best value."""
     limit = best.contradicted_share + config.discounted
     values = [each.value(config) * (config.discount if each.contradicted_share > limit else 1.0) for each in others]
@@ -92,7 +92,7 @@ def _figures(best: Placement, local: Pieces, runner_up: float) -> dict[str, Any]
     }
 
 
-def _refusal(best: Placement, local: Pieces, runner_up: float, config: MergingConfig) -> str:
+def _refusal(best: Placement, local: Pieces, runner_up: float, config: MapMergingConfig) -> str:
     travel = [local.maps[each.piece].travel for each in best.members]
     if not travel or max(travel) - min(travel) < config.spread:
         return NO_MATCH
@@ -105,7 +105,7 @@ def _refusal(best: Placement, local: Pieces, runner_up: float, config: MergingCo
     return ""
 
 
-def _checked(joint: JointMap, reach: float, graph: GraphConfig, config: MergingConfig) -> tuple[dict[str, Any], str]:
+def _checked(joint: JointMap, reach: float, graph: GraphConfig, config: MapMergingConfig) -> tuple[dict[str, Any], str]:
     """Figures of a joined map, and why it contradicts itself; empty if it does not."""
     chains = _smoothed_chains(joint)
     known, local = (Pieces.of(chain, reach, graph, config) for chain in chains)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.merging import MergingConfig
+from limslam_agent.config.merging import MapMergingConfig
 from limslam_agent.slam.graph.agreement import MapScore
 from limslam_agent.slam.graph.chunk_graph import Hops, Loop, solve_annealed
 from limslam_agent.slam.merging.chains import APART
@@ -48,13 +48,13 @@ class Placement:
         """Share of the contradicted points among those that the other log has seen."""
         return self.contradicted / max(self.confirmed + self.contradicted, 1)
 
-    def value(self, config: MergingConfig) -> float:
+    def value(self, config: MapMergingConfig) -> float:
         """Confirmed points less the price of contradicted points."""
         return self.confirmed - config.contradiction * self.contradicted
 
 
 def placements(
-    known: Pieces, local: Pieces, found: Sequence[Candidate], config: MergingConfig, graph: GraphConfig
+    known: Pieces, local: Pieces, found: Sequence[Candidate], config: MapMergingConfig, graph: GraphConfig
 ) -> list[Placement]:
     """The placements of the second log, the best one first."""
     if not found:
@@ -75,7 +75,7 @@ def placements(
     return sorted(placed, key=lambda each: -each.value(config))
 
 
-def _agreements(local: Pieces, found: Sequence[Candidate], config: MergingConfig) -> BoolArray:
+def _agreements(local: Pieces, found: Sequence[Candidate], config: MapMergingConfig) -> BoolArray:
     """Which places (k, k) of local maps agree, those of the same local map excluded."""
     pieces, poses = np.array([each.piece for each in found]), np.array([each.pose for each in found])
     between = se2.between(local.poses[pieces][:, None], local.poses[pieces][None])
@@ -105,7 +105,7 @@ def _grown(
     local: Pieces,
     found: Sequence[Candidate],
     judge: "CrossScore",
-    config: MergingConfig,
+    config: MapMergingConfig,
     graph: GraphConfig,
 ) -> Placement:
     """A placement by the graph of both logs' local maps, and of the places that agree with the solution."""
@@ -142,7 +142,7 @@ def solved(known: Pieces, local: FloatArray, members: Sequence[Candidate], graph
     return solve_annealed(poses[0], hops, loops, graph.chunks).poses[1:]
 
 
-def _same(one: Placement, other: Placement, config: MergingConfig) -> bool:
+def _same(one: Placement, other: Placement, config: MapMergingConfig) -> bool:
     """Whether two placements put most of the second log at the same place."""
     off = se2.between(one.poses, other.poses)
     return float(np.median(np.hypot(off[:, 0], off[:, 1]))) < 2.0 * config.agree_distance and (

@@ -13,7 +13,7 @@ from scipy import fft
 from scipy.ndimage import gaussian_filter1d, maximum_filter
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.merging import MergingConfig
+from limslam_agent.config.merging import MapMergingConfig
 from limslam_agent.slam.graph.local_maps import HIT, LocalMap, chunk_middles, cut_chunks, united
 from limslam_agent.slam.graph.matching import Window, match, search_grid
 from limslam_agent.slam.graph.point_links import point_cloud
@@ -43,7 +43,7 @@ class Pieces:
     directions: FloatArray
 
     @classmethod
-    def of(cls, chain: Chain, reach: float, graph: GraphConfig, config: MergingConfig) -> "Pieces":
+    def of(cls, chain: Chain, reach: float, graph: GraphConfig, config: MapMergingConfig) -> "Pieces":
         """Cut a log along its smoothed trajectory. The grids have room for beams of a length ``reach``, m."""
         keys, trajectory, data = chain.keys, chain.smoothed, chain.data
         middles = chunk_middles(keys, config.pieces, config.pieces.hop)
@@ -53,7 +53,7 @@ class Pieces:
         counts = np.bincount((angles * _BINS / (2.0 * np.pi)).astype(np.int64) % _BINS, minlength=_BINS)
         return cls(maps, trajectory.poses[middles], gaussian_filter1d(counts.astype(float), 1.0, mode="wrap"))
 
-    def whole(self, config: MergingConfig, cell: float) -> tuple[LocalMap, FloatArray]:
+    def whole(self, config: MapMergingConfig, cell: float) -> tuple[LocalMap, FloatArray]:
         """All local maps as one map with cells of a given side, m, and the pose (3,) of its frame."""
         offsets = self.poses[:, :2] - 0.5 * (self.poses[:, :2].min(axis=0) + self.poses[:, :2].max(axis=0))
         order = np.argsort(np.hypot(*offsets.T), kind="stable")
@@ -63,7 +63,7 @@ class Pieces:
         return united(maps, poses, 2 * int(np.ceil(reach / cell)), settings), poses[0]
 
 
-def candidates(known: Pieces, local: Pieces, config: MergingConfig, matching: GraphConfig) -> list[Candidate]:
+def candidates(known: Pieces, local: Pieces, config: MapMergingConfig, matching: GraphConfig) -> list[Candidate]:
     """The places where each local map of the second log fits into the map of the first log."""
     turns = likely_turns(known.directions, local.directions, config)
     whole, frame = known.whole(config, config.coarse)
@@ -78,7 +78,7 @@ def candidates(known: Pieces, local: Pieces, config: MergingConfig, matching: Gr
     return found
 
 
-def likely_turns(known: FloatArray, local: FloatArray, config: MergingConfig) -> FloatArray:
+def likely_turns(known: FloatArray, local: FloatArray, config: MapMergingConfig) -> FloatArray:
     """The turns (t,), rad, of the second log at which its walls have the directions of the first log's walls."""
     agreement = np.fft.irfft(np.fft.rfft(known) * np.fft.rfft(local).conj(), _BINS)
     bins = np.flatnonzero(agreement >= config.likely * agreement.max())
@@ -89,7 +89,9 @@ def likely_turns(known: FloatArray, local: FloatArray, config: MergingConfig) ->
     return np.asarray(near[::every] * step)
 
 
-def _all_tops(whole: LocalMap, local: Pieces, turns: FloatArray, config: MergingConfig) -> list[tuple[int, FloatArray]]:
+def _all_tops(
+    whole: LocalMap, local: Pieces, turns: FloatArray, config: MapMergingConfig
+) -> list[tuple[int, FloatArray]]:
     """Local maps and their best poses (3,) in the frame of a whole map, over all shifts and the given turns."""
     cell, reach = whole.cell, -local.maps[0].low
     pad = int(np.ceil(reach / cell)) + 1
@@ -115,7 +117,7 @@ def _tops(
     cell: float,
     size: int,
     turn: float,
-    config: MergingConfig,
+    config: MapMergingConfig,
 ) -> list[tuple[float, FloatArray]]:
     """The best shifts of turned points (k, 2) with their scores."""
     cells = np.unique(np.floor(points / cell).astype(np.int64), axis=0) % size

@@ -8,7 +8,7 @@ from support.corridors import FOUR_BEAMS, corridor_log, later_part, plain_walls,
 from support.drives import room
 
 from limslam_agent.config.graph import GraphConfig, RoundConfig
-from limslam_agent.config.merging import MergingConfig
+from limslam_agent.config.merging import MapMergingConfig
 from limslam_agent.slam.graph.smooth import smooth_log
 from limslam_agent.slam.merging.chains import APART, Chain, divided, joined_keys
 from limslam_agent.slam.merging.merge import NO_MATCH, merge
@@ -98,7 +98,7 @@ def test_a_log_without_local_maps_is_not_placed(logs):
 def test_a_joining_that_contradicts_itself_is_taken_back(logs):
 
     first, second, _, _ = logs
-    strict = replace(MergingConfig(), least_loops=1000)
+    strict = replace(MapMergingConfig(), least_loops=1000)
     found = merge(first, second, CONFIG, strict)
     assert found.joint is None
     assert found.refusal.startswith("joined and taken back: only")
