@@ -1,0 +1,115 @@
+"""How well different visits of the same place coincide in the smoothed path of a log whose true path is not known.
+
+``python -m benchmarks.revisits LOG FOLDER...`` prints a line for each folder of a replay of the log. The log is cut
+into local maps along the smoothed path. Each pair of local maps that two visits have drawn of one place is matched, and
+the shift of the match is the distance by which the path places the two visits apart. A match in a corridor hardly
+determines the shift along it, so a few shifts are large even where the path is exact.
+"""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.output.tum import read_tum
+from limslam_agent.replay.smoothing import log_data
+from limslam_agent.slam.graph.key_poses import ERRORS, LogData, Trajectory, choose_keys
+from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
+from limslam_agent.slam.graph.matching import Window, match, search_grid
+from limslam_env.geometry import FloatArray, IntArray, se2
+
+WITHIN = 0.3
+"""Visits this near to each other coincide, m."""
+
+_REACH = 1.0, np.radians(15.0)  # of a match, m and rad
+_NEAR, _APART = 1.5, 15.0  # m between the middles of two visits, and m driven between them
+_SCORE, _TURN_STEP = 0.6, np.radians(1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Revisits:
+    """Visits of one place at different times.
+
+    Attributes
+    ----------
+    pairs
+        Number of pairs of local maps whose middles are near each other, with 15 m or more driven between them.
+    shifts, turns
+        Differences between the path and the match of each pair that matches (k,), m and rad.
+    """
+
+    pairs: int
+    shifts: FloatArray
+    turns: FloatArray
+
+    @property
+    def coinciding(self) -> float:
+        """Share of the pairs that match with a shift below 0.3 m."""
+        return float(np.mean(self.shifts <= WITHIN))
+
+
+def revisits(log: LogData, poses: FloatArray) -> Revisits:
+    """Match the visits of each place along the path ``poses`` (n, 3) of a log's events.
+
+    Raises
+    ------
+    ValueError
+        If the path does not have one pose for each event of the log.
+    """
+    if len(poses) != len(log.time):
+        raise ValueError(f"the path has {len(poses)} poses and the log has {len(log.time)} events")
+    config = GraphConfig()
+    # In place of odometry: events between two key poses then follow the path, too.
+    data = replace(log, odometry=poses)
+    keys = choose_keys(data, config.keys, config.motion)
+    middles = chunk_middles(keys, config.maps, config.maps.hop)
+    path = Trajectory(poses[keys.first_event], np.zeros(ERRORS))
+    maps = cut_chunks(keys, path, config.maps, middles, data.max_range)
+    return _matched(maps, path.poses[middles], config)
+
+
+def _matched(maps: list[LocalMap], poses: FloatArray, config: GraphConfig) -> Revisits:
+    shifts, turns, pairs = [], [], 0
+    for first, chunk in enumerate(maps):
+        others = _visits(maps, poses, first)
+        pairs += len(others)
+        grid = search_grid(chunk, _REACH[0], config.matching)
+        for second in others:
+            guess = se2.between(poses[first], poses[second])
+            window = Window(*_REACH, _TURN_STEP)
+            found = match(grid, maps[second].points, guess, window, config.matching, _SCORE)
+            if found.score > _SCORE:
+                shifts.append(np.hypot(*(found.pose - guess)[:2]))
+                turns.append(abs(float(se2.wrap_angle(found.pose[2] - guess[2]))))
+    return Revisits(pairs, np.array(shifts), np.array(turns))
+
+
+def _visits(maps: list[LocalMap], poses: FloatArray, first: int) -> IntArray:
+    """Later local maps that other visits have drawn near the middle of the first one."""
+    travel = np.array([each.travel for each in maps])
+    near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= _NEAR
+    return np.flatnonzero(near & (travel - travel[first] >= _APART))
+
+
+def main(path: str, folders: list[str]) -> None:
+    """Print a line for each folder of a replay of the log at ``path``."""
+    log = read_log(path)
+    for folder in folders:
+        poses = read_tum(Path(folder) / "trajectory_smoothed.tum")[1]
+        found = revisits(log_data(log, poses, 0.0), poses)
+        if not len(found.shifts):
+            print(f"{folder}: none of {found.pairs} pairs of visits matches")
+            continue
+        shift, turn = np.percentile(found.shifts, [50, 90]), np.degrees(np.percentile(found.turns, [50, 90]))
+        print(
+            f"{folder}: {len(found.shifts)} of {found.pairs} pairs of visits match, {found.coinciding:.0%} of them "
+            f"within {WITHIN:g} m; median {shift[0]:.2f} m and {turn[0]:.1f} deg, 90 % within {shift[1]:.2f} m and "
+            f"{turn[1]:.1f} deg, largest {found.shifts.max():.2f} m"
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])

@@ -1,0 +1,39 @@
+"""Visits of one place: where they coincide, and where the second visit is displaced."""
+
+import numpy as np
+import pytest
+from support.corridors import corridor_log
+
+from benchmarks.revisits import revisits
+from limslam_env.geometry import se2
+
+LAP = 345  # events, about
+
+
+@pytest.fixture(scope="module")
+def laps():
+    return corridor_log()
+
+
+def test_laps_of_the_true_path_coincide(laps):
+    found = revisits(*laps)
+    assert found.pairs >= len(found.shifts) > 10
+    # A match in a corridor hardly determines the shift along it.
+    assert found.coinciding > 0.9
+    assert np.median(found.shifts) < 0.1
+    assert np.degrees(np.median(found.turns)) < 2.0
+
+
+def test_a_displaced_lap_is_measured(laps):
+    log, truth = laps
+    displaced = truth.copy()
+    displaced[LAP:] = se2.compose(np.array([0.5, 0.2, 0.0]), truth[LAP:])
+    found = revisits(log, displaced)
+    assert found.coinciding < 0.5
+    assert 0.2 < np.median(found.shifts) < 0.7
+
+
+def test_a_path_of_another_log_is_refused(laps):
+    log, truth = laps
+    with pytest.raises(ValueError, match="poses and the log has"):
+        revisits(log, truth[:-1])
