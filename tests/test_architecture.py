@@ -133,6 +133,7 @@ BENCHMARKS = {
     "benchmarks.speed": set(),
     "benchmarks.right_angles": set(),
     "benchmarks.log_variations": set(),
+    "benchmarks.revisits": set(),
     "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training"},
 }
 RULES = ENV | AGENT | BENCHMARKS

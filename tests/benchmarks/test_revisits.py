@@ -20,7 +20,7 @@ def test_laps_of_the_true_path_coincide(laps):
     assert found.pairs >= len(found.shifts) > 10
     # A match in a corridor hardly determines the shift along it.
     assert found.coinciding > 0.9
-    assert np.median(found.shifts) < 0.1
+    assert np.median(found.shifts) < 0.15  # cells have sides of 0.1 m
     assert np.degrees(np.median(found.turns)) < 2.0
 
 
