@@ -3,7 +3,7 @@
 ``python -m benchmarks.revisits LOG FOLDER...`` prints a line for each folder of a replay of the log. The log is cut
 into local maps along the smoothed path. Each pair of local maps that two visits have drawn of one place is matched, and
 the shift of the match is the distance by which the path places the two visits apart. A match in a corridor hardly
-determines the shift along it, so a few shifts are large even where the path is exact. The resolution is 0.1 m and 1 deg.
+determines the shift along it, so a few shifts are large even where the path is exact. The resolution is 0.1 m, 1 deg.
 """
 
 import sys
