@@ -59,21 +59,24 @@ def residual_std(problem: Problem, found: Association, gate: float) -> float:
 def _with_width(problem: Problem, found: Association, config: SmootherConfig) -> Problem:
     """The problem with the width that minimises chi-square, if chi-square then falls by more than the gate.
 
-    Chi-square at the optimum of all other variables is quadratic in the width, since the width is small. The constant
-    errors of wheels and ranges are among these variables, so that they are not taken for a width.
+    Chi-square at the optimum of all other variables is nearly quadratic in the width, since the width is small. Where
+    the noise is small, what is missing to a quadratic function can exceed the gate. So the minimum is solved for, too.
+    The constant errors of wheels and ranges are among the variables, so that they are not taken for a width.
     """
     sized = replace(problem, prior=config.calibration.information)
+
+    def chi_square_of(width: float) -> float:
+        return solve(replace(sized, beam_width=width), found.state, found.labels).chi_square
+
     offsets = np.array(_TRIED_WIDTHS)
     try:
-        costs = [
-            solve(replace(sized, beam_width=problem.beam_width + each), found.state, found.labels).chi_square
-            for each in offsets
-        ]
+        costs = [chi_square_of(problem.beam_width + each) for each in offsets]
+        bend, slope, _ = np.polyfit(offsets, costs, 2)
+        best = -0.5 * slope / bend if bend > 0.0 else 0.0
+        width = float(np.clip(problem.beam_width + best, 0.0, max(config.sensor.max_width, problem.beam_width)))
+        step = width - problem.beam_width
+        gain = -(bend * step**2 + slope * step)
+        gain = costs[0] - chi_square_of(width) if gain > config.sensor.width_gate else gain
     except DegenerateError:
         return problem
-    bend, slope, _ = np.polyfit(offsets, costs, 2)
-    best = -0.5 * slope / bend if bend > 0.0 else 0.0
-    width = float(np.clip(problem.beam_width + best, 0.0, config.sensor.max_width))
-    step = width - problem.beam_width
-    gain = -(bend * step**2 + slope * step)
     return replace(problem, beam_width=width) if gain > config.sensor.width_gate else problem
