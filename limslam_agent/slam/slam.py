@@ -7,7 +7,6 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
-from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
@@ -15,6 +14,7 @@ from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration, calibrated, motion_of
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.published.published import PublishedEstimator
 from limslam_env.geometry import BoolArray, FloatArray
