@@ -21,6 +21,7 @@ from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.motion import check_travel
 from limslam_agent.slam.slam import Extraction, LineSlam, RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
 from limslam_agent.status.monitor import StatusMonitor
@@ -294,19 +295,7 @@ class Mapper:
     def check(self, observation: Observation, front: FrontEnd | None = None) -> None:
         """Refuse an observation that :meth:`step` cannot process, of the first robot or of another one's front end."""
         (front or self.slam.robots[0]).check(observation)
-        self._check_travel(observation)
-
-    def _check_travel(self, observation: Observation) -> None:
-        """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
-        if "wheels" not in observation:
-            return
-        farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
-        if math.isfinite(farthest) and farthest > self.longest_travel:
-            limit = f"{self.robot.max_wheel_speed:g} m/s for {self.robot.control_period:g} s"
-            raise ValueError(
-                f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
-                "metres since the last observation, not ticks or millimetres"
-            )
+        check_travel(observation, self.robot, self.longest_travel)
 
     def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
         """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
@@ -452,7 +441,7 @@ class Mapper:
 
     def _seek(self, recovery: Recovery) -> None:
         """Match the local map with the map that the robot was lost from, and go on there if the place is clear."""
-        found = recovery.seek(self.slam.segments, self._grid.view)
+        found = recovery.seek(self.slam.segments, self._grid.view, self.slam.range_sensor)
         if found is None:
             return
         absence, log = recovery.absence, recovery.log
@@ -508,7 +497,8 @@ class Mapper:
 
     def _begin_anew(self) -> None:
         """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
-        self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
+        sensor, status = self.slam.range_sensor, self.config.status
+        self._monitors = [StatusMonitor(self.robot, status, sensor) for _ in self._starts]
         self._extraction = None
         self._renewal = Renewal(self.slam, self.config)
 
@@ -517,4 +507,5 @@ class Mapper:
         monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
         sight = Sight(pose, front.ranges, front.measured, motion)
         if monitor.observe(sight, is_busy=is_busy):
+            monitor.sensor = slam.range_sensor
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))

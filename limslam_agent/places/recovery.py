@@ -20,6 +20,7 @@ from limslam_agent.places.decision import CLEAN_MATCHES, Decision, agree, find_p
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap, place_map
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import UNIFORM_HEADING
 from limslam_agent.status.status import Status
@@ -236,7 +237,7 @@ class Recovery:
         spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
         return absence is not None and absence.moved - absence.sought >= spacing
 
-    def seek(self, segments: FloatArray, grid: GridView) -> Placement | None:
+    def seek(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> Placement | None:
         """Match the local map with the known map. The placement if two matches in succession find the same place."""
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
@@ -247,7 +248,7 @@ class Recovery:
         earlier = [found for step, found in absence.decisions[:-1] if step >= absence.first]
         if not earlier or not agree(earlier[-1], decision, local, self._config):
             return None
-        return self._placement(absence, local, decision)
+        return self._placement(absence, local, decision, sensor)
 
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
@@ -285,7 +286,7 @@ class Recovery:
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
-    def _placement(self, absence: Absence, local: PlaceMap, decision: Decision) -> Placement:
+    def _placement(self, absence: Absence, local: PlaceMap, decision: Decision, sensor: RangeSensor) -> Placement:
         """Where the robot was before it was carried away, as far as its steps are kept."""
         assert decision.fit is not None  # noqa: S101 (an accepted decision has a fit)
         log, frame = self.log, decision.fit.pose
@@ -294,8 +295,7 @@ class Recovery:
         step = last + 1
         if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
-                log, placed, self._robot, absence.place.segments, self._agent.range_std,
-                self._agent.status.contradictions,
+                log, placed, self._robot, absence.place.segments, sensor, self._agent.status.contradictions
             )  # fmt: skip
         pose = placed[step - 1 - log.begin]
         # If the first steps are gone, there is none before the robot was carried away.

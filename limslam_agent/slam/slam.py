@@ -236,6 +236,11 @@ class LineSlam:
         """How the sensor measures, as specified or as the data require; None for the published estimator."""
         return self._estimator.sensor if isinstance(self._estimator, ConsistentEstimator) else None
 
+    @property
+    def range_sensor(self) -> RangeSensor:
+        """How ranges are taken to be measured: :attr:`sensor`, or as specified for the published estimator."""
+        return self.sensor or RangeSensor(self.config.range_std, cone=self.robot.cone)
+
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the estimate for what was assumed before."""
         if isinstance(self._estimator, ConsistentEstimator):
@@ -266,7 +271,7 @@ class LineSlam:
             ranges = np.where(front.measured, front.ranges, self.robot.max_ranges)
             front.drop(
                 may_hit_others(
-                    number, ranges, poses, covariance, self.robot, self.config.range_std, self.config.team
+                    number, ranges, poses, covariance, self.robot, self.range_sensor, self.config.team
                 )
             )  # fmt: skip
 

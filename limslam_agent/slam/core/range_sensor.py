@@ -30,6 +30,11 @@ class RangeSensor(NamedTuple):
     cone: float = 0.0
     bias: float = 0.0
 
+    @property
+    def numbers(self) -> tuple[float, float, float, float]:
+        """All of it as plain numbers, for compiled code."""
+        return float(self.std), float(self.growth), float(self.cone), float(self.bias)
+
     def variances(self, ranges: FloatArray) -> FloatArray:
         """Variances of ranges (n,), m^2."""
         return np.asarray(self.std**2 + (self.growth * ranges**2) ** 2)

@@ -12,18 +12,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, RANGE
-from limslam_agent.slam.line_graph.compilation import compiled
 from limslam_env.geometry import FloatArray
-
-
-@compiled
-def read_share(cosine: float, width: float) -> float:
-    """The share of its distance that a wall reads, given the cosine between the beam and the wall's normal."""
-    if width == 0.0:
-        return 1.0
-    steep, sine = abs(cosine), math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    turned = steep * math.cos(width) + sine * math.sin(width)
-    return steep if sine <= math.sin(width) else steep / turned
 
 
 def widen(rows: FloatArray, angles: FloatArray, width: float) -> None:

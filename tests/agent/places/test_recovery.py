@@ -13,6 +13,7 @@ from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.revisions import Revision, revised
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score, write_episode
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
 from limslam_env.geometry.se2 import compose, wrap_angle
@@ -183,7 +184,7 @@ def test_the_break_lies_where_the_readings_change():
     placed = log.driven_back(last, 120)
     np.testing.assert_allclose(placed, [step.pose + jump for step in log.steps], atol=1e-9)
     limits = preset("graph").status.contradictions
-    assert carried_at(log, placed, robot, walls, NOISE, limits) == 112
+    assert carried_at(log, placed, robot, walls, RangeSensor(NOISE), limits) == 112
     log.forget_before(110)
     assert (log.begin, log.end, len(log.since(115))) == (110, 120, 5)
 
