@@ -231,6 +231,15 @@ class LineSlam:
         """The first robot's odometry calibration and its covariance; None while its odometry is not corrected."""
         return self._estimator.odometry_calibration(0)
 
+    def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
+        """Correct the odometry from now on, if it can be, by what the readings so far say of its constant errors.
+
+        Before the first step, the first robot can begin with a calibration and its covariance (3, 3) that an earlier
+        drive has found.
+        """
+        if isinstance(self._estimator, ConsistentEstimator):
+            self._estimator.calibrate(found)
+
     @property
     def sensor(self) -> RangeSensor | None:
         """How the sensor measures, as specified or as the data require; None for the published estimator."""

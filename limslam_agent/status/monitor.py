@@ -158,8 +158,12 @@ class StatusMonitor:
 
     @property
     def carried(self) -> Suspicion | None:
-        """The suspicion by which the robot was carried away; None if nothing suffices to say so."""
-        return self._sudden_changes.certain
+        """The suspicion by which the robot was carried away; None if nothing suffices to say so.
+
+        If the contradictions already say that the robot is lost, no further comparison has to confirm a suspicion.
+        """
+        changes = self._sudden_changes
+        return changes.probable if self.status.level == "lost" else changes.certain
 
     def _first_doubt(self) -> int:
         """The step of the first comparison in the last metres that contradicts the map, or the present step."""
@@ -249,7 +253,19 @@ class StatusMonitor:
         return Status()
 
     def _by_contradictions(self) -> Status:
+        """The status by the share of readings that contradict the map.
+
+        Contradictions make a robot lost only when it is known whether the readings changed suddenly before: that says
+        when the robot was carried away, and which map was right.
+        """
         recent = self._recent(self._config.window)
+        found = self._by_share(recent)
+        if found.level == "lost":
+            weighed = [check for check in recent if check.step <= self._sudden_changes.weighed]
+            return found if weighed and self._by_share(weighed).level == "lost" else Status("unsure", found.reason)
+        return found
+
+    def _by_share(self, recent: list[_Check]) -> Status:
         count, contradicting, _, _ = _sums(recent)
         beams = np.unique(np.concatenate([check.beams for check in recent]))
         # A few wrong readings are no proof, however few there are in all. A beam alone may be broken, and at a single

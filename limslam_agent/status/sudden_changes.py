@@ -133,12 +133,14 @@ class SuddenChanges:
     ----------
     suspicions
         The suspicions that the map has not refuted so far.
+    weighed
+        Number of the latest step in which a sudden change would have been noticed; -1 before the first one.
     """
 
     def __init__(self, robot: RobotSpec, config: SuddenChangeConfig, contradictions: ContradictionConfig) -> None:
         self._robot, self._config, self._walls = robot, config, contradictions
         self._sights: list[tuple[int, Sight]] = []
-        self._latest, self._was_found = -1, False
+        self.weighed, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.suspicions: list[Suspicion] = []
@@ -155,10 +157,11 @@ class SuddenChanges:
         If little of the evidence is due to the change, the latest steps, which wait for the next call, may have changed
         more.
         """
-        found = self._found()
+        found = self.probable
         return found if found is None or found.change >= self._config.clear or self._was_found else None
 
-    def _found(self) -> Suspicion | None:
+    @property
+    def probable(self) -> Suspicion | None:
         """The suspicion with the largest change, if there is enough evidence for one.
 
         What follows a change speaks for every suspicion of the last steps.
@@ -172,7 +175,7 @@ class SuddenChanges:
 
     def note(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
         """Follow the suspicions through the steps since the last call, with their numbers, and look for new ones."""
-        self._was_found = self._found() is not None
+        self._was_found = self.probable is not None
         self.suspicions = [each for each in self.suspicions if self._is_open(each, moment.place)]
         for each in self.suspicions:
             self._weigh(each, sights[-1][1], moment)
@@ -201,9 +204,9 @@ class SuddenChanges:
         evidence, usable = self._evidence([sight for _, sight in steps], moment)
         for row in np.flatnonzero(evidence.sum(axis=1) > self._config.begin).tolist():
             number, sight = steps[row + 2]
-            if number > self._latest:
+            if number > self.weighed:
                 self._suspect(number, sight, usable[row], evidence[row], moment)
-        self._latest = steps[-LASTING][0]
+        self.weighed = steps[-LASTING][0]
 
     def _evidence(self, sights: list[Sight], moment: Moment) -> tuple[FloatArray, BoolArray]:
         """The evidence of each beam in the steps but the first two and the last few, and the readings that count."""

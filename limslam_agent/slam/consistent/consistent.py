@@ -125,6 +125,12 @@ class ConsistentEstimator(Estimator):
         found = self._filter.calibration(robot)
         return (OdometryCalibration(*found[0].tolist()), found[1]) if found else None
 
+    def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
+        """Correct the odometry from now on, by the readings so far or by what another drive of the robot has found."""
+        self._filter.calibrate()
+        if found is not None:
+            self._filter.know_calibration(np.array(found[0]), found[1])
+
     def assumed_calibration(self, robot: int) -> OdometryCalibration | None:
         """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
         if self._filter.calibration_evidence is not None:
@@ -172,9 +178,8 @@ class ConsistentEstimator(Estimator):
             has_ended = pending.has_ended(side, self._settings.pending.wall_end)
             if pending.fresh[side] >= self._settings.pending.batch or has_ended:
                 self._process(number, side, front.step, has_ended=has_ended)
-        evidence = self._filter.calibration_evidence
-        if evidence is not None and evidence > self._settings.self_calibration.gate:
-            self._filter.calibrate()
+        if (self._filter.calibration_evidence or 0.0) > self._settings.self_calibration.gate:
+            self.calibrate()
         self._correct_sensor()
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:

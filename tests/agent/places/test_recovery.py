@@ -13,6 +13,7 @@ from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.revisions import Revision, revised
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score, write_episode
+from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
@@ -226,3 +227,45 @@ def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
     mapper.finish()
     assert mapper.places.records == before.records
     assert np.isfinite(mapper.snapshot().poses).all()
+
+
+FOUND = OdometryCalibration(0.01, -0.01, 0.005), 1e-10 * np.eye(3)
+SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
+
+
+def lost_mapper(episode, monkeypatch, prepare=None):
+    """A mapper that is prepared, and loses its place by a jump of the odometry after the time of restarts."""
+    monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    if prepare is not None:
+        prepare(mapper.slam)
+    for number in range(40):
+        wheels = episode.wheels[number, 0] + (2.0 if number == 20 else 0.0)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    assert mapper.frame == 1
+    return mapper
+
+
+def learn(slam):
+    slam.calibrate(FOUND)
+    slam.assume(SENSOR)
+
+
+def test_a_local_frame_begins_with_what_was_found_about_odometry_and_sensor(episode, monkeypatch):
+    mapper = lost_mapper(episode, monkeypatch, learn)
+    calibration, covariance = mapper.slam.odometry_calibration
+    np.testing.assert_allclose(calibration, FOUND[0], atol=1e-4)
+    assert np.trace(covariance) < 1e-8
+    assert mapper.slam.sensor == SENSOR
+    assert mapper._monitors[0].sensor == SENSOR
+
+
+def test_a_frame_gets_back_what_was_found_in_a_local_frame(episode, monkeypatch):
+    mapper = lost_mapper(episode, monkeypatch)
+    assert mapper.slam.odometry_calibration is None
+    learn(mapper.slam)
+    mapper.step({"ranges": episode.ranges[40, 0], "wheels": episode.wheels[40, 0]})
+    mapper.finish()
+    assert mapper.frame == 2
+    assert mapper.slam.odometry_calibration is not None
+    assert mapper.slam.sensor == SENSOR
