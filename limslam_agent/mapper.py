@@ -463,7 +463,7 @@ class Mapper:
         begin = found.carried_at if found.gone else log.begin
         self.slam.robots[0].step = (found.step if found.gone else begin) - 1
         poses = list(found.gone) or self._play(recovery, begin, found.step)
-        self.slam.relocate(found.pose, found.covariance)
+        found.put(self.slam, self._grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._begin_anew()

@@ -28,6 +28,9 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
+_LOCAL_COPIES = 6
+"""Number of copies of the local frame over the steps that are kept."""
+
 
 @dataclass(frozen=True, eq=False)
 class KnownFrame:
@@ -111,7 +114,10 @@ class Placement(NamedTuple):
         The local map that was matched.
     gone
         Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
-        away, if it was lost for so long that these steps are no longer kept; empty otherwise.
+        away, if it was lost for so long that the first of these steps are no longer kept; empty otherwise.
+    frame, before
+        Pose (3,) of the local frame in the known frame, and the local frame before ``step``, if there are ``gone``
+        steps; None otherwise.
     """
 
     step: int
@@ -119,6 +125,16 @@ class Placement(NamedTuple):
     covariance: FloatArray
     local: PlaceMap
     gone: list[tuple[FloatArray, FloatArray]]
+    frame: FloatArray
+    before: KnownFrame | None
+
+    def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+        """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
+        if self.before is None or not slam.is_renewable:
+            slam.relocate(self.pose, self.covariance)
+            return
+        slam.join(self.before.slam, self.frame, self.covariance)
+        grid.absorb(self.before.grid.view, self.frame)
 
     @property
     def carried_at(self) -> int:
@@ -152,6 +168,7 @@ class Recovery:
         self._robot, self._agent, self._config = robot, config, places
         self.log = StepLog()
         self._copies: list[KnownFrame] = []
+        self._local_copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
         self.records: list[dict[str, Any]] = []
@@ -200,6 +217,9 @@ class Recovery:
             begin = self.log.begin
             gone = self.log.forget_before(self.log.end - self._config.longest)
             self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
+            if self.is_lost and self.log.end % max(self._config.longest // _LOCAL_COPIES, 1) == 0:
+                kept = [copy for copy in self._local_copies if copy.step > self.log.begin]
+                self._local_copies = [*kept, self._copy(slam, grid)]
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
@@ -228,7 +248,7 @@ class Recovery:
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated = is_dated
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
-        self._copies = []
+        self._copies, self._local_copies = [], []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
     def is_due(self) -> bool:
@@ -298,11 +318,15 @@ class Recovery:
                 log, placed, self._robot, absence.place.segments, sensor, self._agent.status.contradictions
             )  # fmt: skip
         pose = placed[step - 1 - log.begin]
+        before = next((copy for copy in self._local_copies if absence.gone and copy.step > log.begin), None)
+        if before is not None:
+            step, pose = before.step, compose(frame, log[before.step - 1].pose)
         # If the first steps are gone, there is none before the robot was carried away.
-        lost = [*absence.gone, log[log.begin].pose] if absence.gone else []
+        lost = [*absence.gone, *(each.pose for each in log.steps[: step - log.begin])] if absence.gone else []
         poses = [pose, *(compose(frame, each) for each in lost)]
         covariances = [placed_covariance(local, decision, each, self._config) for each in poses]
-        return Placement(step, pose, covariances[0], local, list(zip(poses[1:], covariances[1:], strict=True)))
+        gone = list(zip(poses[1:], covariances[1:], strict=True))
+        return Placement(step, pose, covariances[0], local, gone, frame, before)
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

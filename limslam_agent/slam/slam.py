@@ -205,6 +205,16 @@ class LineSlam:
         """Replace pose and map by a better estimate of both, which knows all readings so far."""
         self._renewable.renew(state, self.robots[0].step)
 
+    def join(self, other: "LineSlam", frame: FloatArray, covariance: FloatArray) -> None:
+        """Take over pose and map of another SLAM of the same robot, and keep the own map.
+
+        A match has found the pose (3,) of the other SLAM's frame in this one. ``covariance`` (3, 3) is that of the
+        robot's pose by the error of the match. Readings that are still pending are used before.
+        """
+        self.finish()
+        other.finish()
+        self.renew(self.map_state.joined(other.map_state.moved(frame, covariance)))
+
     @property
     def _renewable(self) -> ConsistentEstimator:
         if not (self.is_renewable and isinstance(self._estimator, ConsistentEstimator)):
