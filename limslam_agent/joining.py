@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.presets import AgentConfig
+from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
@@ -15,6 +15,7 @@ from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.place_map import place_map
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Status, worst
 from limslam_env.geometry import BoolArray, FloatArray
@@ -216,7 +217,8 @@ class JoiningMapper(Mapper):
         own, records, on_restart = self._starts, list[AssociationRecord](), self.on_restart
         listener, self.on_restart = self.slam.on_association, lambda kept: records.__delitem__(slice(kept, None))
         self._apart, self._placed = None, (start, covariance)
-        super().reset(np.array([own[0], start]))
+        self._slam_config, self._sensor = self._found_by(apart)
+        self._start_at(np.array([own[0], start]))
         self.slam.on_association = records.append
         replayed, is_lost = list[tuple[FloatArray, ...]](), False
         for observations in self._steps:
@@ -238,6 +240,17 @@ class JoiningMapper(Mapper):
         self.frame = 1  # both have never been lost
         self._meeting.has_joined(start, place_map(apart[1].slam.segments, apart[1].grid))
         return True
+
+    def _found_by(self, apart: Sequence[Mapper]) -> tuple[AgentConfig, RangeSensor | None]:
+        """The settings of a SLAM, and its sensor, by what the robots have found out about odometry and sensor alone.
+
+        The robots share one kind of sensor. If each of them has found another one, the mean of both is assumed.
+        """
+        is_calibrated = any(mapper.slam.odometry_calibration is not None for mapper in apart)
+        specified = LineSlam(self.robot, self.config).sensor
+        others = [mapper.slam.sensor for mapper in apart if mapper.slam.sensor not in (None, specified)]
+        mean = RangeSensor(*np.mean(others, axis=0).tolist()) if others else None
+        return self_calibrating(self.config) if is_calibrated else self.config, mean
 
     def _separate_mappers(self) -> list[Mapper]:
         """Mappers that begin at the robots' own starts."""

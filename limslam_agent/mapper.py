@@ -13,7 +13,7 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.lookup import Lookup
+from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
@@ -21,6 +21,7 @@ from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.motion import check_travel
 from limslam_agent.slam.slam import Extraction, LineSlam, RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
 from limslam_agent.status.monitor import StatusMonitor
@@ -28,9 +29,6 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
-
-NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
-"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
 
 RESTART_WITHIN = 600
 """Number of first steps within which a mapper starts again when the SLAM finds errors of odometry or sensor."""
@@ -98,7 +96,6 @@ class Mapper:
         Settings of every stage. The preset ``graph`` by default.
     start_pose
         Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n robots (n, 3).
-
     prior_map
         The map of an earlier run (:func:`~limslam_agent.places.saved_map.read_saved_map`), in which the robot is at an
         unknown place. The robot begins in a frame of its own, at ``start_pose``. When its map fits into the earlier map
@@ -157,8 +154,13 @@ class Mapper:
             raise ValueError(f"a start pose has the shape (3,), or (n, 3) for n robots, not {np.shape(start_pose)}")
         if not np.isfinite(starts).all():
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
-        self._starts, self._slam_config, self._is_finished = starts, self.config, False
+        self._slam_config = self.config
         self._sensor: RangeSensor | None = None
+        self._start_at(starts)
+
+    def _start_at(self, starts: FloatArray) -> None:
+        """Begin with an empty map, and with what is known of odometry and sensor, at known poses (n, 3)."""
+        self._starts, self._is_finished = starts, False
         self.slam, self._restarts = self._new_slam(), 0
         self._sensor = self.slam.sensor
         self._grid = OccupancyGrid(self.config.grid)
@@ -200,7 +202,7 @@ class Mapper:
             if self.slam.may_calibrate != may_calibrate or self.slam.sensor != self._sensor:
                 self._restart()
                 return
-        self._sensor = self.slam.sensor
+        self._remember()
         if self._recovery is not None and "wheels" in observations[0]:
             self._follow(self._recovery, observations[0], motions[0])
         if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
@@ -294,19 +296,7 @@ class Mapper:
     def check(self, observation: Observation, front: FrontEnd | None = None) -> None:
         """Refuse an observation that :meth:`step` cannot process, of the first robot or of another one's front end."""
         (front or self.slam.robots[0]).check(observation)
-        self._check_travel(observation)
-
-    def _check_travel(self, observation: Observation) -> None:
-        """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
-        if "wheels" not in observation:
-            return
-        farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
-        if math.isfinite(farthest) and farthest > self.longest_travel:
-            limit = f"{self.robot.max_wheel_speed:g} m/s for {self.robot.control_period:g} s"
-            raise ValueError(
-                f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
-                "metres since the last observation, not ticks or millimetres"
-            )
+        check_travel(observation, self.robot, self.longest_travel)
 
     def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
         """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
@@ -345,9 +335,8 @@ class Mapper:
         if self.on_restart is not None:
             self.on_restart(0)
         listener = self.slam.on_association
-        if self.slam.odometry_calibration is not None:
-            self._slam_config = self_calibrating(self.config)
-        self._sensor, self._restarts = self.slam.sensor, self._restarts + 1
+        self._remember()
+        self._restarts += 1
         self.slam = self._new_slam()
         self.slam.on_association, self._grid = listener, OccupancyGrid(self.config.grid)
         self._begin_anew()
@@ -360,6 +349,12 @@ class Mapper:
                 return
             if self._recovery is not None and "wheels" in observations[0]:
                 self._follow(self._recovery, observations[0], motions[0])
+
+    def _remember(self) -> None:
+        """Keep what the SLAM has found out about odometry and sensor. It holds in every frame."""
+        self._sensor = self.slam.sensor
+        if self._slam_config is self.config and any(each is not None for each in self.slam.odometry_calibrations):
+            self._slam_config = self_calibrating(self.config)
 
     @property
     def _may_restart(self) -> bool:
@@ -423,8 +418,7 @@ class Mapper:
             jump = math.sqrt(own.added_covariance[0, 0])
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
-            is_dated = own.carried is not None
-            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid, is_dated=is_dated)
+            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid, is_dated=own.carried is not None)
             self._go_on_locally(recovery)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
@@ -442,7 +436,10 @@ class Mapper:
         absence, log = recovery.absence, recovery.log
         assert absence is not None  # noqa: S101 (the robot is lost)
         self._listener = self.slam.on_association or self._listener
-        self._use(self._slam_at(log[absence.first - 1].pose), OccupancyGrid(self.config.grid))
+        slam = self._slam_at(log[absence.first - 1].pose)
+        if absence.known is not None and absence.known.slam.odometry_calibration is not None:
+            slam.calibrate(absence.known.slam.odometry_calibration)
+        self._use(slam, OccupancyGrid(self.config.grid))
         self.slam.robots[0].step = absence.first - 1
         # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
         second = min(absence.first + 1, log.end)
@@ -452,7 +449,7 @@ class Mapper:
 
     def _seek(self, recovery: Recovery) -> None:
         """Match the local map with the map that the robot was lost from, and go on there if the place is clear."""
-        found = recovery.seek(self.slam.segments, self._grid.view)
+        found = recovery.seek(self.slam.segments, self._grid.view, self.slam.range_sensor)
         if found is None:
             return
         absence, log = recovery.absence, recovery.log
@@ -466,7 +463,7 @@ class Mapper:
         begin = found.carried_at if found.gone else log.begin
         self.slam.robots[0].step = (found.step if found.gone else begin) - 1
         poses = list(found.gone) or self._play(recovery, begin, found.step)
-        self.slam.relocate(found.pose, found.covariance)
+        found.put(self.slam, self._grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._begin_anew()
@@ -492,7 +489,9 @@ class Mapper:
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame."""
         if self._sensor is not None and slam.sensor != self._sensor:
-            slam.assume(self._sensor)  # what was found out about the sensor holds in every frame
+            slam.assume(self._sensor)
+        if self._slam_config is not self.config:
+            slam.calibrate()
         self.slam, self._grid, self.frame = slam, grid, self.frame + 1
         self._begin_anew()
 
@@ -508,7 +507,7 @@ class Mapper:
 
     def _begin_anew(self) -> None:
         """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
-        self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
+        self._monitors = [StatusMonitor(self.robot, self.config.status, self.slam.range_sensor) for _ in self._starts]
         self._extraction = None
         self._renewal = Renewal(self.slam, self.config)
 
@@ -517,4 +516,5 @@ class Mapper:
         monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
         sight = Sight(pose, front.ranges, front.measured, motion)
         if monitor.observe(sight, is_busy=is_busy):
+            monitor.sensor = slam.range_sensor
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))

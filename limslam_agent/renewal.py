@@ -117,5 +117,6 @@ class Renewal:
             associations=self._associations,
             closures=self._slam.closures[self._closures :],
             first_step=self._first_step,
+            sensor=self._slam.sensor,
         )
         return renewed(self._start, stretch, settings, renewal)

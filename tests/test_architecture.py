@@ -63,13 +63,13 @@ AGENT = {
         *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.line_graph": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.core", "slam.consistent"),
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "kernels", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
     "limslam_agent.slam.merging": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels")},
-    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels")},
+    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels", "slam.core")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status", "safe_files"),

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.range_sensor import reading_of
 from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -15,6 +16,9 @@ LEAST_COSINE = 0.2
 _START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)
 WALL_COLUMNS = 5
 """Number of columns of a table of walls."""
+
+
+Sensor = tuple[float, float, float, float]
 
 
 class Predicted(NamedTuple):
@@ -103,7 +107,7 @@ def first_wall(ray: tuple[float, float, float, float], walls: FloatArray, inset:
 
 @lean_entry
 def predict_ranges(
-    poses: FloatArray, covariance: FloatArray, segments: FloatArray, beams: FloatArray, std: float, inset: float,
+    poses: FloatArray, covariance: FloatArray, segments: FloatArray, beams: FloatArray, sensor: Sensor, inset: float,
     least_cosine: float, walls: FloatArray, ranges: FloatArray, stds: FloatArray, first: IntArray,
 ) -> None:  # fmt: skip
     """Find the ranges that walls predict.
@@ -114,8 +118,8 @@ def predict_ranges(
         Poses (m, 3), m and rad, and the covariance of each of them (3, 3).
     segments, beams
         Walls (k, 4), m, and ``RobotSpec.beam_table``.
-    std
-        Standard deviation of a range, m.
+    sensor
+        ``RangeSensor.numbers``.
     inset
         Distance from a wall's ends up to which no beam should end there, m.
     least_cosine
@@ -134,15 +138,16 @@ def predict_ranges(
             distance, cosine, first[i, beam] = first_wall(beam_ray(poses[i], beams, beam), walls, inset)
             is_met = cosine > least_cosine and distance < beams[beam, FARTHEST]
             lever = distance if is_met else 0.0
-            variance = std**2 + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
-            ranges[i, beam] = distance if is_met else math.inf
+            reading, noise = reading_of(sensor, lever, cosine)
+            variance = noise + covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * lever**2
+            ranges[i, beam] = reading if is_met else math.inf
             stds[i, beam] = math.sqrt(variance) / max(cosine, LEAST_COSINE)
 
 
 @lean_entry
 def compare_steps(
-    poses: FloatArray, variances: FloatArray, segments: FloatArray, beams: FloatArray, std: float, rules: FloatArray,
-    walls: FloatArray, seen: Predicted,
+    poses: FloatArray, variances: FloatArray, segments: FloatArray, beams: FloatArray, sensor: Sensor,
+    rules: FloatArray, walls: FloatArray, seen: Predicted,
 ) -> None:  # fmt: skip
     """Compare the readings of some steps with a map.
 
@@ -150,7 +155,7 @@ def compare_steps(
     ----------
     poses, variances
         Poses (n, 3), m and rad, and the variances of position and heading (n, 2).
-    segments, beams, std, walls
+    segments, beams, sensor, walls
         As of :func:`predict_ranges`.
     rules
         Inset and least cosine of :func:`predict_ranges`; number of standard deviations within which a reading fits;
@@ -170,11 +175,13 @@ def compare_steps(
             distance, cosine, _ = first_wall(ray, walls, inset)
             is_wall, is_steep = distance < beams[beam, FARTHEST], cosine > least_cosine
             ended[i, beam], known[i, beam] = reading < beams[beam, TOO_FAR], is_wall and is_steep
+            expected = distance
             if known[i, beam]:
-                predicted[i, beam] = distance
-                stds[i, beam] = math.sqrt(std**2 + variances[i, 0] + variances[i, 1] * distance**2) / cosine
+                expected, noise = reading_of(sensor, distance, cosine)
+                predicted[i, beam] = expected
+                stds[i, beam] = math.sqrt(noise + variances[i, 0] + variances[i, 1] * distance**2) / cosine
             if not ended[i, beam]:
-                is_short = reading - distance < sigmas * stds[i, beam]
+                is_short = reading - expected < sigmas * stds[i, beam]
                 misfit[i, beam] = clip if known[i, beam] and not is_short else 0.0
                 continue
             if is_wall and not is_steep:
@@ -183,8 +190,9 @@ def compare_steps(
             for wall in range(len(walls)):
                 distance, beyond, cosine = crossing(ray, walls, wall)
                 if distance > 0.0 and beyond < beyond_end:
-                    variance = std**2 + variances[i, 0] + variances[i, 1] * distance**2
-                    residual = (reading - distance) * max(cosine, LEAST_COSINE)
+                    expected, noise = reading_of(sensor, distance, cosine)
+                    variance = noise + variances[i, 0] + variances[i, 1] * distance**2
+                    residual = (reading - expected) * max(cosine, LEAST_COSINE)
                     misfit[i, beam] = min(misfit[i, beam], residual**2 / variance)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -86,7 +87,7 @@ def carried_at(
     placed: FloatArray,
     robot: RobotSpec,
     segments: FloatArray,
-    range_std: float,
+    sensor: RangeSensor,
     config: ContradictionConfig,
 ) -> int:
     """The first step after a robot was carried away: earlier readings fit the poses that were believed, later ones fit
@@ -100,19 +101,20 @@ def carried_at(
         Poses (m, 3) of the first m steps of the log if the robot had been carried away before them.
     segments
         Walls of the map (k, 4), m.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How ranges are measured.
     """
     steps = log.steps[: len(placed)]
     ranges = np.array([step.ranges for step in steps])
     costs = [
-        _misfits(poses, ranges, robot, segments, range_std, config)
+        _misfits(poses, ranges, robot, segments, sensor, config)
         for poses in (np.array([step.pose for step in steps]), placed)
     ]
     # The steps before the break are explained by the first cost, and the others by the second one.
     totals = np.cumsum(costs[0] - costs[1])
     # Readings may change by more where the break is.
-    changes = np.diff([step.ranges for step in log.steps[: len(placed) + 1]], axis=0) / (_CHANGE + 5.0 * range_std)
+    change = _CHANGE + 5.0 * sensor.usual_std(float(robot.max_ranges.max()))
+    changes = np.diff([step.ranges for step in log.steps[: len(placed) + 1]], axis=0) / change
     saved = np.minimum(np.abs(np.nan_to_num(changes)), _WORST) ** 2
     totals[: len(saved)] -= saved.sum(axis=1)
     # Of equally good steps, the last one is the nearest to the first doubt.
@@ -124,7 +126,7 @@ def _misfits(
     ranges: FloatArray,
     robot: RobotSpec,
     segments: FloatArray,
-    range_std: float,
+    sensor: RangeSensor,
     config: ContradictionConfig,
 ) -> FloatArray:
     """Sum of the squared residuals (m,) of the readings (m, n_beams) of each pose (m, 3) that pass through walls.
@@ -132,7 +134,7 @@ def _misfits(
     Other readings speak against no pose: the map does not have all walls.
     """
     slack = np.diag([config.slack**2, config.slack**2, 0.0])
-    expected = expected_ranges(robot, poses, slack, segments, range_std, config)
+    expected = expected_ranges(robot, poses, slack, segments, sensor, config)
     has_wall = np.isfinite(expected.ranges)
     seen = np.minimum(ranges, robot.max_ranges)
     beyond = (seen - np.where(has_wall, expected.ranges, np.inf)) / np.where(has_wall, expected.stds, 1.0)

@@ -9,8 +9,12 @@ from limslam_agent.places.decision import Decision, agree, find_place, placed_co
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.place_map import place_map
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
+
+NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
+"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
 
 
 class Lookup:

@@ -20,12 +20,16 @@ from limslam_agent.places.decision import CLEAN_MATCHES, Decision, agree, find_p
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap, place_map
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import UNIFORM_HEADING
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
+
+_LOCAL_COPIES = 6
+"""Number of copies of the local frame over the steps that are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +114,10 @@ class Placement(NamedTuple):
         The local map that was matched.
     gone
         Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
-        away, if it was lost for so long that these steps are no longer kept; empty otherwise.
+        away, if it was lost for so long that the first of these steps are no longer kept; empty otherwise.
+    frame, before
+        Pose (3,) of the local frame in the known frame, and the local frame before ``step``, if there are ``gone``
+        steps; None otherwise.
     """
 
     step: int
@@ -118,6 +125,16 @@ class Placement(NamedTuple):
     covariance: FloatArray
     local: PlaceMap
     gone: list[tuple[FloatArray, FloatArray]]
+    frame: FloatArray
+    before: KnownFrame | None
+
+    def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+        """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
+        if self.before is None or not slam.is_renewable:
+            slam.relocate(self.pose, self.covariance)
+            return
+        slam.join(self.before.slam, self.frame, self.covariance)
+        grid.absorb(self.before.grid.view, self.frame)
 
     @property
     def carried_at(self) -> int:
@@ -151,6 +168,7 @@ class Recovery:
         self._robot, self._agent, self._config = robot, config, places
         self.log = StepLog()
         self._copies: list[KnownFrame] = []
+        self._local_copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
         self.records: list[dict[str, Any]] = []
@@ -199,6 +217,9 @@ class Recovery:
             begin = self.log.begin
             gone = self.log.forget_before(self.log.end - self._config.longest)
             self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
+            if self.is_lost and self.log.end % max(self._config.longest // _LOCAL_COPIES, 1) == 0:
+                kept = [copy for copy in self._local_copies if copy.step > self.log.begin]
+                self._local_copies = [*kept, self._copy(slam, grid)]
         elif not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
@@ -227,7 +248,7 @@ class Recovery:
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated = is_dated
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
-        self._copies = []
+        self._copies, self._local_copies = [], []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
     def is_due(self) -> bool:
@@ -236,7 +257,7 @@ class Recovery:
         spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
         return absence is not None and absence.moved - absence.sought >= spacing
 
-    def seek(self, segments: FloatArray, grid: GridView) -> Placement | None:
+    def seek(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> Placement | None:
         """Match the local map with the known map. The placement if two matches in succession find the same place."""
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
@@ -247,7 +268,7 @@ class Recovery:
         earlier = [found for step, found in absence.decisions[:-1] if step >= absence.first]
         if not earlier or not agree(earlier[-1], decision, local, self._config):
             return None
-        return self._placement(absence, local, decision)
+        return self._placement(absence, local, decision, sensor)
 
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
@@ -285,7 +306,7 @@ class Recovery:
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
-    def _placement(self, absence: Absence, local: PlaceMap, decision: Decision) -> Placement:
+    def _placement(self, absence: Absence, local: PlaceMap, decision: Decision, sensor: RangeSensor) -> Placement:
         """Where the robot was before it was carried away, as far as its steps are kept."""
         assert decision.fit is not None  # noqa: S101 (an accepted decision has a fit)
         log, frame = self.log, decision.fit.pose
@@ -294,15 +315,18 @@ class Recovery:
         step = last + 1
         if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
-                log, placed, self._robot, absence.place.segments, self._agent.range_std,
-                self._agent.status.contradictions,
+                log, placed, self._robot, absence.place.segments, sensor, self._agent.status.contradictions
             )  # fmt: skip
         pose = placed[step - 1 - log.begin]
+        before = next((copy for copy in self._local_copies if absence.gone and copy.step > log.begin), None)
+        if before is not None:
+            step, pose = before.step, compose(frame, log[before.step - 1].pose)
         # If the first steps are gone, there is none before the robot was carried away.
-        lost = [*absence.gone, log[log.begin].pose] if absence.gone else []
+        lost = [*absence.gone, *(each.pose for each in log.steps[: step - log.begin])] if absence.gone else []
         poses = [pose, *(compose(frame, each) for each in lost)]
         covariances = [placed_covariance(local, decision, each, self._config) for each in poses]
-        return Placement(step, pose, covariances[0], local, list(zip(poses[1:], covariances[1:], strict=True)))
+        gone = list(zip(poses[1:], covariances[1:], strict=True))
+        return Placement(step, pose, covariances[0], local, gone, frame, before)
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

@@ -163,9 +163,10 @@ def joined_run(runs: Sequence[FilteredRun], frame: FloatArray) -> FilteredRun:
     ]
     closures = [replace(each, older=each.older + apart, younger=each.younger + apart) for each in second.closures]
     breaks = (*first.breaks, *((1, step) for _, step in second.breaks), (1, 1))
+    longer = max(runs, key=lambda each: len(each.poses))  # its readings say more about the sensor
     return FilteredRun(
         robot=first.robot, noise=first.noise, associations=[*first.associations, *others],
-        closures=[*first.closures, *closures], breaks=breaks, **columns,
+        closures=[*first.closures, *closures], breaks=breaks, sensor=longer.sensor, **columns,
     )  # fmt: skip
 
 

@@ -194,7 +194,7 @@ def replay_log(
         from limslam_agent.replay.smoothing import smoothed_by_lines
 
         report("all poses and walls")
-        return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing)
+        return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing, slam.sensor)
     return replay
 
 

@@ -21,6 +21,7 @@ from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.trust import PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.graph.agreement import agreement_of_visits
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
@@ -160,7 +161,11 @@ def _landmark(places: FloatArray, range_std: float, number: int) -> Landmark:
 
 
 def smoothed_by_lines(
-    replay: Replay, associations: list[AssociationRecord], closures: list[Closure], config: SmootherConfig
+    replay: Replay,
+    associations: list[AssociationRecord],
+    closures: list[Closure],
+    config: SmootherConfig,
+    sensor: RangeSensor | None = None,
 ) -> Replay:
     """The replay of a log of wheel travel with its log smoothed, and with the map drawn from the smoothed poses.
 
@@ -170,6 +175,8 @@ def smoothed_by_lines(
         The log as the filter saw it.
     associations, closures
         The filter's associations and merged landmarks, in order.
+    sensor
+        How the sensor measures, as the filter has found out.
 
     Returns
     -------
@@ -191,6 +198,7 @@ def smoothed_by_lines(
         associations=associations,
         closures=closures,
         breaks=tuple((0, step) for step in places.breaks),
+        sensor=sensor,
     )
     found = smooth_run(run, config)
     if found is None:

@@ -28,6 +28,7 @@ from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.status.status import LEVELS
 from limslam_agent.team import LimSlamTeam, Snapshot
@@ -225,6 +226,8 @@ class Episode:
         The association of each observed line, and the loops that were closed.
     calibrations
         Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed.
+    sensor
+        How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
     snapshot
         What is believed at the end.
     coverage_grid
@@ -269,6 +272,7 @@ class Episode:
     decide_ms: FloatArray
     wall_clock: float
     joined: Joined | None = None
+    sensor: RangeSensor | None = None
 
     @property
     def placed_steps(self) -> slice:
@@ -374,6 +378,7 @@ def run_episode(
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         joined=joined,
+        sensor=team.slam.sensor,
         **_in_shared_frame(
             _in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined or parted
         ),

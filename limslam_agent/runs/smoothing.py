@@ -72,6 +72,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         associations=episode.associations,
         closures=episode.closures,
         breaks=(*((0, step) for step in places.breaks), *unknown_start),
+        sensor=episode.sensor,
     )
     found = smooth_run(run, settings)
     if found is not None and unknown_start:

@@ -7,7 +7,6 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
-from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
@@ -15,6 +14,7 @@ from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration, calibrated, motion_of
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.published.published import PublishedEstimator
 from limslam_env.geometry import BoolArray, FloatArray
@@ -205,6 +205,16 @@ class LineSlam:
         """Replace pose and map by a better estimate of both, which knows all readings so far."""
         self._renewable.renew(state, self.robots[0].step)
 
+    def join(self, other: "LineSlam", frame: FloatArray, covariance: FloatArray) -> None:
+        """Take over pose and map of another SLAM of the same robot, and keep the own map.
+
+        A match has found the pose (3,) of the other SLAM's frame in this one. ``covariance`` (3, 3) is that of the
+        robot's pose by the error of the match. Readings that are still pending are used before.
+        """
+        self.finish()
+        other.finish()
+        self.renew(self.map_state.joined(other.map_state.moved(frame, covariance)))
+
     @property
     def _renewable(self) -> ConsistentEstimator:
         if not (self.is_renewable and isinstance(self._estimator, ConsistentEstimator)):
@@ -231,10 +241,24 @@ class LineSlam:
         """The first robot's odometry calibration and its covariance; None while its odometry is not corrected."""
         return self._estimator.odometry_calibration(0)
 
+    def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
+        """Correct the odometry from now on, if it can be, by what the readings so far say of its constant errors.
+
+        Before the first step, the first robot can begin with a calibration and its covariance (3, 3) that an earlier
+        drive has found.
+        """
+        if isinstance(self._estimator, ConsistentEstimator):
+            self._estimator.calibrate(found)
+
     @property
     def sensor(self) -> RangeSensor | None:
         """How the sensor measures, as specified or as the data require; None for the published estimator."""
         return self._estimator.sensor if isinstance(self._estimator, ConsistentEstimator) else None
+
+    @property
+    def range_sensor(self) -> RangeSensor:
+        """How ranges are taken to be measured: :attr:`sensor`, or as specified for the published estimator."""
+        return self.sensor or RangeSensor(self.config.range_std, cone=self.robot.cone)
 
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the estimate for what was assumed before."""
@@ -266,7 +290,7 @@ class LineSlam:
             ranges = np.where(front.measured, front.ranges, self.robot.max_ranges)
             front.drop(
                 may_hit_others(
-                    number, ranges, poses, covariance, self.robot, self.config.range_std, self.config.team
+                    number, ranges, poses, covariance, self.robot, self.range_sensor, self.config.team
                 )
             )  # fmt: skip
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
@@ -114,7 +115,7 @@ def expected_ranges(
     poses: FloatArray,
     covariance: FloatArray,
     segments: FloatArray,
-    range_std: float,
+    sensor: RangeSensor,
     config: ContradictionConfig,
 ) -> ExpectedRanges:
     """The range that the walls of a map predict for each beam.
@@ -125,15 +126,15 @@ def expected_ranges(
         Estimated poses (m, 3), m and rad, and the covariance of each of them (3, 3).
     segments
         Walls (k, 4), m.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How ranges are measured.
     """
     from limslam_agent.kernels.crossings import WALL_COLUMNS, predict_ranges
 
     rules, shape = (float(config.inset), float(config.least_cosine)), (len(poses), len(robot.beams))
     walls, ranges, stds = np.empty((len(segments), WALL_COLUMNS)), np.empty(shape), np.empty(shape)
     first = np.empty(shape, dtype=np.int64)
-    predict_ranges(poses, covariance, segments, robot.beam_table, range_std, *rules, walls, ranges, stds, first)
+    predict_ranges(poses, covariance, segments, robot.beam_table, sensor.numbers, *rules, walls, ranges, stds, first)
     return ExpectedRanges(ranges, stds, first)
 
 
@@ -145,7 +146,7 @@ def compare(
     known: KnownMap,
     predicted: FloatArray,
     stds: FloatArray,
-    range_std: float,
+    sensor: RangeSensor,
     config: ContradictionConfig,
 ) -> Comparison:
     """Compare the readings of one step with a map.
@@ -161,8 +162,8 @@ def compare(
     predicted, stds
         The ranges that the walls of the map predict (n_beams,), m, and their standard deviations: one row of
         :class:`ExpectedRanges`.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How ranges are measured.
     """
     is_usable = measured & (ranges > robot.too_near)
     expected = is_usable & np.isfinite(predicted)
@@ -171,8 +172,11 @@ def compare(
     ended = is_usable & (ranges < robot.too_far)
     in_free = np.zeros(len(ranges), dtype=bool)
     beams = np.flatnonzero(ended)
-    ends = transform_points(pose, robot.beam_origins[beams] + ranges[beams, None] * robot.beam_directions[beams])
-    in_free[beams] = _in_free(ends, known, config, config.sigmas * range_std + config.slack)
+    reached = ranges[beams] - sensor.bias
+    ends = transform_points(pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams])
+    # The nearest point inside a wide beam may be anywhere between its borders.
+    near = config.sigmas * sensor.stds(reached) + config.slack + sensor.cone * reached
+    in_free[beams] = _in_free(ends, known, config, near)
     return Comparison(
         expected=expected,
         fits=expected & (np.abs(excess) <= tolerance),
@@ -188,19 +192,19 @@ def compared(
     usable: BoolArray,
     known: KnownMap,
     covariance: FloatArray,
-    range_std: float,
+    sensor: RangeSensor,
     config: ContradictionConfig,
 ) -> tuple[Comparison, ExpectedRanges]:
     """The readings of one step that count (n_beams,) beside a map, and the ranges that the map predicts for it."""
-    expected = expected_ranges(robot, sight.pose[None], covariance, known.segments, range_std, config)
+    expected = expected_ranges(robot, sight.pose[None], covariance, known.segments, sensor, config)
     outcome = compare(
-        robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], range_std, config
+        robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], sensor, config
     )
     return outcome, expected
 
 
-def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, near: float) -> BoolArray:
-    """Whether each point (n, 2) lies in free cells only, and at no wall within ``near``, m."""
+def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, near: FloatArray) -> BoolArray:
+    """Whether each point (n, 2) lies in free cells only, and at no wall within ``near`` (n,), m."""
     grid, reach = known.grid, config.free_cells
     cells = grid.cells(points)
     is_free: BoolArray = np.all((cells >= reach) & (cells < np.array(grid.values.shape) - reach), axis=1)
@@ -210,5 +214,5 @@ def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, n
         is_free[number] = around.min() >= config.free
     found = np.flatnonzero(is_free)
     if len(found) and len(known.segments):
-        is_free[found] = distances(points[found], known.segments).min(axis=1) > near
+        is_free[found] = distances(points[found], known.segments).min(axis=1) > near[found]
     return is_free

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig, LateBeamConfig
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import RobotSpec
@@ -83,8 +84,6 @@ class LateBeams:
         The delays that are tested, and the evidence that is needed.
     contradictions
         Which walls a beam should end at.
-    range_std
-        Standard deviation of a range, m.
 
     Attributes
     ----------
@@ -93,10 +92,8 @@ class LateBeams:
         not late.
     """
 
-    def __init__(
-        self, robot: RobotSpec, config: LateBeamConfig, contradictions: ContradictionConfig, range_std: float
-    ) -> None:
-        self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
+    def __init__(self, robot: RobotSpec, config: LateBeamConfig, contradictions: ContradictionConfig) -> None:
+        self._robot, self._config, self._walls = robot, config, contradictions
         longest = max(round(config.longest_delay / robot.control_period), 1)
         self._delays = np.unique(np.linspace(min(2, longest), longest, 10).round().astype(int))
         self._looks: deque[_Look] = deque(maxlen=max(round(config.window / robot.control_period), longest + 2))
@@ -121,14 +118,14 @@ class LateBeams:
         """Forget the steps so far, after which a step is missing."""
         self._looks.clear()
 
-    def search(self, segments: FloatArray) -> None:
-        """Look for a late beam by the walls (k, 4), m, of the map as it is now."""
+    def search(self, segments: FloatArray, sensor: RangeSensor) -> None:
+        """Look for a late beam by the walls (k, 4), m, of the map, and the sensor, as they are known now."""
         from limslam_agent.kernels.crossings import evidence_of_delays, sum_gains
 
         if len(self._looks) < 2 * self._delays[0] or not len(segments):
             return
         if self.found is not None:
-            seen = self._compared(segments, np.array([self.found.beam]))
+            seen = self._compared(segments, sensor, np.array([self.found.beam]))
             gained = sum_gains(seen, 0, self._lag, max(self._since, 1), *self._limits)
             if gained < -_COUNTER_EVIDENCE * self._config.evidence:
                 self.found = None
@@ -136,7 +133,7 @@ class LateBeams:
         count = len(self._robot.beams)
         beams = np.unique((self._first_beam + np.arange(min(count, _MOST_BEAMS))) % count)
         self._first_beam = (self._first_beam + _MOST_BEAMS) % count
-        seen = self._compared(segments, beams)
+        seen = self._compared(segments, sensor, beams)
         delays = self._delays[self._delays < len(self._looks) - 2]
         evidence = np.empty((len(delays), len(beams)))
         evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS, evidence)
@@ -152,7 +149,7 @@ class LateBeams:
         turned = abs(wrap_angle(float(off[2])))
         return math.hypot(off[0], off[1]) > self._config.max_correction or turned > self._config.max_turn_correction
 
-    def _compared(self, segments: FloatArray, beams: IntArray) -> "Predicted":
+    def _compared(self, segments: FloatArray, sensor: RangeSensor, beams: IntArray) -> "Predicted":
         """The last steps beside the map, for some beams."""
         from limslam_agent.kernels.crossings import WALL_COLUMNS, Predicted, compare_steps
 
@@ -161,9 +158,8 @@ class LateBeams:
         ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
         rules = np.array([walls.inset, walls.least_cosine, *self._limits, self._config.beyond_end])
         seen = Predicted.of(ranges, usable)
-        compare_steps(
-            poses, variances, segments, table, self._std, rules, np.empty((len(segments), WALL_COLUMNS)), seen
-        )
+        scratch = np.empty((len(segments), WALL_COLUMNS))
+        compare_steps(poses, variances, segments, table, sensor.numbers, rules, scratch, seen)
         return seen
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.status import StatusConfig
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight, compared
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
@@ -64,27 +65,29 @@ class StatusMonitor:
         Body and beams.
     config
         When an estimate is unsure or lost.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How ranges are measured.
 
     Attributes
     ----------
+    sensor
+        The same, as far as it is known now. Set it when the estimator has found out more.
     status
         The present status.
     """
 
-    def __init__(self, robot: RobotSpec, config: StatusConfig, range_std: float) -> None:
-        self._robot, self._config, self._std = robot, config, range_std
+    def __init__(self, robot: RobotSpec, config: StatusConfig, sensor: RangeSensor) -> None:
+        self._robot, self._config, self.sensor = robot, config, sensor
         self._step, self._place, self._checked = -1, 0.0, -math.inf
         # The latest steps that no comparison has used.
         self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
         self._checks: deque[_Check] = deque()
         self._count = 0
-        self._late_beams = LateBeams(robot, config.late_beams, config.contradictions, range_std)
+        self._late_beams = LateBeams(robot, config.late_beams, config.contradictions)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted = 0
-        self._sudden_changes = SuddenChanges(robot, config.sudden_changes, config.contradictions, range_std)
+        self._sudden_changes = SuddenChanges(robot, config.sudden_changes, config.contradictions)
         self.status = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -155,8 +158,12 @@ class StatusMonitor:
 
     @property
     def carried(self) -> Suspicion | None:
-        """The suspicion by which the robot was carried away; None if nothing suffices to say so."""
-        return self._sudden_changes.certain
+        """The suspicion by which the robot was carried away; None if nothing suffices to say so.
+
+        If the contradictions already say that the robot is lost, no further comparison has to confirm a suspicion.
+        """
+        changes = self._sudden_changes
+        return changes.probable if self.status.level == "lost" else changes.certain
 
     def _first_doubt(self) -> int:
         """The step of the first comparison in the last metres that contradicts the map, or the present step."""
@@ -171,7 +178,7 @@ class StatusMonitor:
         if len(self._sights) == self._sights.maxlen:
             self._sudden_changes.forget()
         seen = [(check.step, check.points) for check in self._checks if len(check.points)]
-        moment = Moment(self._place, covariance, known, self._usable(), self._ignored(), seen)
+        moment = Moment(self._place, covariance, known, self.sensor, self._usable(), self._ignored(), seen)
         self._sudden_changes.note(list(self._sights), moment)
 
     def _ignored(self) -> BoolArray:
@@ -195,7 +202,7 @@ class StatusMonitor:
         """
         robot, last = self._robot, self._sights[-1][1]
         walls = self._config.contradictions
-        outcome, expected = compared(robot, last, self._usable(), known, covariance, self._std, walls)
+        outcome, expected = compared(robot, last, self._usable(), known, covariance, self.sensor, walls)
         beams = np.flatnonzero(outcome.through | outcome.in_free)
         reached = np.where(outcome.through, np.minimum(expected.ranges[0], robot.max_ranges), last.ranges)[beams]
         points = transform_points(
@@ -212,7 +219,7 @@ class StatusMonitor:
         self._sights.clear()
         self._count += 1
         if self._reference is None and self._count % self._config.late_beams.every == 0:
-            late.search(segments)
+            late.search(segments, self.sensor)
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
@@ -246,7 +253,19 @@ class StatusMonitor:
         return Status()
 
     def _by_contradictions(self) -> Status:
+        """The status by the share of readings that contradict the map.
+
+        Contradictions make a robot lost only when it is known whether the readings changed suddenly before: that says
+        when the robot was carried away, and which map was right.
+        """
         recent = self._recent(self._config.window)
+        found = self._by_share(recent)
+        if found.level == "lost":
+            weighed = [check for check in recent if check.step <= self._sudden_changes.weighed]
+            return found if weighed and self._by_share(weighed).level == "lost" else Status("unsure", found.reason)
+        return found
+
+    def _by_share(self, recent: list[_Check]) -> Status:
         count, contradicting, _, _ = _sums(recent)
         beams = np.unique(np.concatenate([check.beams for check in recent]))
         # A few wrong readings are no proof, however few there are in all. A beam alone may be broken, and at a single

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from limslam_agent.config.status import ContradictionConfig, SuddenChangeConfig
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import Comparison, ExpectedRanges, KnownMap, Sight, compared
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
@@ -51,8 +52,8 @@ class Moment(NamedTuple):
         Where in the drive the robot is, m.
     covariance
         Covariance of the pose (3, 3).
-    known
-        The map.
+    known, sensor
+        The map, and how ranges are measured.
     usable
         The readings (n_beams,) of the last step that count.
     ignored
@@ -64,6 +65,7 @@ class Moment(NamedTuple):
     place: float
     covariance: FloatArray
     known: KnownMap
+    sensor: RangeSensor
     usable: BoolArray
     ignored: BoolArray
     seen: list[tuple[int, FloatArray]]
@@ -126,21 +128,19 @@ class SuddenChanges:
         The evidence that is needed.
     contradictions
         Which walls a beam should end at.
-    range_std
-        Standard deviation of a range, m.
 
     Attributes
     ----------
     suspicions
         The suspicions that the map has not refuted so far.
+    weighed
+        Number of the latest step in which a sudden change would have been noticed; -1 before the first one.
     """
 
-    def __init__(
-        self, robot: RobotSpec, config: SuddenChangeConfig, contradictions: ContradictionConfig, range_std: float
-    ) -> None:
-        self._robot, self._config, self._walls, self._std = robot, config, contradictions, range_std
+    def __init__(self, robot: RobotSpec, config: SuddenChangeConfig, contradictions: ContradictionConfig) -> None:
+        self._robot, self._config, self._walls = robot, config, contradictions
         self._sights: list[tuple[int, Sight]] = []
-        self._latest, self._was_found = -1, False
+        self.weighed, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.suspicions: list[Suspicion] = []
@@ -157,10 +157,11 @@ class SuddenChanges:
         If little of the evidence is due to the change, the latest steps, which wait for the next call, may have changed
         more.
         """
-        found = self._found()
+        found = self.probable
         return found if found is None or found.change >= self._config.clear or self._was_found else None
 
-    def _found(self) -> Suspicion | None:
+    @property
+    def probable(self) -> Suspicion | None:
         """The suspicion with the largest change, if there is enough evidence for one.
 
         What follows a change speaks for every suspicion of the last steps.
@@ -174,7 +175,7 @@ class SuddenChanges:
 
     def note(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
         """Follow the suspicions through the steps since the last call, with their numbers, and look for new ones."""
-        self._was_found = self._found() is not None
+        self._was_found = self.probable is not None
         self.suspicions = [each for each in self.suspicions if self._is_open(each, moment.place)]
         for each in self.suspicions:
             self._weigh(each, sights[-1][1], moment)
@@ -200,28 +201,29 @@ class SuddenChanges:
         self._sights = steps[-2 * LASTING :]
         if len(steps) <= LASTING + 1:
             return
-        evidence, usable = self._evidence([sight for _, sight in steps], moment.ignored)
+        evidence, usable = self._evidence([sight for _, sight in steps], moment)
         for row in np.flatnonzero(evidence.sum(axis=1) > self._config.begin).tolist():
             number, sight = steps[row + 2]
-            if number > self._latest:
+            if number > self.weighed:
                 self._suspect(number, sight, usable[row], evidence[row], moment)
-        self._latest = steps[-LASTING][0]
+        self.weighed = steps[-LASTING][0]
 
-    def _evidence(self, sights: list[Sight], ignored: BoolArray) -> tuple[FloatArray, BoolArray]:
+    def _evidence(self, sights: list[Sight], moment: Moment) -> tuple[FloatArray, BoolArray]:
         """The evidence of each beam in the steps but the first two and the last few, and the readings that count."""
         robot = self._robot
         ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
-        measured &= ~ignored & ~dropouts(ranges >= robot.too_far)
+        measured &= ~moment.ignored & ~dropouts(ranges >= robot.too_far)
         last = 1 - LASTING
         motions = np.array([each.increment for each in sights])
         motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))
-        return change_evidence(ranges[:last], measured[:last], motions[:last], robot, self._std), measured[2:last]
+        found = change_evidence(ranges[:last], measured[:last], motions[:last], robot, moment.sensor)
+        return found, measured[2:last]
 
     def _suspect(self, step: int, sight: Sight, usable: BoolArray, evidence: FloatArray, moment: Moment) -> None:
         """Begin a suspicion, unless the map explains how the readings changed."""
         earlier = [known for number, known in self._known if number <= step]
         known, robot = earlier[-1] if earlier else self._known[0][1], self._robot
-        outcome, expected = compared(robot, sight, usable, known, moment.covariance, self._std, self._walls)
+        outcome, expected = compared(robot, sight, usable, known, moment.covariance, moment.sensor, self._walls)
         change = float(np.minimum(evidence, self._unexplained(sight, outcome, expected)).sum())
         if change <= self._config.begin:
             return
@@ -242,8 +244,8 @@ class SuddenChanges:
 
     def _weigh(self, suspicion: Suspicion, sight: Sight, moment: Moment) -> None:
         """Compare readings with the map of a suspicion."""
-        known, cov = suspicion.known, moment.covariance
-        outcome, expected = compared(self._robot, sight, moment.usable, known, cov, self._std, self._walls)
+        known, cov, sensor = suspicion.known, moment.covariance, moment.sensor
+        outcome, expected = compared(self._robot, sight, moment.usable, known, cov, sensor, self._walls)
         self._count(suspicion, sight, outcome, expected)
 
     def _count(self, suspicion: Suspicion, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> None:
@@ -280,7 +282,7 @@ class SuddenChanges:
 
 
 def change_evidence(
-    ranges: FloatArray, usable: BoolArray, motions: FloatArray, robot: RobotSpec, range_std: float
+    ranges: FloatArray, usable: BoolArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor
 ) -> FloatArray:
     """The evidence (m, n_beams) of each reading that the robot was carried away before its step.
 
@@ -294,22 +296,21 @@ def change_evidence(
         Readings of m + 2 steps (m + 2, n_beams), m, and a mask of those that count.
     motions
         Length and angle of the motion before each of the steps (m + 2, 2), m and rad, without signs.
-    robot
-        The beams.
-    range_std
-        Standard deviation of a range, m.
+    robot, sensor
+        The beams, and how they measure.
     """
     limits = robot.max_ranges
     seen, nothing = np.minimum(ranges, limits), ranges >= robot.too_far
     now, before, earlier = seen[2:], seen[1:-1], seen[:-2]
     travel, turn = motions[2:, :1], motions[2:, 1:]
     shorter = np.minimum(now, before)
-    base = 2.0 * range_std**2 + _LEAST_STD**2
+    variances = sensor.variances(shorter)
+    base = 2.0 * variances + _LEAST_STD**2
     stds = [np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2) for drive, spin in _SLOPES]
     edges = _EDGES + _EDGES_PER_TURN * np.minimum(turn, _FASTEST)
 
     goes_on = sum(share * _normal(now - before, std) for share, std in zip(_SHARES, stds, strict=True))
-    bend = np.sqrt(6.0 * range_std**2 + _BENT[0] ** 2 + (_BENT[1] * turn * shorter) ** 2)
+    bend = np.sqrt(6.0 * variances + _BENT[0] ** 2 + (_BENT[1] * turn * shorter) ** 2)
     is_line = (np.minimum(turn, motions[1:-1, 1:]) > _SWEEPS) & ~(nothing[2:] | nothing[1:-1] | nothing[:-2])
     goes_on = np.where(is_line, np.maximum(goes_on, _ON_LINE * _normal(now - 2.0 * before + earlier, bend)), goes_on)
     changes = (1.0 - edges) * goes_on + edges / limits

@@ -7,6 +7,7 @@ from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.presets import AgentConfig, TeamConfig, preset
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.slam.core.ekf import LineEKF
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.team import LimSlamTeam
@@ -113,7 +114,7 @@ def suspicious(other: tuple[float, float], ranges: dict[int, float], covariance:
         readings[beam] = reading
     poses = np.array([[0.0, 0.0, 0.0], [*other, 0.0]])
     joint = np.zeros((6, 6)) if covariance is None else covariance
-    return may_hit_others(0, readings, poses, joint, ROBOT, 0.01, TeamConfig(**config)).tolist()
+    return may_hit_others(0, readings, poses, joint, ROBOT, RangeSensor(0.01), TeamConfig(**config)).tolist()
 
 
 def test_a_beam_that_ends_on_a_teammate_is_suspicious_and_others_are_not():

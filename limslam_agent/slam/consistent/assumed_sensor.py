@@ -5,14 +5,11 @@ import math
 import numpy as np
 
 from limslam_agent.config.consistent import RangeErrorConfig
-from limslam_agent.slam.consistent.beam_model import RangeSensor
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.consistent.separate_bias import RangeErrors
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.interface import LARGEST_CONE
-
-USUAL_RANGE = 0.7
-"""The noise of points is that of ranges with this share of the longest one, where the noise grows with the range."""
 
 LEAST_ERRORS = (2e-3, math.radians(0.25))
 """A bias, m, and an opening angle, rad, that differ by less are as assumed."""
@@ -50,8 +47,7 @@ class AssumedSensor:
     @property
     def usual_std(self) -> float:
         """Standard deviation of a range of usual length, m."""
-        usual = self.sensor.stds(np.array([USUAL_RANGE * self._reach]))
-        return float(usual[0]) if self.sensor.growth else self.sensor.std
+        return self.sensor.usual_std(self._reach)
 
     def count(self, segment: WallSegment) -> None:
         """Count the residuals of a segment that is used."""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
 
 GRAZING = 0.2
@@ -26,35 +27,6 @@ FLATTEST = math.acos(GRAZING)
 
 LEAST_COSINE = 1e-9
 """Least cosine that a range is divided by. A beam parallel to a line meets it very far away, at a finite range."""
-
-
-class RangeSensor(NamedTuple):
-    """How a range sensor measures.
-
-    Attributes
-    ----------
-    std
-        Standard deviation of short ranges, m.
-    growth
-        Further noise, 1/m: its standard deviation is this times the squared range.
-    cone
-        Half the opening angle of the beams, rad; 0 for rays.
-    bias
-        By what all ranges are too long, m.
-    """
-
-    std: float
-    growth: float = 0.0
-    cone: float = 0.0
-    bias: float = 0.0
-
-    def variances(self, ranges: FloatArray) -> FloatArray:
-        """Variances of ranges (n,), m^2."""
-        return np.asarray(self.std**2 + (self.growth * ranges**2) ** 2)
-
-    def stds(self, ranges: FloatArray) -> FloatArray:
-        """Standard deviations of ranges (n,), m."""
-        return np.sqrt(self.variances(ranges))
 
 
 class Readings(NamedTuple):

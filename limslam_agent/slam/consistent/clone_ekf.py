@@ -149,6 +149,16 @@ class CloneEKF(LineEKF):
         self.x, self.P, self.dim_x, self._first = x, P, len(P), 2 * self._first
         self._correct(change)
 
+    def know_calibration(self, calibration: FloatArray, covariance: FloatArray) -> None:
+        """Set the odometry calibration (3,) of the first robot, if it is a part of the state.
+
+        Its covariance (3, 3) is given, and it is independent of all else.
+        """
+        if self.calibration() is not None:
+            part = self._calibration_part(0)
+            self.x[part], self.P[part], self.P[:, part] = calibration, 0.0, 0.0
+            self.P[part, part] = covariance
+
     def predict(
         self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_calibration: FloatArray | None = None
     ) -> None:

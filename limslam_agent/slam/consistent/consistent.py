@@ -14,7 +14,7 @@ import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
-from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, hit_points
+from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
@@ -28,6 +28,7 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, distance, normal, to_frame
@@ -124,6 +125,12 @@ class ConsistentEstimator(Estimator):
         found = self._filter.calibration(robot)
         return (OdometryCalibration(*found[0].tolist()), found[1]) if found else None
 
+    def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
+        """Correct the odometry from now on, by the readings so far or by what another drive of the robot has found."""
+        self._filter.calibrate()
+        if found is not None:
+            self._filter.know_calibration(np.array(found[0]), found[1])
+
     def assumed_calibration(self, robot: int) -> OdometryCalibration | None:
         """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
         if self._filter.calibration_evidence is not None:
@@ -171,9 +178,8 @@ class ConsistentEstimator(Estimator):
             has_ended = pending.has_ended(side, self._settings.pending.wall_end)
             if pending.fresh[side] >= self._settings.pending.batch or has_ended:
                 self._process(number, side, front.step, has_ended=has_ended)
-        evidence = self._filter.calibration_evidence
-        if evidence is not None and evidence > self._settings.self_calibration.gate:
-            self._filter.calibrate()
+        if (self._filter.calibration_evidence or 0.0) > self._settings.self_calibration.gate:
+            self.calibrate()
         self._correct_sensor()
 
     def finish(self, fronts: Sequence[FrontEnd]) -> None:

@@ -142,3 +142,22 @@ def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, o
 def _check(values: FloatArray, size: int, key: str) -> None:
     if values.shape != (size,) or not np.isfinite(values).all():
         raise ValueError(f"{key} must be {size} finite numbers, not {values!r}")
+
+
+def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> None:
+    """Refuse wheel travel that the robot cannot drive in a step. Shapes and NaN are not checked.
+
+    Raises
+    ------
+    ValueError
+        If a wheel travels farther than ``longest``, m.
+    """
+    if "wheels" not in observation:
+        return
+    farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
+    if math.isfinite(farthest) and farthest > longest:
+        limit = f"{robot.max_wheel_speed:g} m/s for {robot.control_period:g} s"
+        raise ValueError(
+            f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
+            "metres since the last observation, not ticks or millimetres"
+        )

@@ -4,6 +4,7 @@ import numpy as np
 
 from limslam_agent.config.exploration import TeamConfig
 from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -15,7 +16,7 @@ def may_hit_others(
     poses: FloatArray,
     covariance: FloatArray,
     robot: RobotSpec,
-    range_std: float,
+    sensor: RangeSensor,
     config: TeamConfig,
 ) -> BoolArray:
     """Which beams (n_beams,) of one robot may end on another robot's body.
@@ -33,12 +34,13 @@ def may_hit_others(
         Estimated poses of all robots (n, 3), m, m, rad, and their joint covariance (3 n, 3 n).
     robot
         Body and beams of each robot.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How ranges are measured.
     config
         Size of the margin.
     """
-    ends = transform_points(poses[index], robot.beam_origins + ranges[:, None] * robot.beam_directions)
+    reached = ranges - sensor.bias
+    ends = transform_points(poses[index], robot.beam_origins + reached[:, None] * robot.beam_directions)
     suspicious = np.zeros(len(ranges), dtype=bool)
     for other in range(len(poses)):
         if other == index:
@@ -47,8 +49,9 @@ def may_hit_others(
         distance = np.linalg.norm(apart, axis=1)
         toward = apart / np.maximum(distance, 1e-9)[:, None]
         variance = _variance_along(toward, ends - poses[index, :2], index, other, covariance)
-        margin = config.sigmas * np.sqrt(variance + range_std**2) + config.slack
-        suspicious |= distance <= robot.radius + margin
+        margin = config.sigmas * np.sqrt(variance + sensor.variances(reached)) + config.slack
+        # The nearest point inside a wide beam may be anywhere between its borders.
+        suspicious |= distance <= robot.radius + margin + sensor.cone * reached
     return suspicious
 
 

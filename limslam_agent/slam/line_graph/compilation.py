@@ -5,6 +5,9 @@ from limslam_env.compilation import compiled, entry_of
 __all__ = ["compiled", "entry"]
 
 entry = entry_of(
-    "limslam_agent.slam.consistent.wall_extent", "limslam_agent.slam.core.wall_faces", "limslam_agent.slam.line_graph"
+    "limslam_agent.kernels.range_sensor",
+    "limslam_agent.slam.consistent.wall_extent",
+    "limslam_agent.slam.core.wall_faces",
+    "limslam_agent.slam.line_graph",
 )
 """The decorator for kernels of the line graph that Python calls."""

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from limslam_agent.config.smoother import CalibrationPrior
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
 from limslam_agent.slam.line_graph.beam_width import widen
 from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED, COLUMNS, COSINE, RANGE
@@ -63,14 +64,17 @@ class Problem:
         Known poses (n, 3) of the first step, m and rad.
     wheels, stds
         Reported motions (n, t - 1, 3), m, whose last column is zero, and their standard deviations.
-    readings, range_std
-        The readings of walls, and their standard deviation, m.
+    readings, range_std, growth
+        The readings of walls, and the standard deviation of one of usual length, m. It grows with the range: the part
+        that is proportional to the squared range is ``growth``, 1/m^2, times that of short ranges.
     looks
         The readings of walls, and the beams that met no wall, each with the length of its free path.
     prior, beam_width
         Inverse covariance (4, 4) of a robot's calibration, or None; and half the opening angle of all beams, rad.
     kinds
         Lengths of the boards and of the walls with two faces that are known, m.
+    bias
+        By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
     """
 
     robot: RobotSpec
@@ -83,6 +87,8 @@ class Problem:
     prior: FloatArray | None = None
     beam_width: float = 0.0
     kinds: tuple[float, float] = (0.0, 0.0)
+    growth: float = 0.0
+    bias: float = 0.0
 
     @property
     def steps(self) -> int:
@@ -103,6 +109,25 @@ class Problem:
     def is_hit(self) -> BoolArray:
         """Which of the looks (k,) met a wall."""
         return np.asarray(self.looks.distances < self.robot.too_far[self.looks.beams])
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Standard deviation of each reading (k,), as a share of ``range_std``."""
+        return self._noise_of(self.readings)
+
+    @cached_property
+    def look_noise(self) -> FloatArray:
+        """Standard deviation of each look (k,), as a share of ``range_std``."""
+        return self._noise_of(self.looks)
+
+    @cached_property
+    def assumed_calibration(self) -> FloatArray:
+        """The calibration (n, 4) of robots that are as specified, but for the known bias."""
+        return np.tile((0.0, 0.0, 0.0, self.bias), (len(self.starts), 1))
+
+    def _noise_of(self, readings: Readings) -> FloatArray:
+        sensor = RangeSensor(1.0, self.growth)
+        return sensor.stds(readings.distances) / sensor.usual_std(float(self.robot.max_ranges.max()))
 
     def _beams_of(self, readings: Readings) -> FloatArray:
         table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
@@ -144,7 +169,8 @@ class Solution:
     state
         Poses, lines and calibration at the optimum.
     weights
-        Weights (k,): 1 for each reading that was used, 0 for readings without a line and for grazing readings.
+        Weights (k,): 0 for readings without a line and for grazing readings, otherwise 1, or more or less than that if
+        the noise grows with the range.
     chi_square
         Sum of the squared residuals of wheels, readings and calibration, each divided by its variance.
     factored
@@ -166,6 +192,7 @@ def make_problem(
     usable: BoolArray | None = None,
     prior: CalibrationPrior | None = None,
     first_step: int = 0,
+    sensor: RangeSensor | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -185,6 +212,8 @@ def make_problem(
         Given if wheels, axle and bias are to be estimated.
     first_step
         Step of the drive that row 0 belongs to. It decides which readings a slow sensor repeats.
+    sensor
+        How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
     stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
@@ -195,9 +224,13 @@ def make_problem(
     looked = fresh & np.isfinite(ranges) & (ranges > robot.too_near) & (True if usable is None else usable)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
-    std = max(noise.range_std, LEAST_RANGE_STD)
-    information = None if prior is None else prior.information
-    return Problem(robot, np.asarray(starts, dtype=float), motions, stds, readings, looks, std, information)
+    sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
+    return Problem(
+        robot, np.asarray(starts, dtype=float), motions, stds, readings, looks,
+        range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
+        prior=None if prior is None else prior.information, beam_width=sensor.cone,
+        growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
+    )  # fmt: skip
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
@@ -213,13 +246,13 @@ def state_from_poses(problem: Problem, poses: FloatArray) -> State:
     motions = np.empty_like(problem.wheels)
     for chain, motion in zip(chains, motions, strict=True):
         kernels.motions_between(chain, problem.robot.axle, motion)
-    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((len(motions), CALIBRATED)))
+    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), problem.assumed_calibration)
 
 
 def state_from_motions(problem: Problem) -> State:
     """The state without lines that follows from the reported wheel travel."""
     nothing = np.zeros((0, 2))
-    return moved(problem, problem.wheels, nothing, nothing, np.zeros((len(problem.wheels), CALIBRATED)))
+    return moved(problem, problem.wheels, nothing, nothing, problem.assumed_calibration)
 
 
 def moved(
@@ -272,7 +305,7 @@ def solve(
     for iteration in range(iterations):
         rows = rows_of(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = _not_grazing(rows, labels) * (1.0 if shares is None else shares)
+            weights = _not_grazing(rows, labels) / problem.noise**2 * (1.0 if shares is None else shares)
         equations = _Equations(problem, state, labels, rows, weights)
         step = equations.step()
         state, change = _descend(problem, state, step, labels, weights, equations.chi_square)
@@ -307,10 +340,11 @@ def wheel_chi_square(problem: Problem, state: State) -> float:
 
 
 def calibration_chi_square(problem: Problem, state: State) -> float:
-    """Squared Mahalanobis distance of the calibration from its prior mean; 0 where robots are as specified."""
+    """Squared Mahalanobis distance of the calibration from its prior mean; 0 where none is estimated."""
     if problem.prior is None:
         return 0.0
-    return float(np.einsum("ni,ij,nj->", state.calibration, problem.prior, state.calibration))
+    off = state.calibration - problem.assumed_calibration
+    return float(np.einsum("ni,ij,nj->", off, problem.prior, off))
 
 
 def _axle(problem: Problem, calibration: FloatArray) -> float:
@@ -444,10 +478,10 @@ class _Equations:
         np.einsum("ii->i", self._shared)[self._first_line :] += np.tile(_LINE_STD**-2.0, len(self._state.lines))
         if self._problem.prior is None:
             return
-        for number, calibration in enumerate(self._state.calibration):
+        for number, off in enumerate(self._state.calibration - self._problem.assumed_calibration):
             own = slice(CALIBRATED * number, CALIBRATED * (number + 1))
             self._shared[own, own] += self._problem.prior
-            self._shared_right[own] -= self._problem.prior @ calibration
+            self._shared_right[own] -= self._problem.prior @ off
 
     def _couplings(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> list[Couplings]:
         """The couplings of each chain's poses to lines."""

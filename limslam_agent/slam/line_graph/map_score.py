@@ -99,7 +99,7 @@ def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, I
         state.flat_poses, looks.places, problem.look_beams, looks.distances - biases, problem.is_hit, state.lines,
         state.anchors, counted.low, counted.hits, _margin(problem), problem.beam_width, misfits, best,
     )  # fmt: skip
-    return misfits / problem.range_std, best
+    return misfits / problem.range_std / problem.look_noise, best
 
 
 def line_values(problem: Problem, found: Association, config: ScoreConfig) -> FloatArray:

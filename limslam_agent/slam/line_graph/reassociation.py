@@ -150,7 +150,7 @@ def _fitted_again(problem: Problem, state: State, labels: IntArray) -> State:
     rows, own, count = rows_of(problem, state, labels), labels >= 0, len(state.lines)
     cosines, along = rows[own, COSINE], places_along(problem, state, labels)[own]
     off = range_residuals(problem, state, rows)[own] * cosines
-    weights = (problem.range_std * np.maximum(np.abs(cosines), GRAZING)) ** -2.0
+    weights = (problem.range_std * problem.noise[own] * np.maximum(np.abs(cosines), GRAZING)) ** -2.0
     total = [np.bincount(labels[own], each, count) for each in (weights, weights * along, weights * off)]
     middle, mean = total[1] / total[0], total[2] / total[0]
     lever = along - middle[labels[own]]
@@ -298,7 +298,7 @@ def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) 
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
         ends, beyond, problem.beam_width, best, misfits,
     )  # fmt: skip
-    return best, misfits / problem.range_std
+    return best, misfits / problem.range_std / problem.noise[:, None]
 
 
 def straightened(problem: Problem, found: Association, config: ReassociationConfig) -> Association:

@@ -15,14 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
-from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.mending import is_contradicted
 from limslam_agent.slam.line_graph.reassociation import seen_ends
 from limslam_agent.slam.line_graph.smoothed_map import wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, settle
-from limslam_env.geometry import FloatArray
 
 SHORTEST = 0.3
 """Least length of a wall, m, that the error of its direction is based on."""
@@ -73,7 +72,7 @@ def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     rows = np.append(factored.last_pose, (factored.first_line + 2 * kept[:, None] + np.arange(2)).ravel())
     x, y, _ = start.pose.tolist()
-    by_start = np.vstack((_poses_moved_with((x, y), last[None]), _lines_moved_with((x, y), lines, anchors)))
+    by_start = np.vstack((poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors)))
     size, old = len(rows) + 2 * len(start.lines), np.arange(POSE, POSE + 2 * len(start.lines))
     new = np.append(np.arange(POSE), np.arange(old.size + POSE, size))
     covariance = np.empty((size, size))
@@ -92,20 +91,3 @@ def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState
             *(Wall(NEW, extents[index], 1, int(counts[index]), seen[index]) for index in kept.tolist()),
         ],
     )
-
-
-def _poses_moved_with(place: tuple[float, float], poses: FloatArray) -> FloatArray:
-    """Derivative (3 n, 3) of poses (n, 3) by a rigid motion of the world that moves a pose at a place, m."""
-    by_pose = np.zeros((len(poses), POSE, POSE))
-    by_pose[:] = np.eye(POSE)
-    by_pose[:, 0, 2], by_pose[:, 1, 2] = place[1] - poses[:, 1], poses[:, 0] - place[0]
-    return by_pose.reshape(-1, POSE)
-
-
-def _lines_moved_with(place: tuple[float, float], lines: FloatArray, anchors: FloatArray) -> FloatArray:
-    """Derivative (2 n, 3) of lines (n, 2) about anchors (n, 2), as of the poses in :func:`_poses_moved_with`."""
-    by_line, (x, y) = np.zeros((len(lines), 2, POSE)), place
-    cos, sin, (anchor_x, anchor_y) = np.cos(lines[:, 1]), np.sin(lines[:, 1]), anchors.T
-    by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)
-    by_line[:, 1, 2] = 1.0
-    return by_line.reshape(-1, POSE)

@@ -9,6 +9,7 @@ import numpy as np
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
     Problem,
@@ -50,6 +51,8 @@ class FilteredRun:
         Step of the drive that row 0 belongs to, if the run is a part of a drive.
     breaks
         Robots and steps before which a robot was carried away.
+    sensor
+        How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
     """
 
     robot: RobotSpec
@@ -63,6 +66,7 @@ class FilteredRun:
     closures: list[Closure]
     first_step: int = 0
     breaks: tuple[tuple[int, int], ...] = ()
+    sensor: RangeSensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +81,12 @@ class SmoothedRun:
         The walls of the map: their lines as landmarks with covariances, and their segments (k, 4), m.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
-        bias of all ranges, m. None where the robots are taken to be as specified.
+        bias of all ranges, m. None where the robots are taken to be as specified, and no bias is known.
     moves
         The moves that corrected the associations; empty if no move was necessary or none raised the score.
     range_std, beam_width
-        Standard deviation of a range, m, and half the opening angle of the beams, rad, as specified or as the residuals
-        require.
+        Standard deviation of a range of usual length, m, and half the opening angle of the beams, rad: as specified, or
+        as the readings require.
     contradictions
         Share of all looks that passed through a wall of the solution.
     """
@@ -138,7 +142,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     """The solution of a run; None if there is nothing to smooth."""
     prior = config.calibration if config.calibrate == "always" else None
     problem = make_problem(
-        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step
+        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
     )
     problem = with_breaks(problem, run.breaks)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
@@ -194,7 +198,8 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
         return True
     sized = replace(found.problem, prior=config.calibration.information)
     solution = solve(sized, found.association.state, found.association.labels)
-    values, first = solution.state.calibration.ravel(), solution.factored.first_shared
+    values = (solution.state.calibration - sized.assumed_calibration).ravel()
+    first = solution.factored.first_shared
     covariance = solution.factored.covariance[first : first + len(values), first : first + len(values)]
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
 
@@ -253,7 +258,7 @@ def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
         covariances=np.moveaxis(pose_covariances(found.solution), 0, 1).copy(),
         landmarks=landmarks,
         segments=segments,
-        calibration=None if problem.prior is None else found.state.calibration,
+        calibration=found.state.calibration if problem.prior is not None or problem.bias else None,
         moves=best.moves,
         contradictions=_contradictions(problem, found),
         range_std=problem.range_std,

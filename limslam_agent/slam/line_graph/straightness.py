@@ -35,7 +35,8 @@ def straight_labels(
     """
     rows = rows_of(problem, solution.state, labels)
     residuals = range_residuals(problem, solution.state, rows)
-    result = _divided(along, residuals, rows[:, COSINE], problem.range_std, labels, solution.weights > 0.0, config)
+    stds, is_used = problem.range_std * problem.noise, solution.weights > 0.0
+    result = _divided(along, residuals, rows[:, COSINE], stds, labels, is_used, config)
     return np.where(_is_one_sided(problem, residuals, labels, config.run_gate), -1, result)
 
 
@@ -43,14 +44,14 @@ def _divided(
     along: FloatArray,
     residuals: FloatArray,
     cosines: FloatArray,
-    std: float,
+    stds: FloatArray,
     labels: IntArray,
     is_used: BoolArray,
     config: ReassociationConfig,
 ) -> IntArray:
     """The labels (k,) with bent lines divided. Parts with too few readings for a line have no line."""
     # The distance of a reading from its line is the residual along the beam times the cosine.
-    points = np.stack((along, residuals * cosines, np.maximum(std * np.abs(cosines), 1e-9) ** -2.0))
+    points = np.stack((along, residuals * cosines, np.maximum(stds * np.abs(cosines), 1e-9) ** -2.0))
     order = np.lexsort((along, labels))
     order = order[(labels[order] >= 0) & is_used[order]]
     result, count = labels.copy(), int(labels.max(initial=-1)) + 1
@@ -95,6 +96,6 @@ def _is_one_sided(problem: Problem, residuals: FloatArray, labels: IntArray, gat
     is_new |= np.abs(np.diff(readings.places[order], prepend=0)) > _RUN_GAP
     firsts = np.append(np.flatnonzero(is_new), len(order))
     found, result = np.zeros(len(order), dtype=bool), np.zeros(len(labels), dtype=bool)
-    kernels.one_sided_runs(residuals[order] / problem.range_std, firsts, gate, _LONGEST_RUN, found)
+    kernels.one_sided_runs((residuals / problem.noise)[order] / problem.range_std, firsts, gate, _LONGEST_RUN, found)
     result[order[found]] = True
     return result

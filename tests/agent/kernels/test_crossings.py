@@ -14,11 +14,13 @@ from limslam_agent.kernels.crossings import (
     predict_ranges,
     sum_gains,
 )
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
 ROBOT, STD, SEEDS = RobotSpec(), 0.02, range(5)
+SENSOR = RangeSensor(STD).numbers
 BEAMS = len(ROBOT.beams)
 INSET, LEAST, SIGMAS, CLIP, BEYOND = 0.1, 0.35, 3.0, 4.0, 1.0
 RULES = np.array([INSET, LEAST, SIGMAS, CLIP, BEYOND])
@@ -75,7 +77,7 @@ def test_predicted_ranges(seed: int) -> None:
     covariance = np.diag([1e-4, 2e-4, 3e-4])
     ranges, stds = np.empty((len(poses), BEAMS)), np.empty((len(poses), BEAMS))
     walls, first = np.empty((len(segments), WALL_COLUMNS)), np.empty(ranges.shape, dtype=np.int64)
-    predict_ranges(poses, covariance, segments, ROBOT.beam_table, STD, INSET, LEAST, walls, ranges, stds, first)
+    predict_ranges(poses, covariance, segments, ROBOT.beam_table, SENSOR, INSET, LEAST, walls, ranges, stds, first)
     nearest, cosines, numbers = first_walls(crossed(poses, segments))
     expected = np.where((cosines > LEAST) & (nearest < ROBOT.max_ranges), nearest, np.inf)
     np.testing.assert_allclose(ranges, expected)
@@ -113,7 +115,7 @@ def compared(
     poses: FloatArray, variances: FloatArray, ranges: FloatArray, usable: BoolArray, segments: FloatArray
 ) -> Predicted:
     seen, walls = Predicted.of(ranges, usable), np.empty((len(segments), WALL_COLUMNS))
-    compare_steps(poses, variances, segments, ROBOT.beam_table, STD, RULES, walls, seen)
+    compare_steps(poses, variances, segments, ROBOT.beam_table, SENSOR, RULES, walls, seen)
     return seen
 
 

@@ -19,6 +19,7 @@ from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.smoothing import final_status
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
@@ -219,3 +220,15 @@ def test_a_team_with_unknown_starts_is_two_robots():
     mapper = JoiningMapper(RobotSpec())
     with pytest.raises(ValueError, match="1 observations for 2 robots"):
         mapper.step({"ranges": np.full(6, 1.0), "wheels": np.zeros(2)})
+
+
+def test_a_team_begins_with_what_its_robots_have_found_about_odometry_and_sensor(early):
+    mapper, sensor = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE))), RangeSensor(0.03, cone=0.03)
+    for step in range(10):
+        mapper.step(*observations_of(early, step))
+    first, second = mapper._apart
+    first.slam.calibrate()
+    second.slam.assume(sensor)
+    assert mapper._join([first, second], np.array([1.0, 0.5, 0.3]), np.diag([0.01, 0.01, 0.01]))
+    assert mapper.slam.sensor == sensor
+    assert None not in mapper.slam.odometry_calibrations

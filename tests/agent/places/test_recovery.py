@@ -1,21 +1,26 @@
 """A robot that is carried away in the middle of an exploration goes on in a local frame and finds its place again."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from limslam_agent import Mapper, preset
+from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.presets import with_until
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.revisions import Revision, revised
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score, write_episode
+from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.consistent.wall_map import Wall
+from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
-from limslam_env.geometry.se2 import compose, wrap_angle
+from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.worlds.world import WorldError
 
@@ -106,7 +111,14 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path):
     assert scores["wall_f1_aligned_online"] > scores["wall_f1_online"] - 0.05
 
 
-def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_away():
+def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_away(monkeypatch):
+    joined, join = [], LineSlam.join
+
+    def noted(slam, *others):
+        join(slam, *others)
+        joined.append(slam.pose[:2])
+
+    monkeypatch.setattr(LineSlam, "join", noted)
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # Only the last 10 s are kept, and the search begins later than that.
     places = replace(settings.places, longest=100, lost_first=3.0, lost_spacing=0.1)
@@ -120,6 +132,8 @@ def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_awa
     poses, covariances = revised(episode.estimated, episode.covariances, episode.places.revisions)
     assert errors(poses, episode.true).max() < 0.3
     assert errors(episode.estimated, episode.true)[910:1000].min() > 0.5
+    assert len(joined) == 1, "the map has the walls of the steps that are no longer kept"
+    assert np.hypot(*(joined[0] - episode.true[900:1010, 0, :2]).T).min() < 0.1
     assert covariances[900:, 0, 0, 0].max() < 1.0
     assert errors(episode.smoothed.poses, episode.true).max() < 0.25
 
@@ -183,7 +197,7 @@ def test_the_break_lies_where_the_readings_change():
     placed = log.driven_back(last, 120)
     np.testing.assert_allclose(placed, [step.pose + jump for step in log.steps], atol=1e-9)
     limits = preset("graph").status.contradictions
-    assert carried_at(log, placed, robot, walls, NOISE, limits) == 112
+    assert carried_at(log, placed, robot, walls, RangeSensor(NOISE), limits) == 112
     log.forget_before(110)
     assert (log.begin, log.end, len(log.since(115))) == (110, 120, 5)
 
@@ -225,3 +239,83 @@ def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
     mapper.finish()
     assert mapper.places.records == before.records
     assert np.isfinite(mapper.snapshot().poses).all()
+
+
+FOUND = OdometryCalibration(0.01, -0.01, 0.005), 1e-10 * np.eye(3)
+SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
+
+
+def lost_mapper(episode, monkeypatch, prepare=None):
+    """A mapper that is prepared, and loses its place by a jump of the odometry after the time of restarts."""
+    monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    if prepare is not None:
+        prepare(mapper.slam)
+    for number in range(40):
+        wheels = episode.wheels[number, 0] + (2.0 if number == 20 else 0.0)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    assert mapper.frame == 1
+    return mapper
+
+
+def learn(slam):
+    slam.calibrate(FOUND)
+    slam.assume(SENSOR)
+
+
+def test_a_local_frame_begins_with_what_was_found_about_odometry_and_sensor(episode, monkeypatch):
+    mapper = lost_mapper(episode, monkeypatch, learn)
+    calibration, covariance = mapper.slam.odometry_calibration
+    np.testing.assert_allclose(calibration, FOUND[0], atol=1e-4)
+    assert np.trace(covariance) < 1e-8
+    assert mapper.slam.sensor == SENSOR
+    assert mapper._monitors[0].sensor == SENSOR
+
+
+def test_a_frame_gets_back_what_was_found_in_a_local_frame(episode, monkeypatch):
+    mapper = lost_mapper(episode, monkeypatch)
+    assert mapper.slam.odometry_calibration is None
+    learn(mapper.slam)
+    mapper.step({"ranges": episode.ranges[40, 0], "wheels": episode.wheels[40, 0]})
+    mapper.finish()
+    assert mapper.frame == 2
+    assert mapper.slam.odometry_calibration is not None
+    assert mapper.slam.sensor == SENSOR
+
+
+def test_a_local_map_joins_the_known_map_with_its_pose(episode):
+    def drive(start, steps):
+        mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), start)
+        for number in steps:
+            wheels = episode.wheels[number, 0] * (number > steps.start)
+            mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+        return mapper
+
+    known, local = drive(episode.true[0, 0], range(300)), drive(np.zeros(3), range(299, 500))
+    frame, covariance = known.slam.pose, known.slam.covariance
+    alone = known.slam.map_state
+    known.slam.join(local.slam, frame, covariance)
+    known._grid.absorb(local.grid, frame)
+    both = known.slam.map_state
+    assert np.hypot(*(known.slam.pose - episode.true[499, 0])[:2]) < 0.15
+    off = known.slam.pose - compose(frame, local.slam.pose)
+    assert np.abs(off).max() < 0.15
+    assert len(both.walls) > len(alone.walls)
+    assert np.linalg.eigvalsh(both.covariance).min() > -1e-9
+    cells = known.grid.cells(compose(frame, np.array([local.slam.pose]))[:, :2])
+    assert (known.grid.values[tuple(cells.T)] > 0).all()
+
+
+def test_a_match_moves_lines_and_their_covariance_with_the_pose():
+    lines, anchors = np.array([[0.2, 0.7]]), np.array([[1.0, 2.0]])
+    state = MapState(np.array([0.5, 0.2, 0.3]), lines, anchors, 0.01 * np.eye(5), [Wall(0)])
+    frame = np.array([3.0, -1.0, 1.1])
+    moved = state.moved(frame, np.zeros((3, 3)))
+    np.testing.assert_allclose(moved.pose, compose(frame, state.pose))
+    foot, normal = anchors + 0.2 * np.array([math.cos(0.7), math.sin(0.7)]), np.array([math.cos(1.8), math.sin(1.8)])
+    np.testing.assert_allclose(moved.anchors + 0.2 * normal, transform_points(frame, foot))
+    # A turn of the match about the robot moves the line by its lever.
+    turned = state.moved(frame, np.diag([0.0, 0.0, 1e-6])).covariance - moved.covariance
+    lever = moved.anchors[0] - moved.pose[:2]
+    across = float(normal @ np.array([-lever[1], lever[0]]))
+    np.testing.assert_allclose(turned[2:, 2:], 1e-6 * np.outer([1.0, across, 1.0], [1.0, across, 1.0]), atol=1e-12)

@@ -6,7 +6,9 @@ from support.drives import ROBOT, ranges_at, room
 
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
+from limslam_env.geometry.se2 import transform_points
 
 CONFIG = ContradictionConfig()
 WALLS = room(0.0, 0.0, 2.0, 2.0)
@@ -16,13 +18,14 @@ EVERY = np.ones(len(ROBOT.beams), dtype=bool)
 UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
 FREE = GridView(np.full(2, -1.0), 0.1, np.full((40, 40), CONFIG.free, dtype=np.int16))
 NOISE = 0.02
+STATED = RangeSensor(NOISE)
 
 
-def compared(segments, ranges=None, covariance=SURE, measured=EVERY, grid=UNKNOWN):
+def compared(segments, ranges=None, covariance=SURE, measured=EVERY, grid=UNKNOWN, sensor=STATED):
     ranges = ranges_at(POSE, WALLS) if ranges is None else ranges
-    predicted = expected_ranges(ROBOT, POSE[None], covariance, segments, NOISE, CONFIG)
+    predicted = expected_ranges(ROBOT, POSE[None], covariance, segments, sensor, CONFIG)
     known, expected = KnownMap(segments, grid), (predicted.ranges[0], predicted.stds[0])
-    return compare(ROBOT, POSE, ranges, measured, known, *expected, NOISE, CONFIG)
+    return compare(ROBOT, POSE, ranges, measured, known, *expected, sensor, CONFIG)
 
 
 def test_a_right_map_is_not_contradicted():
@@ -35,7 +38,7 @@ def test_a_right_map_is_not_contradicted():
 
 def test_expected_ranges_are_those_of_the_walls():
     poses = np.array([POSE, [0.6, 1.2, -2.0]])
-    predicted = expected_ranges(ROBOT, poses, SURE, WALLS, NOISE, CONFIG)
+    predicted = expected_ranges(ROBOT, poses, SURE, WALLS, RangeSensor(NOISE), CONFIG)
     for pose, ranges, stds in zip(poses, predicted.ranges, predicted.stds, strict=True):
         is_known = np.isfinite(ranges)
         assert is_known.sum() >= 3
@@ -88,3 +91,30 @@ def test_one_cell_that_is_not_free_makes_its_surroundings_count_for_nothing():
 def test_nothing_is_said_without_walls_or_readings():
     assert not compared(np.zeros((0, 4))).expected.any()
     assert compared(WALLS, measured=~EVERY, grid=FREE).counts == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "ranges"),
+    [
+        (RangeSensor(NOISE, bias=0.2), ranges_at(POSE, WALLS) + 0.2),
+        (RangeSensor(NOISE, bias=-0.2), ranges_at(POSE, WALLS) - 0.2),
+        (RangeSensor(NOISE, growth=0.06), ranges_at(POSE, WALLS) + 0.17),
+    ],
+    ids=["too long", "too short", "growing noise"],
+)
+def test_readings_fit_the_map_by_the_sensor_that_is_known_now(sensor, ranges):
+    stated, known = (compared(WALLS, ranges, grid=FREE, sensor=each) for each in (STATED, sensor))
+    assert (stated.through | stated.in_free | ~stated.fits)[stated.expected].any()
+    assert not (known.through | known.in_free).any()
+    np.testing.assert_array_equal(known.fits, known.expected)
+
+
+def test_a_wide_beam_should_read_the_nearest_point_inside_of_it():
+    wall, cone = np.array([[-9.0, 1.6, 9.0, 1.6]]), 0.26
+    predicted = expected_ranges(ROBOT, POSE[None], SURE, wall, STATED._replace(cone=cone), CONFIG).ranges[0]
+    beams = np.flatnonzero(np.isfinite(predicted))
+    origins = transform_points(POSE, ROBOT.beam_origins)[beams]
+    rays = (POSE[2] + ROBOT.beam_angles[beams])[:, None] + np.linspace(-cone, cone, 2001)
+    nearest = ((1.6 - origins[:, 1:]) / np.sin(rays)).min(axis=1)
+    assert len(beams) >= 3
+    np.testing.assert_allclose(predicted[beams], nearest, atol=1e-6)

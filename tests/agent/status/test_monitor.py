@@ -10,6 +10,7 @@ from support.drives import ROBOT, ranges_at, room
 
 from limslam_agent.config.status import StatusConfig
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
 from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
 from limslam_agent.status.status import Status, status_scores, worst
@@ -31,7 +32,7 @@ def blind(distance, turn=0.0):
 
 
 def monitor():
-    return StatusMonitor(ROBOT, CONFIG, 0.02)
+    return StatusMonitor(ROBOT, CONFIG, RangeSensor(0.02))
 
 
 def place(number):
@@ -92,7 +93,9 @@ def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
     drive(watched, 40)
     levels = drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
     assert levels.index("unsure") <= levels.index("lost") <= 4
-    assert "readings contradict the map" in watched.status.reason
+    # The contradictions alone would suffice before it is known that the readings changed suddenly, and when.
+    assert watched.status.reason == "6 readings changed at once, and the map is wrong at 5 places"
+    assert watched.carried.step == 40
 
 
 def test_a_lost_robot_stays_lost_although_the_map_is_redrawn_around_it():
@@ -200,13 +203,13 @@ def test_few_readings_that_change_at_once_suffice_if_the_map_is_contradicted_too
 
 def test_of_several_suspicions_the_largest_change_counts():
     config, nowhere = CONFIG.sudden_changes, KnownMap(np.zeros((0, 4)), UNKNOWN)
-    changes = SuddenChanges(ROBOT, config, CONFIG.contradictions, 0.02)
+    changes = SuddenChanges(ROBOT, config, CONFIG.contradictions)
     weak, strong = (
         Suspicion(step, nowhere, evidence, change, 3, 0.0, set())
         for step, evidence, change in ((5, config.lost + 1.0, 2.0), (9, config.unsure, config.clear))
     )
     changes.suspicions = [weak]
-    moment = Moment(0.1, SURE, nowhere, EVERY, ~EVERY, [])
+    moment = Moment(0.1, SURE, nowhere, RangeSensor(0.02), EVERY, ~EVERY, [])
     assert changes.certain is None
     changes.note([(9, blind(0.1))], moment)
     assert changes.certain is weak
@@ -225,23 +228,25 @@ def test_the_evidence_of_a_reading_is_that_of_two_explanations():
     still = np.zeros((3, 2))
     ranges = np.array([[1.0] * 6, [1.0] * 6, [1.0, 1.02, 1.2, 0.5, 1.5, np.nan]])
     usable = np.isfinite(ranges)
-    (evidence,) = change_evidence(ranges, usable, still, ROBOT, 0.02)
+    (evidence,) = change_evidence(ranges, usable, still, ROBOT, RangeSensor(0.02))
     assert evidence[0] < -1.0
     assert evidence[1] < -1.0
     assert (evidence[2:5] > 2.5).all()
     assert evidence[5] == 0.0
-    (turning,) = change_evidence(ranges, usable, np.array([[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]]), ROBOT, 0.02)
+    (turning,) = change_evidence(
+        ranges, usable, np.array([[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]]), ROBOT, RangeSensor(0.02)
+    )
     assert (turning[2:5] < evidence[2:5]).all()
     # Both saw nothing: that is likely here, and half as likely elsewhere.
     nothing = np.full((3, 6), 1.5)
-    np.testing.assert_allclose(change_evidence(nothing, nothing > 0.0, still, ROBOT, 0.02), math.log(0.5))
+    np.testing.assert_allclose(change_evidence(nothing, nothing > 0.0, still, ROBOT, RangeSensor(0.02)), math.log(0.5))
 
 
 def test_a_beam_that_sweeps_along_a_wall_changes_as_its_last_readings_say():
     motions = np.array([[0.0, 0.2]] * 3)
     along = np.array([[1.4] * 6, [1.2] * 6, [1.0] * 6])
     bent = np.array([[1.2] * 6, [1.2] * 6, [0.4] * 6])
-    straight, edge = (change_evidence(each, each > 0.0, motions, ROBOT, 0.02) for each in (along, bent))
+    straight, edge = (change_evidence(each, each > 0.0, motions, ROBOT, RangeSensor(0.02)) for each in (along, bent))
     assert (straight < 0.0).all()
     assert (edge > 1.5).all()
 

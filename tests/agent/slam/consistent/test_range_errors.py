@@ -12,8 +12,9 @@ from support.drives import ROBOT, along, drive, ranges_at, room
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import Mapper
-from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, by_range_errors, expected_ranges
+from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_ranges
 from limslam_agent.slam.consistent.range_noise import RangeNoise
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, Observation, RobotSpec

@@ -4,15 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.smoother_runs import ROUND, noisy_run, true_labels
+from support.smoother_runs import ROUND, WHEEL_VARIANCE, noisy_run, position_error, true_labels
 
 from limslam_agent.config.smoother import SmootherConfig
-from limslam_agent.slam.line_graph.beam_width import read_share
+from limslam_agent.kernels.range_sensor import read_share
+from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.line_smoother import rows_of, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor, residual_std
+from limslam_agent.slam.line_graph.smoother import FilteredRun, settle
+from limslam_env.interface import NominalNoise
 
 CONFIG = SmootherConfig()
+FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
 
 
 def solved(problem, poses):
@@ -61,18 +66,89 @@ def test_a_beam_width_is_found_and_explains_the_readings():
     assert after.solution.chi_square < before.solution.chi_square - 40.0
 
 
-def test_derivatives_of_wide_beams_are_differences():
+def test_exact_readings_have_no_beam_width():
+    # Chi-square is not exactly quadratic in the width, which looks like a width if the readings are exact enough.
+    corners = 1.6 * np.exp(1j * (0.3 + np.arange(7) * np.pi / 3.0)) + 1.5 + 1.2j
+    walls = np.column_stack((corners[:-1].real, corners[:-1].imag, corners[1:].real, corners[1:].imag))
+    problem, poses = noisy_run(1, 0.0, walls=walls)
+    exact = replace(problem, range_std=1e-4)
+    states = state_from_poses(exact, np.moveaxis(poses, 0, 1))
+    found = solve_labels(exact, states, true_labels(exact, poses, walls), 6)
+    assert fitted_sensor(exact, found, CONFIG, exact.range_std).beam_width == 0.0
+
+
+@pytest.mark.parametrize("width", [0.03, 0.25])
+def test_derivatives_of_wide_beams_are_differences(width):
     problem, poses = noisy_run(5, 0.02)
-    wide = replace(problem, beam_width=0.03)
+    wide = replace(problem, beam_width=width)
     found = solved(problem, poses)
     state, step = found.state, 1e-6
     rows = rows_of(wide, state, found.labels)
-    slanted = (found.labels >= 0) & (np.abs(rows[:, 6]) < 0.99) & (np.abs(rows[:, 6]) > 0.2)
-    turned = replace(state, poses=state.poses + np.array([0.0, 0.0, step]))
-    assert (rows_of(wide, turned, found.labels)[:, 0] - rows[:, 0])[slanted] / step == pytest.approx(
-        rows[slanted, 3], abs=1e-4
-    )
-    bent = replace(state, lines=state.lines + np.array([0.0, step]))
-    assert (rows_of(wide, bent, found.labels)[:, 0] - rows[:, 0])[slanted] / step == pytest.approx(
-        rows[slanted, 5], abs=1e-4
-    )
+    # The derivative jumps where a wall is just perpendicular to the border of the beam.
+    slants = np.arccos(np.minimum(np.abs(rows[:, 6]), 1.0))
+    smooth = (found.labels >= 0) & (np.abs(slants - width) > 1e-3) & (np.abs(rows[:, 6]) > 0.2)
+    assert np.count_nonzero(smooth & (slants < width))
+    for pose, line, column in ((step, 0.0, 3), (0.0, step, 5)):
+        after, before = (
+            rows_of(
+                wide,
+                replace(
+                    state,
+                    poses=state.poses + sign * np.array([0.0, 0.0, pose]),
+                    lines=state.lines + sign * np.array([0.0, line]),
+                ),
+                found.labels,
+            )
+            for sign in (1.0, -1.0)
+        )
+        assert ((after - before)[smooth, 0] / (2.0 * step)) == pytest.approx(rows[smooth, column], abs=1e-4)
+
+
+@pytest.mark.parametrize("slant", [0.0, 0.1, 0.4, 1.2])
+def test_a_wide_beam_reads_the_nearest_point_of_the_wall_inside_it(slant):
+    rays = slant + np.linspace(-0.26, 0.26, 2001)
+    nearest = (np.cos(slant) / np.cos(rays)).min()
+    assert read_share(np.cos(slant), 0.26) == pytest.approx(nearest, abs=1e-6)
+
+
+def run_of(problem, poses, sensor):
+    """The run of a problem of one robot, with a filter that was right about poses and walls."""
+    steps, beams = problem.steps, len(problem.robot.beams)
+    ranges, readings = np.tile(problem.robot.max_ranges, (steps, 1, 1)), problem.readings
+    ranges[readings.places, 0, readings.beams] = readings.distances
+    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 1, 0)))
+    labels, sources = true_labels(problem, poses), np.column_stack((readings.places, readings.beams))
+    members = [sources[labels == wall] for wall in range(labels.max() + 1)]
+    records = [AssociationRecord(wall, is_new=True, readings=each) for wall, each in enumerate(members)]
+    return FilteredRun(
+        problem.robot, NominalNoise(0.02, WHEEL_VARIANCE), wheels, ranges, np.ones((steps, 1, beams), dtype=bool),
+        np.moveaxis(poses, 0, 1), np.zeros((steps, 1, 3, 3)), records, [], sensor=sensor,
+    )  # fmt: skip
+
+
+def test_the_sensor_that_the_filter_found_is_taken_over():
+    problem, poses = noisy_run(6, 0.0)
+    growing = replace(problem, range_std=FOUND.usual_std(problem.robot.reach), growth=2.0)
+    rough = growing.range_std * growing.noise * np.random.default_rng(6).standard_normal(len(problem.readings))
+    wide = widened(problem, poses, FOUND.cone).readings
+    measured = replace(problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough))
+    found = settle(run_of(measured, poses, FOUND), CONFIG)
+    assert found.problem.growth == FOUND.growth / FOUND.std
+    assert found.problem.range_std == pytest.approx(growing.range_std, rel=0.25)
+    assert found.problem.beam_width == pytest.approx(FOUND.cone, abs=0.012)
+    assert found.association.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
+    assert position_error(found.association.state, poses) < 0.02
+
+
+def test_a_sensor_as_specified_changes_no_bit():
+    problem, poses = noisy_run(7, 0.02)
+    stated, told = (settle(run_of(problem, poses, sensor), CONFIG) for sensor in (None, RangeSensor(0.02)))
+    assert np.array_equal(stated.association.state.poses, told.association.state.poses)
+
+
+def test_far_readings_count_less_where_the_noise_grows():
+    problem, poses = noisy_run(8, 0.02)
+    found = solved(replace(problem, growth=3.0), poses)
+    stds, used = RangeSensor(1.0, 3.0).stds(problem.readings.distances), found.solution.weights > 0.0
+    product = (found.solution.weights * stds**2)[used]
+    assert product == pytest.approx(np.full(used.sum(), product[0]))
