@@ -24,12 +24,12 @@ SIDE = 7.0
 _IRSIM_WORLD = """
 world: {{height: {side}, width: {side}, step_time: 0.1, sample_time: 0.1, collision_mode: stop}}
 robot:
-  - kinematics: {{name: diff}}
-    shape: {{name: circle, radius: 0.1}}
-    state: [3.5, 3.5, 0.0]
-    goal: [6.9, 6.9, 0.0]
-    sensors:
-      - {{name: lidar2d, type: lidar2d, range_min: 0.0, range_max: {reach}, angle_range: 3.14, number: 6, noise: false}}
+  kinematics: {{name: diff}}
+  shape: {{name: circle, radius: 0.1}}
+  state: [3.5, 3.5, 0.0]
+  goal: [6.9, 6.9, 0.0]
+  sensors:
+    - {{name: lidar2d, type: lidar2d, range_min: 0.0, range_max: {reach}, angle_range: 3.14, number: 6, noise: false}}
 obstacle:
 """
 
@@ -152,6 +152,8 @@ def kheperax_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
     from kheperax.tasks.config import KheperaxConfig
     from kheperax.tasks.main import KheperaxTask
 
+    if not hasattr(jax, "tree_leaves"):  # the name that Kheperax uses, which today's JAX has no more
+        jax.tree_leaves = jax.tree_util.tree_leaves
     segments = [Segment(Pos(x1, y1), Pos(x2, y2)) for x1, y1, x2, y2 in (walls() / SIDE).tolist()]
     default = KheperaxConfig.get_default()
     robot = default.robot.replace(laser_ranges=REACH / SIDE)

@@ -1,5 +1,7 @@
 """Other simulators in the table of speeds: those that are missing or fail are left out with the reason."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,7 @@ def test_the_walls_of_the_peers():
 
 
 def test_the_world_file_of_ir_sim():
-    with irsim_world("  - {shape: {name: circle}}\n") as path, open(path, encoding="utf-8") as file:
-        text = file.read()
+    with irsim_world("  - {shape: {name: circle}}\n") as path:
+        text = Path(path).read_text(encoding="utf-8")
     assert f"range_max: {REACH}" in text
     assert text.endswith("obstacle:\n  - {shape: {name: circle}}\n")
