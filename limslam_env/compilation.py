@@ -84,6 +84,21 @@ prefetch: Callable[[Any, Any, Any], None] = cast(Any, intrinsic(_prefetch))
 """Asks the processor for ``array[row, column]``, which is used soon. The place may lie outside of the array."""
 
 
+def _next_of(typing_context: Any, counter: Any) -> Any:
+    """The code of ``next_of``, as numba asks for it."""
+    del typing_context
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        struct = context.make_array(signature.args[0])(context, builder, values[0])
+        return builder.atomic_rmw("add", struct.data, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(counter), generate
+
+
+next_of: Callable[[Any], int] = cast(Any, intrinsic(_next_of))
+"""The first number of an array of int64, which is then one larger: threads that share the array get different ones."""
+
+
 def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel]:
     """A decorator for kernels that Python calls: they are compiled at the first call, and kept on disk.
 

@@ -24,7 +24,7 @@ from limslam_env.envs.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise
 
-BAR = 20_000
+BAR = 60_000
 """Belief-steps a second that two threads should reach."""
 
 NOISE = 0.02

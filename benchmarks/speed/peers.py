@@ -1,13 +1,20 @@
-"""Other simulators with six rays and 40 walls, for :mod:`benchmarks.speed.vector`: extra ``peers``."""
+"""Other simulators beside ours, for :mod:`benchmarks.speed.vector`: extra ``peers``.
+
+Where a simulator allows it, it has six rays, their reach, and 40 walls as ours.
+"""
 
 import itertools
 import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from benchmarks.speed.rates import Loop
 
 DEGREES = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
 REACH = 1.5
@@ -17,12 +24,12 @@ SIDE = 7.0
 _IRSIM_WORLD = """
 world: {{height: {side}, width: {side}, step_time: 0.1, sample_time: 0.1, collision_mode: stop}}
 robot:
-  - kinematics: {{name: diff}}
-    shape: {{name: circle, radius: 0.1}}
-    state: [3.5, 3.5, 0.0]
-    goal: [6.9, 6.9, 0.0]
-    sensors:
-      - {{type: lidar2d, range_min: 0.0, range_max: {reach}, angle_range: 3.14, number: 6, noise: false}}
+  kinematics: {{name: diff}}
+  shape: {{name: circle, radius: 0.1}}
+  state: [3.5, 3.5, 0.0]
+  goal: [6.9, 6.9, 0.0]
+  sensors:
+    - {{name: lidar2d, type: lidar2d, range_min: 0.0, range_max: {reach}, angle_range: 3.14, number: 6, noise: false}}
 obstacle:
 """
 
@@ -85,6 +92,15 @@ def vmas_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
     return run
 
 
+@contextmanager
+def irsim_world(lines: str = "") -> Iterator[str]:
+    """Path of a world file for ir-sim with one robot, while the context is open."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "world.yaml"
+        path.write_text(_IRSIM_WORLD.format(side=SIDE, reach=REACH) + lines, encoding="utf-8")
+        yield str(path)
+
+
 def irsim_loop(steps: int = 20) -> Callable[[], int]:
     """Steps of ir-sim with one robot."""
     import irsim
@@ -93,10 +109,8 @@ def irsim_loop(steps: int = 20) -> Callable[[], int]:
         f"  - {{shape: {{name: linestring, vertices: [[{x1:.3f}, {y1:.3f}], [{x2:.3f}, {y2:.3f}]]}}}}\n"
         for x1, y1, x2, y2 in walls()
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "world.yaml"
-        path.write_text(_IRSIM_WORLD.format(side=SIDE, reach=REACH) + lines, encoding="utf-8")
-        env = irsim.make(str(path), headless=True, disable_all_plot=True)
+    with irsim_world(lines) as path:
+        env = irsim.make(path, headless=True, disable_all_plot=True)
     actions = itertools.cycle(np.random.default_rng(0).uniform(-0.3, 0.3, (100, 2, 1)))
 
     def run() -> int:
@@ -106,3 +120,136 @@ def irsim_loop(steps: int = 20) -> Callable[[], int]:
         return steps
 
     return run
+
+
+def irsim_x_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+    """Steps of a batch of irsim-x with one robot in each environment."""
+    import irsim
+
+    with irsim_world() as path:
+        envs = irsim.make(path, batch_size=num_envs)
+    for x1, y1, x2, y2 in walls().tolist():
+        envs.batch_cpp.add_linestring_obstacle([[x1, y1], [x2, y2]])
+    rows = np.random.default_rng(0).uniform(-0.3, 0.3, (8, num_envs, 2)).astype(np.float32)
+    actions = itertools.cycle(rows)
+
+    def run() -> int:
+        for _ in range(steps):
+            envs.step(next(actions))
+            envs.get_lidar_scan()
+        return steps * num_envs
+
+    return run
+
+
+def kheperax_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+    """Steps of a batch of Kheperax, compiled by JAX, in its unit square."""
+    import dataclasses
+
+    import jax
+    from kheperax.simu.geoms import Pos, Segment
+    from kheperax.simu.maze import Maze
+    from kheperax.tasks.config import KheperaxConfig
+    from kheperax.tasks.main import KheperaxTask
+
+    if not hasattr(jax, "tree_leaves"):  # the name that Kheperax uses, which today's JAX has no more
+        jax.tree_leaves = jax.tree_util.tree_leaves
+    segments = [Segment(Pos(x1, y1), Pos(x2, y2)) for x1, y1, x2, y2 in (walls() / SIDE).tolist()]
+    default = KheperaxConfig.get_default()
+    robot = default.robot.replace(laser_ranges=REACH / SIDE)
+    config = dataclasses.replace(default, maze=Maze.create(segments_list=segments), robot=robot)
+    env = KheperaxTask.create_default_task(config, jax.random.PRNGKey(0))[0]
+    step = jax.jit(jax.vmap(env.step))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), num_envs))
+    actions = itertools.cycle(jax.random.uniform(jax.random.PRNGKey(1), (8, num_envs, 2), minval=-1.0))
+
+    def run() -> int:
+        nonlocal state
+        for _ in range(steps):
+            state = step(state, next(actions))
+        jax.block_until_ready(state.obs)
+        return steps * num_envs
+
+    return run
+
+
+def minigrid_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+    """Steps of a batch of envpool's MiniGrid, with autoreset."""
+    import envpool
+
+    envs = envpool.make_gymnasium("MiniGrid-FourRooms-v0", num_envs=num_envs, seed=0)
+    envs.reset()
+    actions = itertools.cycle(np.random.default_rng(0).integers(0, 3, (8, num_envs)).astype(np.int32))
+
+    def run() -> int:
+        for _ in range(steps):
+            envs.step(next(actions))
+        return steps * num_envs
+
+    return run
+
+
+class Peer(NamedTuple):
+    """Another simulator.
+
+    Attributes
+    ----------
+    distribution
+        The name under which pip installs it.
+    make
+        Makes its loop.
+    computes
+        What a step of it computes.
+    """
+
+    distribution: str
+    make: Callable[[], Loop]
+    computes: str
+
+
+PEERS = {
+    "vmas, 1024": Peer(
+        "vmas", lambda: vmas_loop(1024),
+        "one robot, forces and collisions with 40 walls, six rays; float32 in PyTorch; no noise, no coverage",
+    ),
+    "ir-sim, one environment": Peer(
+        "ir-sim", irsim_loop, "one robot, collisions with 40 walls, six rays by Shapely; no noise, no coverage",
+    ),
+    "irsim-x, 1024": Peer(
+        "irsim-x", lambda: irsim_x_loop(1024),
+        "one robot, collisions with 40 walls, six rays; float32 in C++; no noise, no coverage, no reset",
+    ),
+    "Kheperax, 1024": Peer(
+        "kheperax", lambda: kheperax_loop(1024),
+        "one robot, collisions with 44 walls, three rays, two bumpers; float32 in JAX; no noise, no coverage, no reset",
+    ),
+    "MiniGrid of envpool, 1024": Peer(
+        "envpool", lambda: minigrid_loop(1024), "a move between cells and a view of 7 x 7 cells; no geometry; C++",
+    ),
+}  # fmt: skip
+"""The simulators of the table. ir-sim and irsim-x install the same package, so that only one of them can be there."""
+
+
+def is_installed(distribution: str) -> bool:
+    """Whether pip has installed a distribution."""
+    try:
+        version(distribution)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def peer_loops() -> tuple[dict[str, Loop], dict[str, str]]:
+    """The loops of the simulators that work here, and why the others do not."""
+    found, skipped = {}, {}
+    for name, peer in PEERS.items():
+        if not is_installed(peer.distribution):
+            skipped[name] = f"{peer.distribution} is not installed"
+            continue
+        try:
+            found[name] = peer.make()
+            found[name]()
+        except Exception as error:  # noqa: BLE001 (whatever goes wrong in a peer, the others are measured)
+            found.pop(name, None)
+            skipped[name] = " ".join(f"{type(error).__name__}: {error}".split())[:100]
+    return found, skipped

@@ -1,12 +1,11 @@
 """How fast the environments and their batches are, beside others in the same run: ``python -m benchmarks.speed``.
 
-The candidates take turns (:mod:`benchmarks.speed.rates`). ``vmas`` and ``ir-sim`` are measured too where they are
-installed (extra ``peers``).
+The candidates take turns (:mod:`benchmarks.speed.rates`), other simulators (:mod:`benchmarks.speed.peers`) among them
+where they are installed (extra ``peers``).
 """
 
 import argparse
 import contextlib
-import importlib.util
 import itertools
 import math
 import os
@@ -20,12 +19,14 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks.speed.env import PLAIN, counted, plain_loop, rooms, single_loop
-from benchmarks.speed.peers import irsim_loop, vmas_loop
+from benchmarks.speed.peers import PEERS, peer_loops
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
 from benchmarks.speed.run import BAR, times_faster
+from limslam_agent import SlamVectorObservation
 from limslam_env.geometry import FloatArray
 
-CARTPOLE, SINGLE = "CartPole of numpy, 1024", "single environment"
+_BELIEFS, OURS = 256, "batch of 1024"
+CARTPOLE, SINGLE, BELIEFS = "CartPole of numpy, 1024", "single environment", f"beliefs of {_BELIEFS}"
 
 _FIRST_STEP = """
 import time
@@ -97,30 +98,51 @@ def team_loop(num_envs: int, steps: int) -> Loop:
     return run
 
 
+def batch_of(count: int, **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """A batch of our environments with 2 cm noise, in Env1 unless a world is given."""
+    place = "LimSlam-World-v0" if "world" in arguments else "LimSlam-Env1-v0"
+    return gym.make_vec(place, num_envs=count, sensor_noise=0.02, **arguments)
+
+
+def belief_loop(num_envs: int, steps: int, first: int) -> Loop:
+    """Steps of a batch with beliefs as observations, after its ``first`` steps.
+
+    The robots drive ahead in a slight bend, and turn away from what is near: their maps grow as those of explorers do.
+    """
+    envs = SlamVectorObservation(batch_of(num_envs))
+    seen, _ = envs.reset(seed=0)
+
+    def run(number: int = steps) -> int:
+        nonlocal seen
+        for _ in range(number):
+            is_near = seen["ranges"][:, 1:5].min(axis=1, keepdims=True) < 0.4
+            seen = envs.step(np.where(is_near, (0.5, -0.5), (1.0, 0.9)))[0]
+        return number * num_envs
+
+    run(first)
+    return run
+
+
 def loops() -> dict[str, Loop]:
     """The loops that are compared."""
 
     def ours(count: int, steps: int, **arguments: Any) -> Loop:
-        place = {"id": "LimSlam-World-v0" if "world" in arguments else "LimSlam-Env1-v0", "sensor_noise": 0.02}
-        return vector_loop(gym.make_vec(**{**place, **arguments}, num_envs=count), steps, _FIRST)
+        return vector_loop(batch_of(count, **arguments), steps, _FIRST)
 
     cartpole = gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")
     found: dict[str, Loop] = {
         CARTPOLE: vector_loop(cartpole, 20),
         SINGLE: counted(single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02)), 200),
         PLAIN: counted(plain_loop(), 200),
-        "batch of 1024": ours(1024, 20),
+        OURS: ours(1024, 20),
         "batch of 8192": ours(8192, 4),
         "batch of 8192, one thread": ours(8192, 4, num_threads=1),
         "batch of 8192, rooms of 40 walls": ours(8192, 4, world=rooms(40)),
         "batch of 8192, rooms of 2000 walls": ours(8192, 4, world=rooms(2000)),
         "batch of 8192, 64 floor plans": ours(8192, 4, world="random", plans=64),
         "two robots each, batch of 4096, a robot-step": team_loop(4096, 4),
+        BELIEFS: belief_loop(_BELIEFS, 2, _FIRST),
     }
-    if importlib.util.find_spec("vmas"):
-        found["vmas, six rays, 40 walls, 1024"] = vmas_loop(1024)
-    if importlib.util.find_spec("irsim"):
-        found["ir-sim, six rays, 40 walls"] = irsim_loop()
     return found
 
 
@@ -173,6 +195,15 @@ def seconds_of_starts() -> float:
     return float(np.median(times))
 
 
+def print_peers(rates: dict[str, FloatArray], skipped: dict[str, str]) -> None:
+    """Print how many times as fast our batch is as other simulators, and what a step of each computes."""
+    print(f"\n| peer | {OURS} / peer | what a step computes |\n|---|---|---|")
+    print(f"| {OURS} | 1 | one robot, contacts, six rays among walls, noise, encoders, coverage, resets; float64 |")
+    for name, peer in PEERS.items():
+        times = f"{ratio(rates, OURS, name):,.0f}" if name in rates else f"skipped: {skipped[name]}"
+        print(f"| {name} | {times} | {peer.computes} |")
+
+
 def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
     """Print what this run should reach, and what it has reached."""
     forty, thousands = (f"batch of 8192, rooms of {walls} walls" for walls in (40, 2000))
@@ -187,11 +218,13 @@ def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
     print(
         f"| `limslam run --world env1`: simulated time / time | {times_faster('env1', 5, clock):.0f} | >= {BAR:.0f} |"
     )
-    print(f"| batch of 1024 / single | {ratio(rates, 'batch of 1024', SINGLE):.1f} | >= 38 |")
+    print(f"| batch of 1024 / single | {ratio(rates, OURS, SINGLE):.1f} | >= 38 |")
     print(f"| 40 walls / 2000 walls | {ratio(rates, forty, thousands):.2f} | <= 1.3 |")
     print(f"| single / plain pymunk | {ratio(rates, SINGLE, PLAIN):.2f} | >= 2.3 |")
     print(f"| beside a busy process / alone, {cores} cores | {beside / alone:.2f} | >= {1.0 - 1.0 / cores:.2f} |")
     print(f"| import, then first step | {loading:.2f} s, {first:.2f} s | first step <= 1.5 s |")
+    beliefs = float(np.median(rates[BELIEFS]))
+    print(f"| belief observations a second, {cores} cores | {beliefs:,.0f} | >= 60,000 on two |")
     print(f"| 1000 given starts | {1e3 * seconds_of_starts():.0f} ms | <= 50 ms |")
     print(f"| 8192 floor plans, from {_PLANS} of them | {seconds_of_plans():.0f} s | <= 60 s on two cores |")
     print(f"| memory of an environment, with its grid and the results of two steps | {memory:.1f} kB | <= 20 kB |")
@@ -201,7 +234,7 @@ def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print Markdown tables. The arguments are those of the command line unless they are given."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=40, help="bursts of each candidate")
+    parser.add_argument("--bursts", dest="rounds", type=int, default=40, help="bursts of each candidate")
     parser.add_argument("--no-bars", action="store_true", help="only the table of rates")
     parser.add_argument(
         "--processor-time",
@@ -209,9 +242,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="count processor time, for a machine that is busy; threads then count as one after the other",
     )
     options = parser.parse_args(arguments)
-    candidates = loops()
+    candidates, (peers, skipped) = loops(), peer_loops()
     clock: Clock = time.process_time if options.processor_time else time.perf_counter
-    rates = rates_in_turn(candidates, options.rounds, clock)
+    rates = rates_in_turn(candidates | peers, options.rounds, clock)
     print_rates(rates, {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"})
+    print_peers(rates, skipped)
     if not options.no_bars:
         print_bars(rates, candidates["batch of 8192"], clock)

@@ -51,7 +51,7 @@ def touched_cells(
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
             most += math.floor(float(ranges[beam]) / spacing) + 1
-    cells, size = np.empty((most, 3), dtype=np.int64), 0
+    cells, size, samples = np.empty((most, 3), dtype=np.int64), 0, np.empty((2, most))
     for beam in range(len(ranges)):
         length = float(ranges[beam])
         # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
@@ -66,16 +66,19 @@ def touched_cells(
         length = float(ranges[beam])
         if not (measured[beam] and length > beams[beam, TOO_NEAR]):
             continue
-        first = size
-        for i in range(math.floor(length / spacing)):
-            px = beams[beam, FROM_X] + i * spacing * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + i * spacing * beams[beam, TOWARDS_Y]
-            row = math.floor((px * sin + py * cos + y) / cell)
-            column = math.floor((px * cos - py * sin + x) / cell)
+        number = math.floor(length / spacing)
+        from_x, from_y = beams[beam, FROM_X], beams[beam, FROM_Y]
+        towards_x, towards_y = beams[beam, TOWARDS_X], beams[beam, TOWARDS_Y]
+        # A loop without branches, so that the compiler takes several samples at once.
+        for i in range(number):
+            px, py = from_x + i * spacing * towards_x, from_y + i * spacing * towards_y
+            samples[0, i] = np.floor((px * sin + py * cos + y) / cell)
+            samples[1, i] = np.floor((px * cos - py * sin + x) / cell)
+        for i in range(number):
             # Samples are half a cell apart, so that many lie in the same cell as the one before.
-            if size > first and row == cells[size - 1, 0] and column == cells[size - 1, 1]:
+            if i and samples[0, i] == samples[0, i - 1] and samples[1, i] == samples[1, i - 1]:
                 continue
-            cells[size, 0], cells[size, 1], cells[size, 2] = row, column, CROSSED
+            cells[size, 0], cells[size, 1], cells[size, 2] = int(samples[0, i]), int(samples[1, i]), CROSSED
             size += 1
     for k in range(len(BODY)):
         cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)

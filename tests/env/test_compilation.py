@@ -2,10 +2,12 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
-from limslam_env.compilation import ENV_SOURCES, source_stamp
+from limslam_env.compilation import ENV_SOURCES, compiled, next_of, source_stamp
 from limslam_env.kernels import batch_step, coverage, observation, random_numbers, rays, wall_cells
 
 CALLED = """from limslam_env.compilation import compiled
@@ -121,3 +123,20 @@ print(*results)
     command = [sys.executable, "-B", "-c", code]
     words = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path).stdout.split()
     assert [float(word) for word in words] == [10.0, 5.0, 12.0, 8.0, 8.0]
+
+
+@compiled
+def count_taken(counter, taken):
+    number = next_of(counter)
+    while number < len(taken):
+        taken[number] += 1
+        number = next_of(counter)
+
+
+def test_threads_that_share_a_counter_take_each_number_once():
+    counter, taken = np.zeros(1, dtype=np.int64), np.zeros(300_000, dtype=np.int64)
+    with ThreadPoolExecutor(4) as pool:
+        for done in [pool.submit(count_taken, counter, taken) for _ in range(4)]:
+            done.result()
+    assert (taken == 1).all()
+    assert counter[0] == len(taken) + 4

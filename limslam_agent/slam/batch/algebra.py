@@ -19,16 +19,17 @@ __all__ = ["sort_with", "wrapped"]
 @algebra
 def factorise(matrix: FloatArray, size: int) -> None:
     """Replace the lower triangle of the first ``size`` rows and columns by its Cholesky factor."""
-    for i in range(size):
-        for j in range(i):
+    # Column by column: the rows of a column do not wait for each other.
+    for j in range(size):
+        total = matrix[j, j]
+        for k in range(j):
+            total -= matrix[j, k] * matrix[j, k]
+        matrix[j, j] = math.sqrt(total)
+        for i in range(j + 1, size):
             total = matrix[i, j]
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = total / matrix[j, j]
-        total = matrix[i, i]
-        for k in range(i):
-            total -= matrix[i, k] * matrix[i, k]
-        matrix[i, i] = math.sqrt(total)
 
 
 @algebra
@@ -118,14 +119,6 @@ def quantile(ordered: FloatArray, size: int, share: float) -> float:
 
 
 @algebra
-def entry_of(top: FloatArray, rest: FloatArray, i: int, j: int) -> float:
-    """Entry (i, j) of a covariance."""
-    if i < j:
-        i, j = j, i
-    return top[j, i] if j < POSE else rest[i * (i + 1) // 2 + j]
-
-
-@algebra
 def gather_rows(top: FloatArray, rest: FloatArray, columns: IntArray, size: int) -> FloatArray:
     """Full rows (k, size) of a covariance, none of them among the first three."""
     rows = np.empty((len(columns), size))
@@ -148,9 +141,11 @@ def block_of(top: FloatArray, rest: FloatArray, columns: IntArray) -> FloatArray
     """Block (k, k) of a covariance: its rows and columns ``columns`` (k,)."""
     size = len(columns)
     part = np.empty((size, size))
+    # No function is called for an entry: the counting of references to its arrays would take most of the time.
     for i in range(size):
         for j in range(i + 1):
-            part[i, j] = part[j, i] = entry_of(top, rest, columns[i], columns[j])
+            low, high = min(columns[i], columns[j]), max(columns[i], columns[j])
+            part[i, j] = part[j, i] = top[low, high] if low < POSE else rest[high * (high + 1) // 2 + low]
     return part
 
 

@@ -44,12 +44,12 @@ from limslam_agent.slam.batch.state import (
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core.ekf import POSE
+from limslam_env.compilation import next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
 from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
-_SLICES = 4
 _NUM_SIDES = len(SIDES)
 
 
@@ -175,9 +175,10 @@ class BatchSlam:
         travel = np.ascontiguousarray(travel)
         poses, covariances = np.zeros((self.num_envs, POSE)), np.zeros((self.num_envs, POSE, POSE))
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
+        begun = np.zeros(1, dtype=np.int64)
         self._share(
-            chosen,
-            lambda some: step_some(self._states, self._spec, seen, travel, some, poses, covariances, grids),
+            len(chosen),
+            lambda: step_some(self._states, self._spec, seen, travel, chosen, begun, poses, covariances, grids),
         )
         return Beliefs(poses, covariances, grids)
 
@@ -244,17 +245,17 @@ class BatchSlam:
             raise ValueError(f"a mask must be {self.num_envs} booleans, not {wanted.shape} of {wanted.dtype}")
         return np.flatnonzero(wanted)
 
-    def _share(self, chosen: IntArray, work: Callable[[IntArray], Any]) -> None:
-        """Distribute the chosen robots over the threads."""
-        if self._threads == 1 or len(chosen) < 2:
-            work(chosen)
-            return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._threads)
-        # Some steps take longer than others: a thread that finishes early takes another slice.
-        slices = np.array_split(chosen, min(_SLICES * self._threads, len(chosen)))
-        for done in [self._pool.submit(work, some) for some in slices]:
-            done.result()
+    def _share(self, robots: int, work: Callable[[], Any]) -> None:
+        """Let each thread do the work for some robots, of which it takes one after the other."""
+        others = min(self._threads, robots) - 1
+        if others > 0 and self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads - 1)
+        running = [self._pool.submit(work) for _ in range(others)] if self._pool is not None else []
+        work()
+        for each in running:
+            # A thread that has not started by now has nothing left to do.
+            if not each.cancel():
+                each.result()
 
 
 def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> None:
@@ -305,16 +306,22 @@ def step_some(
     ranges: FloatArray,
     wheels: FloatArray,
     chosen: IntArray,
+    begun: IntArray,
     pose: FloatArray,
     covariance: FloatArray,
     grids: CropArray,
 ) -> None:
-    """Update the chosen robots by one observation each, and fill their rows of the estimates."""
+    """Update chosen robots by one observation each, and fill their rows of the estimates.
+
+    ``begun`` (1,) counts the chosen robots that some thread has begun with. Steps differ in cost, so each thread takes
+    the next robot when it has finished one.
+    """
     # The compiler processes a function and all below it again for each function above it, so there are few levels.
     stamps, settings = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32), spec.settings[0]
     measured = np.zeros(ranges.shape[1], dtype=np.bool_)
-    for stamp in range(len(chosen)):
-        number = chosen[stamp]
+    place = next_of(begun)
+    while place < len(chosen):
+        number = chosen[place]
         state = state_of(states, number)
         ekf, travel = state.filter, state.travel
         accept(state, ranges[number], wheels[number], settings, spec.beams, measured)
@@ -325,10 +332,11 @@ def step_some(
         pose[number] = ekf.x[:POSE]
         covariance[number] = ekf.top[:, :POSE]
         update(
-            pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, stamp + 1
+            pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, place + 1
         )  # fmt: skip
         if grids.shape[3]:
             crop(pose[number], state.grid, state.window, settings.cell, grids[number, 0])
+        place = next_of(begun)
 
 
 @algebra

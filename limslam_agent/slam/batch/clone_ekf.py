@@ -446,27 +446,31 @@ def correct(ekf: Filter, moved: FloatArray, W: FloatArray, rank: int, change: Fl
     """Finish an update: transport the error of P to where W was found, subtract W^T W, and change the state.
 
     Then the error is transported to the changed state. With ``moved`` M (n, 3), the pose's rows A of P, and their
-    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. All is done in one pass over P.
+    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. The two transports are one by the sum
+    of both M, if W is transported by the second M. All is done in one pass over P.
     """
     size = size_of(ekf)
-    height = (rank + 4 * POSE + 3) // 4 * 4
-    left, right = np.zeros((height, size)), np.zeros((height, size))
-    stack_transport(ekf, moved, size, left, right, rank)
-    for k in range(POSE):
-        for j in range(size):
-            total = right[rank + k, j]
-            for r in range(rank):
-                total -= W[r, k] * W[r, j]
-            ekf.top[k, j] = total
-    left[:rank], right[:rank] = -W[:rank, :size], W[:rank, :size]
+    height = (rank + 2 * POSE + 3) // 4 * 4
+    left, right, across = np.zeros((height, size)), np.zeros((height, size)), np.empty((POSE, size))
     before, after = np.empty((size, POSE)), np.empty((size, POSE))
     error_transport(ekf, size, before)
     for j in range(size):
         ekf.x[j] += change[j]
     error_transport(ekf, size, after)
-    stack_transport(ekf, after - before, size, left, right, rank + 2 * POSE)
+    after -= before
     for k in range(POSE):
-        ekf.top[k, :size] = right[rank + 2 * POSE + k]
+        across[k] = after[:, k]
+    stack_transport(ekf, moved + after, size, left, right, rank)
+    for k in range(POSE):
+        ekf.top[k, :size] = right[rank + k]
+    for r in range(rank):
+        a, b, c = W[r, 0], W[r, 1], W[r, 2]
+        for j in range(size):
+            right[r, j] = W[r, j] + a * across[0, j] + b * across[1, j] + c * across[2, j]
+            left[r, j] = -right[r, j]
+        for k in range(POSE):
+            for j in range(size):
+                ekf.top[k, j] += left[r, k] * right[r, j]
     add_products(ekf.rest, left, right, height, POSE, size)
     ekf.x[2] = wrapped(ekf.x[2])
 

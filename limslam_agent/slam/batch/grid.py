@@ -51,13 +51,14 @@ def update(
         low, high = cells[:, axis].min(), cells[:, axis].max()
         if low < window[axis] or high >= window[axis] + side:
             shift(grid, window, axis, low, high)
-    top, right = window[0] + side, window[1] + side
+    low, left_most, low_at, left_at = window[0], window[1], window[0] % side, window[1] % side
     for i in range(len(cells)):
+        row, column = cells[i, 0] - low, cells[i, 1] - left_most
         # A cell that does not fit into the window, even after it has been moved, is skipped.
-        if not (window[0] <= cells[i, 0] < top and window[1] <= cells[i, 1] < right):
+        if not (0 <= row < side and 0 <= column < side):
             cells[i, 2] = SKIPPED
-        cells[i, 0] %= side
-        cells[i, 1] %= side
+        row, column = row + low_at, column + left_at
+        cells[i, 0], cells[i, 1] = row - side if row >= side else row, column - side if column >= side else column
     change_cells(grid, cells, stamps, stamp, settings.seen_through, settings.hit, settings.limit)
 
 
@@ -67,18 +68,24 @@ def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: 
 
     Cells are 0 where unknown, ``FREE``, or ``OCCUPIED``.
     """
-    size, side, low, left_most = out.shape[0], grid.shape[0], window[0], window[1]
+    size, side = out.shape[0], grid.shape[0]
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    low, left_most = float(window[0]), float(window[1])
     # Where the window's first row and column are stored.
-    low_at, left_at = low % side, left_most % side
+    low_at, left_at = float(window[0] % side), float(window[1] % side)
+    places, values, cells = np.empty(size, dtype=np.int32), np.empty(size, dtype=grid.dtype), grid.reshape(-1)
+    # Three loops without branches, so that the compiler takes several cells at once.
     for i in range(size):
         ahead = (0.5 * (size - 1) - i) * cell
         for j in range(size):
             left = (0.5 * (size - 1) - j) * cell
-            row = math.floor((ahead * sin + left * cos + y) / cell) - low
-            column = math.floor((ahead * cos - left * sin + x) / cell) - left_most
-            value = 0
-            if 0 <= row < side and 0 <= column < side:
-                row, column = row + low_at, column + left_at
-                value = grid[row - side if row >= side else row, column - side if column >= side else column]
-            out[i, j] = FREE if value > 0 else OCCUPIED if value < 0 else 0
+            row = np.floor((ahead * sin + left * cos + y) / cell) - low
+            column = np.floor((ahead * cos - left * sin + x) / cell) - left_most
+            is_inside = (row >= 0.0) & (row < side) & (column >= 0.0) & (column < side)
+            row, column = row + low_at, column + left_at
+            row, column = row - side if row >= side else row, column - side if column >= side else column
+            places[j] = np.int32(row * side + column) if is_inside else -1
+        for j in range(size):
+            values[j] = cells[places[j]] if places[j] >= 0 else 0
+        for j in range(size):
+            out[i, j] = FREE if values[j] > 0 else OCCUPIED if values[j] < 0 else 0

@@ -35,13 +35,15 @@ def hough_votes(points: FloatArray, settings: Settings) -> FloatArray:
     angles, bins = num_angles(settings.theta_step), int(np.rint((reach + step - low + 1.0) / step))
     counts, wide = np.zeros((angles + 2) * (bins + 2), dtype=np.int16), bins + 2
     found, size, angle = np.empty(len(points) * angles, dtype=np.int64), 0, single(0.0)
+    xs, ys, places = points[:, 0].astype(single), points[:, 1].astype(single), np.empty(len(points), dtype=np.int32)
     for n in range(angles):
         cos = single(math.cos(float(angle)) * float(inverse))
         sin = single(math.sin(float(angle)) * float(inverse))
+        # A loop of its own, in which the compiler takes several points at once.
         for i in range(len(points)):
-            place = (n + 1) * wide + 1 + int(
-                np.rint(single(points[i, 0]) * cos + single(points[i, 1]) * sin - lowest)
-            )  # fmt: skip
+            places[i] = np.int32(np.rint(xs[i] * cos + ys[i] * sin - lowest))
+        for i in range(len(points)):
+            place = (n + 1) * wide + 1 + places[i]
             counts[place] += 1
             # Each bin reaches the threshold once.
             if counts[place] == settings.min_votes:

@@ -13,10 +13,10 @@ from limslam_env.geometry import IntArray
 @compiled
 def ends_of(walls: Walls, index: int) -> tuple[float, float]:
     """Positions of the outermost hits, m along the line."""
-    length = walls.table[index, LENGTH]
-    if not length:
-        return np.inf, -np.inf
-    return walls.reached[index, LEAST, :length].min(), walls.reached[index, MOST, :length].max()
+    low, high, reached = np.inf, -np.inf, walls.reached
+    for place in range(walls.table[index, LENGTH]):
+        low, high = min(low, reached[index, LEAST, place]), max(high, reached[index, MOST, place])
+    return low, high
 
 
 @compiled
