@@ -1,4 +1,6 @@
-"""Decorators that compile kernels with numba, for the simulator and the agent. Only this module imports numba.
+"""Decorators that compile kernels with numba, for the simulator and the agent.
+
+Only this module and ``limslam_env.linking``, which makes numba compile faster, import numba.
 
 numba can keep compiled code on disk. It discards that code when the file of the compiled function changes, but the
 code also contains every function and every constant that the function uses from other files. Here the code is
@@ -14,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numba
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
@@ -27,7 +30,7 @@ _SECONDS = {"advance": 15, "survey": 8, "step_some": 90}
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
-ENV_SOURCES = ("limslam_env.compilation", "limslam_env.geometry", "limslam_env.kernels")
+ENV_SOURCES = ("limslam_env.compilation", "limslam_env.linking", "limslam_env.geometry", "limslam_env.kernels")
 """The module and the packages that the kernels of ``limslam_env`` are made of."""
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -36,9 +39,25 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
 
 
+_TRIED = ("0.68.",)
+"""Versions of numba that ``limslam_env.linking`` was tried with: how their names begin."""
+
+
+def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
+    """Compile by way of ``limslam_env.linking``, if this version of numba allows it."""
+    if not numba.__version__.startswith(_TRIED):
+        return njit(**options)(kernel)
+    from limslam_env import linking
+
+    pipeline = linking.KernelPipeline if is_kernel else linking.InnerPipeline
+    function = njit(pipeline_class=pipeline, **options)(kernel)
+    linking.retry_as_usual(function)
+    return function
+
+
 def compiled(kernel: Kernel) -> Kernel:
-    """Compile a function that other kernels call. numba also copies it into short callers."""
-    return cast(Kernel, njit(**_OPTIONS)(kernel))
+    """Compile a function that other kernels call."""
+    return cast(Kernel, _njit(kernel, **_OPTIONS))
 
 
 def inlined(kernel: Kernel) -> Kernel:
@@ -48,12 +67,12 @@ def inlined(kernel: Kernel) -> Kernel:
 
 def merged(kernel: Kernel) -> Kernel:
     """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy into its callers."""
-    return cast(Kernel, njit(forceinline=True, **_LEAN)(kernel))
+    return cast(Kernel, _njit(kernel, forceinline=True, **_LEAN))
 
 
 def algebra(kernel: Kernel) -> Kernel:
     """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded once, together."""
-    return cast(Kernel, njit(fastmath={"contract"}, **_OPTIONS)(kernel))
+    return cast(Kernel, _njit(kernel, fastmath={"contract"}, **_OPTIONS))
 
 
 def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
@@ -99,11 +118,11 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     options = _OPTIONS if allocates else _LEAN
 
     def entry(kernel: Kernel) -> Kernel:
-        kept = njit(cache=True, **options)(kernel)
+        kept = _njit(kernel, is_kernel=True, cache=True, **options)
         # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
-            return cast(Kernel, njit(**options)(kernel))
+            return cast(Kernel, _njit(kernel, is_kernel=True, **options))
         _announce(kept, kernel.__name__)
         file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
         return cast(Kernel, kept)
