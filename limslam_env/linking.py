@@ -15,9 +15,9 @@ import functools
 import gc
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, cast
 
-from numba.core import codegen, compiler, compiler_machinery, cpu, dispatcher, errors, lowering, typed_passes
+from numba.core import codegen, compiler, compiler_machinery, cpu, dispatcher, errors, lowering, targetconfig, typed_passes
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
 from numba.extending import overload
@@ -136,16 +136,51 @@ def _shape_error(source: Any, target: Any) -> Any:
     return fail
 
 
+_usual_equal = targetconfig.TargetConfig.__eq__
+
+
+@functools.cache
+def _hash_of_options(kind: type) -> int:
+    """numba's hash of compiler options depends on their names only."""
+    return hash(tuple(sorted(cast(Any, kind).options)))
+
+
+def _hash(options: Any) -> int:
+    """The same hash, computed once for all."""
+    return _hash_of_options(type(options))
+
+
+def _equal(first: Any, second: Any) -> Any:
+    """Whether compiler options are equal; only those that differ from their defaults are compared."""
+    if type(first) is not type(second):
+        return _usual_equal(first, second)
+    ours, theirs = first._values, second._values  # noqa: SLF001
+    if ours == theirs:
+        return True
+    defaults = first.options
+    return all(
+        ours.get(name, defaults[name].default) == theirs.get(name, defaults[name].default) for name in {**ours, **theirs}
+    )
+
+
+class _NoColours:
+    """Leaves error messages as they are: numba writes thousands of them while it tries which functions fit."""
+
+    def __getattr__(self, name: str) -> Callable[[str], str]:
+        return str
+
+
 @contextlib.contextmanager
 def _replaced(holder: Any, **values: Any) -> Iterator[None]:
-    before = {name: vars(holder).get(name) for name in values}
+    missing = object()
+    before = {name: vars(holder).get(name, missing) for name in values}
     for name, value in values.items():
         setattr(holder, name, value)
     try:
         yield
     finally:
         for name, value in before.items():
-            if value is None:
+            if value is missing:
                 delattr(holder, name)
             else:
                 setattr(holder, name, value)
@@ -182,6 +217,8 @@ def _linking(target: Any) -> Iterator[None]:
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
+        _replaced(targetconfig.TargetConfig, __hash__=_hash, __eq__=_equal),
+        _replaced(errors, _termcolor_inst=_NoColours()),
     ):
         yield
 
