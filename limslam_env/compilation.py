@@ -25,7 +25,7 @@ from numba.extending import intrinsic
 QUIET = "LIMSLAM_QUIET"
 """Name of the environment variable that switches off the messages about compiling, if it is not empty."""
 
-_SECONDS = {"advance": 15, "survey": 8, "step_some": 90}
+_SECONDS = {"advance": 7, "survey": 4, "step_some": 25}
 """Kernels that take long to compile, and about how long on a usual processor, s."""
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
@@ -130,22 +130,58 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     return entry
 
 
+def announce(text: str) -> None:
+    """Say on stderr what is compiled, so that nobody wonders what takes so long."""
+    if not os.environ.get(QUIET):
+        print(f"limslam: {text}", file=sys.stderr, flush=True)  # noqa: T201
+
+
 def _announce(kept: Any, name: str) -> None:
-    """Let a kernel that takes long say so on stderr, when it is not on disk and has to be compiled."""
-    seconds = _SECONDS.get(name)
-    if seconds is None:
-        return
+    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take long, and the first."""
     # Not public either: numba asks its cache for the code before it compiles.
     cache = kept._cache  # noqa: SLF001
     load = cache.load_overload
 
     def load_or_announce(*arguments: Any) -> Any:
         found = load(*arguments)
-        if found is None and not os.environ.get(QUIET):
-            print(f"limslam: compiling {name!r}, once, about {seconds} s", file=sys.stderr, flush=True)  # noqa: T201
+        if found is None and name in _SECONDS:
+            announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
+        elif found is None:
+            _announce_the_first()
         return found
 
     cache.load_overload = load_or_announce
+
+
+@functools.cache
+def _announce_the_first() -> None:
+    announce("compiling small kernels, once, a few seconds; `limslam warmup` compiles all of them beforehand")
+
+
+def is_kept(kernel: Any) -> bool:
+    """Whether code of a kernel is on disk, made of the present sources. Always if this version of numba cannot tell."""
+    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    return not hasattr(file, "_load_index") or bool(file._load_index())  # type: ignore[union-attr]  # noqa: SLF001
+
+
+_NUMBERS = {"f": types.float64, "i": types.int64, "b": types.boolean}
+
+
+def compile_for(kernel: Any, arguments: str) -> None:
+    """Compile a kernel before it is called, or load its code from disk.
+
+    Parameters
+    ----------
+    arguments
+        A word for each argument: ``f`` for a float, ``i`` for an integer and ``b`` for a bool, and the number of axes
+        if it is an array of them. Capitals are arrays whose elements may have gaps between them.
+    """
+    kernel.compile(tuple(_type_of(word) for word in arguments.split()))
+
+
+def _type_of(word: str) -> Any:
+    number = _NUMBERS[word[0].lower()]
+    return types.Array(number, int(word[1:]), "A" if word[0].isupper() else "C") if word[1:] else number
 
 
 @functools.cache

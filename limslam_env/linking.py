@@ -15,9 +15,18 @@ import functools
 import gc
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, cast
+from typing import Any
 
-from numba.core import codegen, compiler, compiler_machinery, cpu, dispatcher, errors, lowering, targetconfig, typed_passes
+from numba.core import (
+    codegen,
+    compiler,
+    compiler_machinery,
+    cpu,
+    dispatcher,
+    errors,
+    lowering,
+    typed_passes,
+)
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
 from numba.extending import overload
@@ -136,18 +145,16 @@ def _shape_error(source: Any, target: Any) -> Any:
     return fail
 
 
-_usual_equal = targetconfig.TargetConfig.__eq__
+_usual_equal = compiler.Flags.__eq__
 
 
-@functools.cache
-def _hash_of_options(kind: type) -> int:
-    """numba's hash of compiler options depends on their names only."""
-    return hash(tuple(sorted(cast(Any, kind).options)))
+_OPTIONS_HASH: int = hash(compiler.Flags())
 
 
 def _hash(options: Any) -> int:
-    """The same hash, computed once for all."""
-    return _hash_of_options(type(options))
+    """The hash of compiler options: numba makes it of their names only, and computes it anew each time."""
+    del options
+    return _OPTIONS_HASH
 
 
 def _equal(first: Any, second: Any) -> Any:
@@ -159,7 +166,8 @@ def _equal(first: Any, second: Any) -> Any:
         return True
     defaults = first.options
     return all(
-        ours.get(name, defaults[name].default) == theirs.get(name, defaults[name].default) for name in {**ours, **theirs}
+        ours.get(name, defaults[name].default) == theirs.get(name, defaults[name].default)
+        for name in {**ours, **theirs}
     )
 
 
@@ -217,7 +225,7 @@ def _linking(target: Any) -> Iterator[None]:
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
-        _replaced(targetconfig.TargetConfig, __hash__=_hash, __eq__=_equal),
+        _replaced(compiler.Flags, __hash__=_hash, __eq__=_equal),
         _replaced(errors, _termcolor_inst=_NoColours()),
     ):
         yield
