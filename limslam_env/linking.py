@@ -171,11 +171,10 @@ def _equal(first: Any, second: Any) -> Any:
     )
 
 
-class _NoColours:
-    """Leaves error messages as they are: numba writes thousands of them while it tries which functions fit."""
-
-    def __getattr__(self, name: str) -> Callable[[str], str]:
-        return str
+def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
+    """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
+    del scheme, colours
+    return message
 
 
 @contextlib.contextmanager
@@ -226,7 +225,7 @@ def _linking(target: Any) -> Iterator[None]:
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
         _replaced(compiler.Flags, __hash__=_hash, __eq__=_equal),
-        _replaced(errors, _termcolor_inst=_NoColours()),
+        _replaced(type(errors.termcolor()), _markup=_without_colour),
     ):
         yield
 
