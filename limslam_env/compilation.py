@@ -1,4 +1,6 @@
-"""Decorators that compile kernels with numba, for the simulator and the agent. Only this module imports numba.
+"""Decorators that compile kernels with numba, for the simulator and the agent.
+
+Only this module and ``limslam_env.linking``, which makes numba compile faster, import numba.
 
 numba can keep compiled code on disk. It discards that code when the file of the compiled function changes, but the
 code also contains every function and every constant that the function uses from other files. Here the code is
@@ -14,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numba
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
@@ -22,12 +25,12 @@ from numba.extending import intrinsic
 QUIET = "LIMSLAM_QUIET"
 """Name of the environment variable that switches off the messages about compiling, if it is not empty."""
 
-_SECONDS = {"advance": 15, "survey": 8, "step_some": 90}
+_SECONDS = {"advance": 7, "survey": 4, "step_some": 25}
 """Kernels that take long to compile, and about how long on a usual processor, s."""
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
-ENV_SOURCES = ("limslam_env.compilation", "limslam_env.geometry", "limslam_env.kernels")
+ENV_SOURCES = ("limslam_env.compilation", "limslam_env.linking", "limslam_env.geometry", "limslam_env.kernels")
 """The module and the packages that the kernels of ``limslam_env`` are made of."""
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -36,9 +39,25 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
 
 
+_TRIED = ("0.68.",)
+"""Versions of numba that ``limslam_env.linking`` was tried with: how their names begin."""
+
+
+def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
+    """Compile by way of ``limslam_env.linking``, if this version of numba allows it."""
+    if not numba.__version__.startswith(_TRIED):
+        return njit(**options)(kernel)
+    from limslam_env import linking
+
+    pipeline = linking.KernelPipeline if is_kernel else linking.InnerPipeline
+    function = njit(pipeline_class=pipeline, **options)(kernel)
+    linking.retry_as_usual(function)
+    return function
+
+
 def compiled(kernel: Kernel) -> Kernel:
-    """Compile a function that other kernels call. numba also copies it into short callers."""
-    return cast(Kernel, njit(**_OPTIONS)(kernel))
+    """Compile a function that other kernels call."""
+    return cast(Kernel, _njit(kernel, **_OPTIONS))
 
 
 def inlined(kernel: Kernel) -> Kernel:
@@ -48,12 +67,12 @@ def inlined(kernel: Kernel) -> Kernel:
 
 def merged(kernel: Kernel) -> Kernel:
     """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy into its callers."""
-    return cast(Kernel, njit(forceinline=True, **_LEAN)(kernel))
+    return cast(Kernel, _njit(kernel, forceinline=True, **_LEAN))
 
 
 def algebra(kernel: Kernel) -> Kernel:
     """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded once, together."""
-    return cast(Kernel, njit(fastmath={"contract"}, **_OPTIONS)(kernel))
+    return cast(Kernel, _njit(kernel, fastmath={"contract"}, **_OPTIONS))
 
 
 def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
@@ -114,11 +133,11 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     options = _OPTIONS if allocates else _LEAN
 
     def entry(kernel: Kernel) -> Kernel:
-        kept = njit(cache=True, **options)(kernel)
+        kept = _njit(kernel, is_kernel=True, cache=True, **options)
         # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
-            return cast(Kernel, njit(**options)(kernel))
+            return cast(Kernel, _njit(kernel, is_kernel=True, **options))
         _announce(kept, kernel.__name__)
         file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
         return cast(Kernel, kept)
@@ -126,22 +145,58 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     return entry
 
 
+def announce(text: str) -> None:
+    """Say on stderr what is compiled, so that nobody wonders what takes so long."""
+    if not os.environ.get(QUIET):
+        print(f"limslam: {text}", file=sys.stderr, flush=True)  # noqa: T201
+
+
 def _announce(kept: Any, name: str) -> None:
-    """Let a kernel that takes long say so on stderr, when it is not on disk and has to be compiled."""
-    seconds = _SECONDS.get(name)
-    if seconds is None:
-        return
+    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take long, and the first."""
     # Not public either: numba asks its cache for the code before it compiles.
     cache = kept._cache  # noqa: SLF001
     load = cache.load_overload
 
     def load_or_announce(*arguments: Any) -> Any:
         found = load(*arguments)
-        if found is None and not os.environ.get(QUIET):
-            print(f"limslam: compiling {name!r}, once, about {seconds} s", file=sys.stderr, flush=True)  # noqa: T201
+        if found is None and name in _SECONDS:
+            announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
+        elif found is None:
+            _announce_the_first()
         return found
 
     cache.load_overload = load_or_announce
+
+
+@functools.cache
+def _announce_the_first() -> None:
+    announce("compiling small kernels, once, a few seconds; `limslam warmup` compiles all of them beforehand")
+
+
+def is_kept(kernel: Any) -> bool:
+    """Whether code of a kernel is on disk, made of the present sources. Always if this version of numba cannot tell."""
+    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    return not hasattr(file, "_load_index") or bool(file._load_index())  # type: ignore[union-attr]  # noqa: SLF001
+
+
+_NUMBERS = {"f": types.float64, "i": types.int64, "b": types.boolean}
+
+
+def compile_for(kernel: Any, arguments: str) -> None:
+    """Compile a kernel before it is called, or load its code from disk.
+
+    Parameters
+    ----------
+    arguments
+        A word for each argument: ``f`` for a float, ``i`` for an integer and ``b`` for a bool, and the number of axes
+        if it is an array of them. Capitals are arrays whose elements may have gaps between them.
+    """
+    kernel.compile(tuple(_type_of(word) for word in arguments.split()))
+
+
+def _type_of(word: str) -> Any:
+    number = _NUMBERS[word[0].lower()]
+    return types.Array(number, int(word[1:]), "A" if word[0].isupper() else "C") if word[1:] else number
 
 
 @functools.cache

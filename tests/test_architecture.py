@@ -34,7 +34,8 @@ ENV = {
     # A world may be named by the seed of a floor plan.
     "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation", "messages")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
-    "limslam_env.compilation": set(),
+    "limslam_env.linking": set(),
+    "limslam_env.compilation": env("linking"),
     "limslam_env.kernels": {GEOMETRY, *env("compilation")},
     "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
     "limslam_env.batch": {
@@ -238,7 +239,11 @@ def test_no_package_has_too_many_modules(place):
 
 
 @pytest.mark.parametrize(
-    ("library", "owners"), [("pymunk", {"limslam_env.simulation.physics"}), ("numba", {"limslam_env.compilation"})]
+    ("library", "owners"),
+    [
+        ("pymunk", {"limslam_env.simulation.physics"}),
+        ("numba", {"limslam_env.compilation", "limslam_env.linking"}),
+    ],
 )
 def test_these_modules_alone_import_it(library, owners):
     found = {name for name, path in INSTALLED.items() if any(full.split(".")[0] == library for full in imports(path))}

@@ -89,10 +89,13 @@ caching.IndexDataCacheFile = WithoutStamp
     assert not list(package.rglob("*.nbi"))
 
 
-INNER = """from limslam_env.compilation import compiled, entry_of, merged
+INNER = """import numpy as np
+from limslam_env.compilation import compiled, entry_of, merged
 
 @compiled
 def largest(numbers):
+    if len(numbers) == 0:
+        raise ValueError("no numbers")
     best = numbers[0]
     for number in numbers:
         best = max(best, number)
@@ -105,24 +108,89 @@ def doubled(number):
 @entry_of("inner_kernels")
 def doubled_largest(numbers):
     return doubled(largest(numbers))
+
+@entry_of("inner_kernels")
+def copied(numbers, places):
+    numbers[: len(places)] = places
+    return doubled_largest(numbers) + largest(places)
 """
 
 
-def test_functions_inside_a_kernel_can_be_called_by_themselves(tmp_path):
-    (tmp_path / "inner_kernels.py").write_text(INNER, encoding="utf-8")
+def run_inner(folder, statements) -> list[str]:
+    """What statements print that use the kernels above, in a new interpreter."""
+    (folder / "inner_kernels.py").write_text(INNER, encoding="utf-8")
     code = f"""
 import sys
 import numpy as np
-sys.path.insert(0, {str(tmp_path)!r})
+sys.path.insert(0, {str(folder)!r})
+{statements}"""
+    command = [sys.executable, "-B", "-c", code]
+    return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout.splitlines()
+
+
+BROKEN = """
+from limslam_env import linking
+def fail(*arguments):
+    raise AttributeError("another numba")
+linking._executable = fail
+"""
+
+
+@pytest.mark.parametrize(
+    "before",
+    ["", "import numba; numba.__version__ = '0.1.0'", BROKEN],
+    ids=["this numba", "an unknown numba", "linking fails"],
+)
+def test_functions_inside_a_kernel_can_be_called_by_themselves(tmp_path, before):
+    statements = f"""{before}
 from inner_kernels import doubled_largest, largest
 numbers = np.array([1.0, 5.0, 3.0])
-results = [doubled_largest(numbers), largest(numbers), doubled_largest(numbers + 1)]
-results += [largest(np.array([7, 8])), doubled_largest(np.array([4, 2]))]
-print(*results)
+print(doubled_largest(numbers), largest(numbers), largest(numbers), doubled_largest(numbers + 1))
+print(largest(np.array([7, 8])), doubled_largest(np.array([4, 2])))
 """
-    command = [sys.executable, "-B", "-c", code]
-    words = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path).stdout.split()
-    assert [float(word) for word in words] == [10.0, 5.0, 12.0, 8.0, 8.0]
+    assert run_inner(tmp_path, statements) == ["10.0 5.0 5.0 12.0", "8 8.0"]
+
+
+def test_kept_code_can_be_loaded_while_another_kernel_is_compiled(tmp_path):
+    """Both kernels hold functions that may raise errors, whose environments are set when their code is loaded."""
+    first = "from inner_kernels import doubled_largest\nprint(doubled_largest(np.array([1.0, 5.0])))"
+    assert run_inner(tmp_path, first) == ["10.0"]
+    statements = """
+from inner_kernels import copied, doubled_largest, largest
+def error(kernel, *arguments):
+    try:
+        kernel(*arguments)
+    except ValueError as error:
+        return error
+print(copied(np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0])), doubled_largest(np.array([7.0])))
+print(sum(doubled_largest.stats.cache_hits.values()), sum(copied.stats.cache_hits.values()))
+for kernel in (doubled_largest, largest):
+    print(error(kernel, np.zeros(0)))
+print("cannot assign slice" in str(error(copied, np.zeros(1), np.zeros(2))))
+"""
+    expected = ["15.0 14.0", "1 0", "no numbers", "no numbers", "True"]
+    assert run_inner(tmp_path, statements) == expected
+    # All of it comes from the disk now.
+    assert run_inner(tmp_path, statements) == [expected[0], "1 1", *expected[2:]]
+
+
+def test_nothing_of_numba_stays_changed_after_a_compilation(tmp_path):
+    statements = """
+from numba.core import cpu, dispatcher, lowering
+from numba.core.registry import cpu_target
+from numba.np import arrayobj
+import gc
+holders = (cpu.CPUContext, dispatcher.Dispatcher, lowering.Lower, cpu_target.target_context.codegen(), arrayobj)
+before = [dict(vars(holder)) for holder in holders]
+from inner_kernels import copied
+copied(np.array([1.0, 2.0]), np.array([4.0]))
+for holder, values in zip(holders, before):
+    now = dict(vars(holder))
+    names = {name for name in now.keys() | values.keys() if not name.startswith("__")}
+    print([name for name in names if now.get(name) is not values.get(name)])
+print(gc.isenabled())
+"""
+    assert run_inner(tmp_path, statements) == ["[]"] * 5 + ["True"]
 
 
 @compiled

@@ -1,0 +1,295 @@
+"""A faster way through numba's compiler: machine code is made only of the functions that Python calls.
+
+numba optimises each function and makes machine code of it, and does both again for every function that calls it. Here
+a function that is compiled for another one stays as it is until it is linked into a function that Python calls. If
+Python calls the inner function later, its machine code is made then. The results are the same, since neither way
+changes the order of floating-point operations.
+
+This uses parts of numba that are not public. ``limslam_env.compilation`` uses it for the versions of numba that it was
+tried with, and compiles as usual with others. All changes to numba's objects last for one compilation: they are made
+under numba's compiler lock, and undone when the function is done. Loading code from disk meanwhile is numba's own.
+"""
+
+import contextlib
+import functools
+import gc
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from numba.core import (
+    codegen,
+    compiler,
+    compiler_machinery,
+    cpu,
+    dispatcher,
+    errors,
+    lowering,
+    typed_passes,
+)
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.environment import lookup_environment
+from numba.extending import overload
+from numba.np import arrayobj
+
+
+class _Library(codegen.JITCodeLibrary):
+    """Code of a function that is handed on to the functions that call it, without machine code."""
+
+    wrapped: tuple[Any, ...] | None = None
+    """What numba's wrapper for calls from Python is made of: context, description, environment, helper, lock."""
+    _has_machine_code = False
+
+    def _optimize_final_module(self) -> None:
+        """Leave the optimisation to the caller's library."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> Any:
+        """The address of a function; the machine code is made at the first question."""
+        self._ensure_finalized()
+        if not self._has_machine_code:
+            self._has_machine_code = True
+            super()._optimize_final_module()
+            super()._finalize_final_module()
+        return super().get_pointer_to_function(name)
+
+
+class _Later:
+    """Takes the place of the machine code of a function, and makes it when Python calls the function."""
+
+    def __init__(self, library: _Library) -> None:
+        self.library = library
+        self.owner: Callable[[], Any] = lambda: None
+        self.signature: tuple[Any, ...] = ()
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._code(*arguments)
+
+    @functools.cached_property
+    def _code(self) -> Any:
+        if self.library.wrapped is None:
+            raise RuntimeError(f"{self.library.name!r} was compiled for calls from other compiled functions only")
+        context, description, environment, helper, release_gil = self.library.wrapped
+        with global_compiler_lock:
+            library = codegen.JITCodeLibrary(context.codegen(), self.library.name)
+            library.add_linking_library(self.library)
+            context.create_cpython_wrapper(library, description, environment, helper, release_gil=release_gil)
+            code = _executable(context, library, description, environment)
+            self._replace_in_owner(code)
+        return code
+
+    def _replace_in_owner(self, code: Any) -> None:
+        """From now on the function finds its machine code itself."""
+        owner = self.owner()
+        if owner is not None:
+            made = owner.overloads[self.signature]._replace(entry_point=code)
+            _add_overload(owner, made)
+
+
+_usual_executable = cpu.CPUContext.get_executable
+_add_overload = dispatcher.Dispatcher.add_overload
+_create_wrapper = lowering.Lower.create_cpython_wrapper
+
+
+def _executable(context: Any, library: Any, description: Any, environment: Any) -> Any:
+    """What Python calls. The environments of all functions inside of it are set, as numba does for code from disk."""
+    if isinstance(library, _Library):
+        return _Later(library)
+    code = _usual_executable(context, library, description, environment)
+    for variable in library._final_module.global_variables:  # noqa: SLF001
+        known = lookup_environment(variable.name) if variable.name.startswith("_ZN08NumbaEnv") else None
+        if known is not None:
+            library.codegen.set_env(variable.name, known)
+    return code
+
+
+def _insert(owner: Any, made: Any) -> None:
+    """Keep what was compiled with its function. Python does not find machine code that does not exist yet."""
+    if not isinstance(made.entry_point, _Later):
+        _add_overload(owner, made)
+        return
+    made.entry_point.owner = weakref.ref(owner)
+    made.entry_point.signature = tuple(made.signature.args)
+    owner.overloads[made.entry_point.signature] = made
+
+
+def _wrap(lower: Any, release_gil: Any) -> None:
+    """Write the wrapper for calls from Python, or remember what it needs."""
+    if isinstance(lower.library, _Library) and not lower.genlower:
+        lower.library.wrapped = lower.context, lower.fndesc, lower.env, lower.call_helper, release_gil
+        return
+    _create_wrapper(lower, release_gil)
+
+
+def _wrap_for_c(lower: Any) -> None:
+    """Write no wrapper for calls from C: nothing calls kernels from there."""
+
+
+def _raise_of_shapes(source: Any, target: Any) -> Any:
+    """Take the place of numba's error about unequal shapes, which is 25 functions, since its message has both."""
+    raise NotImplementedError
+
+
+@overload(_raise_of_shapes)
+def _shape_error(source: Any, target: Any) -> Any:
+    """The compiled form of this error."""
+    del source, target
+
+    def fail(source: Any, target: Any) -> Any:  # noqa: ARG001
+        raise ValueError("cannot assign slice from input of different size")
+
+    return fail
+
+
+_usual_equal = compiler.Flags.__eq__
+
+
+_OPTIONS_HASH: int = hash(compiler.Flags())
+
+
+def _hash(options: Any) -> int:
+    """The hash of compiler options: numba makes it of their names only, and computes it anew each time."""
+    del options
+    return _OPTIONS_HASH
+
+
+def _equal(first: Any, second: Any) -> Any:
+    """Whether compiler options are equal; only those that differ from their defaults are compared."""
+    if type(first) is not type(second):
+        return _usual_equal(first, second)
+    ours, theirs = first._values, second._values  # noqa: SLF001
+    if ours == theirs:
+        return True
+    defaults = first.options
+    return all(
+        ours.get(name, defaults[name].default) == theirs.get(name, defaults[name].default)
+        for name in {**ours, **theirs}
+    )
+
+
+def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
+    """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
+    del scheme, colours
+    return message
+
+
+@contextlib.contextmanager
+def _replaced(holder: Any, **values: Any) -> Iterator[None]:
+    missing = object()
+    before = {name: vars(holder).get(name, missing) for name in values}
+    for name, value in values.items():
+        setattr(holder, name, value)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is missing:
+                delattr(holder, name)
+            else:
+                setattr(holder, name, value)
+
+
+@contextlib.contextmanager
+def _without_collection() -> Iterator[None]:
+    """Leave the search for unused objects until later: it takes a tenth of the time and finds next to nothing."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+@contextlib.contextmanager
+def _linking(target: Any) -> Iterator[None]:
+    """Let numba link what it compiles on the way, functions of its own included."""
+
+    def create(name: str, **options: Any) -> Any:
+        return _Library(target, name, **options)
+
+    def load(serialized: Any) -> Any:
+        with _replaced(target, create_library=functools.partial(type(target).create_library, target)):
+            return type(target).unserialize_library(target, serialized)
+
+    with (
+        _without_collection(),
+        _replaced(target, create_library=create, unserialize_library=load),
+        _replaced(cpu.CPUContext, get_executable=_executable),
+        _replaced(dispatcher.Dispatcher, add_overload=_insert),
+        _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
+        _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
+        _replaced(compiler.Flags, __hash__=_hash, __eq__=_equal),
+        _replaced(type(errors.termcolor()), _markup=_without_colour),
+    ):
+        yield
+
+
+@compiler_machinery.register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(typed_passes.NativeLowering):
+    """The step that writes the code of a function that Python calls: into a library with machine code."""
+
+    _name = "limslam_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = codegen.JITCodeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return bool(super().run_pass(state))
+
+
+class InnerPipeline(compiler.CompilerBase):
+    """Compiles a function for other compiled functions; if Python calls it first, it is compiled as a kernel."""
+
+    is_kernel = False
+    depth = 0
+
+    def define_pipelines(self) -> list[Any]:
+        """The steps of numba's own pipeline."""
+        steps = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
+        if self.is_kernel or InnerPipeline.depth == 1:
+            steps.passes = [
+                (_Lowering if step is typed_passes.NativeLowering else step, name) for step, name in steps.passes
+            ]
+            steps.finalize()
+        return [steps]
+
+    def _compile_core(self) -> Any:
+        # A function is compiled while its caller is. One thread compiles at a time.
+        InnerPipeline.depth += 1
+        try:
+            if InnerPipeline.depth > 1:
+                return super()._compile_core()
+            with _linking(self.state.targetctx.codegen()):
+                return super()._compile_core()
+        finally:
+            InnerPipeline.depth -= 1
+
+
+class KernelPipeline(InnerPipeline):
+    """Compiles a function that Python calls."""
+
+    is_kernel = True
+
+
+def retry_as_usual(function: Any) -> None:
+    """Let numba compile a function as usual if it cannot be compiled this way."""
+    part = function._compiler  # noqa: SLF001
+    compile_core = part._compile_core  # noqa: SLF001
+
+    def compile_or_retry(*arguments: Any) -> Any:
+        try:
+            return compile_core(*arguments)
+        except errors.TypingError:
+            raise
+        except Exception:
+            if InnerPipeline.depth:
+                raise
+            part.pipeline_class = compiler.Compiler
+            return compile_core(*arguments)
+
+    part._compile_core = compile_or_retry  # noqa: SLF001
