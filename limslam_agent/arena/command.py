@@ -12,6 +12,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO
 
 import numpy as np
@@ -127,12 +128,14 @@ class _Process:
     """A process whose output is read line by line, with a time limit."""
 
     def __init__(self, words: Sequence[str], folder: Path) -> None:
+        self._errors = TemporaryFile()  # noqa: SIM115 (it lives as long as the process)
         try:
             # The words are those of the entry's manifest. No shell reads them.
             self._process = subprocess.Popen(  # noqa: S603
-                list(words), cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+                list(words), cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors
             )
         except OSError as error:
+            self._errors.close()
             raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
         assert self._process.stdout is not None  # noqa: S101 (it is a pipe)
         self._lines: queue.Queue[bytes] = queue.Queue()
@@ -144,7 +147,7 @@ class _Process:
             self._process.stdin.write(b"".join(lines))
             self._process.stdin.flush()
         except OSError as error:
-            raise ValueError("the command has ended without stopping the robot") from error
+            raise self._has_ended() from error
 
     def line(self, give_up: float, task: str, limit: float) -> bytes:
         """The next line of the process. An empty line of bytes is its end."""
@@ -153,8 +156,14 @@ class _Process:
         except queue.Empty:
             raise ValueError(f"the command did not {task} within {limit:g} s") from None
         if not line:
-            raise ValueError("the command has ended without stopping the robot")
+            raise self._has_ended()
         return line
+
+    def _has_ended(self) -> ValueError:
+        """The reason of a process that has ended too early, with the last line of its errors."""
+        self._errors.seek(0)
+        last = self._errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+        return ValueError(f"the command has ended without stopping the robot{': ' if last else ''}{last}")
 
     def end(self) -> None:
         """Close the input of the process, which ends it. A process that goes on is killed."""
@@ -166,6 +175,7 @@ class _Process:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._errors.close()
 
 
 def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]") -> None:

@@ -1,7 +1,8 @@
 """A plan of the mapping track: a drive is recorded, and a SLAM system makes a trajectory and a map of the recording.
 
 The drive is made anew each time: a driver that knows the map and the true pose passes everything that can be seen and
-comes back. It asks no estimator, so that every entry gets the same readings. Nothing is stored.
+comes back. It asks no estimator, so that every entry gets the same readings. Nothing is stored. An estimate may be in
+any frame: it is moved so that its first pose is the true one.
 """
 
 import subprocess
@@ -79,7 +80,7 @@ def _mapped(entry: Entry, plan: Plan, drive: Episode, place: Path, out: Path) ->
         if not path.is_file():
             raise ValueError(f"the entry has written no {path.name}")
     scores = ScoredFiles(
-        trajectory, place / "true.tum", None, covariances, "none", 1e-3, out / WALLS, plan.world, drive.config.robot
+        trajectory, place / "true.tum", None, covariances, "start", 1e-3, out / WALLS, plan.world, drive.config.robot
     ).scores()
     missing = len(drive.time) - int(scores["poses"] or 0)
     if missing:
@@ -91,8 +92,8 @@ def _write_recording(place: Path, drive: Episode) -> None:
     """The readings as an array file and as a table, without anything true but the first pose."""
     ranges, wheels, robot = drive.ranges[:, 0], drive.wheels[:, 0], drive.config.robot
     np.savez(
-        place / LOG, time=drive.time, ranges=ranges, wheels=wheels, start_pose=drive.true[0, 0],
-        robot=np.array(robot.to_json()),
+        place / LOG, time=drive.time, ranges=ranges, wheels=wheels, action=drive.actions[:, 0],
+        start_pose=drive.true[0, 0], robot=np.array(robot.to_json()),
     )  # fmt: skip
     names = [f"r_{angle:g}" for angle in np.degrees(robot.beam_angles).round(3)]
     header = ",".join(["t", "left", "right", *names])
