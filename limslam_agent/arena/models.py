@@ -68,7 +68,7 @@ class _OnnxActor:
         try:
             import onnxruntime
         except ImportError as error:
-            raise ValueError(f"{path}: ONNX Runtime is not installed: pip install onnxruntime") from error
+            raise ValueError(f"{path}: ONNX Runtime is not installed: pip install 'limslam[onnx]'") from error
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         try:

@@ -12,7 +12,10 @@ from limslam_agent.arena.tracks import plans_of
 
 @pytest.fixture
 def examples() -> Path:
-    return ROOT / "examples" / "arena"
+    folder = ROOT / "examples" / "arena"
+    if not folder.is_dir():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    return folder
 
 
 @pytest.fixture
