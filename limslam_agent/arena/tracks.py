@@ -17,7 +17,7 @@ EXPLORATION, MAPPING = "exploration", "mapping"
 TRACKS = {EXPLORATION: 100, MAPPING: 20}
 """Names of the tracks, and their numbers of plans."""
 
-MAX_TIME = 300.0
+MAX_TIME = 240.0
 """Longest simulated time of a plan, s."""
 
 _NOISES = (0.0, 0.02, 0.04)
