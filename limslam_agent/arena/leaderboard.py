@@ -1,8 +1,8 @@
 """The leaderboard: entries in the order of their scores, with intervals and paired tests."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from limslam_agent.arena.results import Row, Stamp, read_rows, read_stamp
-from limslam_agent.arena.statistics import Comparison, Mean, compare, mean
+from limslam_agent.arena.statistics import Comparison, Mean, compare, holm, mean
 from limslam_agent.arena.tracks import MAPPING
 from limslam_env.geometry import FloatArray
 
@@ -96,7 +96,8 @@ class Board:
     standings
         The entries, best first. Entries that know the truth come last.
     comparisons
-        Of each entry with the next one in place: first, second, and the score of the second minus that of the first.
+        Of all pairs of ranked entries: first, second, and the score of the second minus that of the first. The p-values
+        are corrected for the number of pairs (:func:`~limslam_agent.arena.statistics.holm`).
     """
 
     track: str
@@ -188,10 +189,14 @@ def _of(statistic: Any, values: dict[int, float]) -> float | None:
 
 
 def _comparisons(standings: Sequence[Standing], track: str, plans: Sequence[int]) -> list[tuple[str, str, Comparison]]:
-    found = []
-    for first, second in pairwise(standings):
-        pair = [dict(zip(plans, score_values(each.results, track, plans), strict=True)) for each in (first, second)]
-        result = compare(*pair)
-        if result is not None:
-            found.append((first.name, second.name, result))
-    return found
+    """All pairs of ranked entries, with p-values that are corrected for their number."""
+    pairs = list(combinations([each for each in standings if each.place is not None], 2))
+    found = [
+        compare(*(dict(zip(plans, score_values(each.results, track, plans), strict=True)) for each in pair))
+        for pair in pairs
+    ]
+    corrected = holm([each.p_value for each in found])
+    return [
+        (first.name, second.name, replace(each, p_value=p_value))
+        for (first, second), each, p_value in zip(pairs, found, corrected, strict=True)
+    ]

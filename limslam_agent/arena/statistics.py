@@ -4,7 +4,7 @@ The time of a plan is bounded by the longest time, which lost plans have. The me
 mean of survival analysis: it exists although not every plan was solved.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,14 +64,30 @@ def mean(values: FloatArray) -> Mean:
     return Mean(middle, float(found.low), float(found.high))
 
 
-def compare(first: Mapping[int, float], second: Mapping[int, float]) -> Comparison | None:
-    """Compare two entries by the values of their plans; None if they have no plan in common."""
+def compare(first: Mapping[int, float], second: Mapping[int, float]) -> Comparison:
+    """Compare two entries by the values of the plans that both have.
+
+    Raises
+    ------
+    ValueError
+        If they have no plan in common.
+    """
     common = sorted(first.keys() & second.keys())
     if not common:
-        return None
+        raise ValueError("the entries have no plan in common")
     differences = np.array([second[plan] - first[plan] for plan in common])
     p_value = None
     if np.any(differences != 0.0):
         # Plans that both have lost are equal; zero differences count half for each side.
         p_value = float(stats.wilcoxon(differences, zero_method="zsplit").pvalue)
     return Comparison(mean(differences), p_value, len(common))
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """P-values corrected for several tests by the method of Holm (1979). None stays None and counts as no test."""
+    known = sorted((value, index) for index, value in enumerate(p_values) if value is not None)
+    corrected, largest = list(p_values), 0.0
+    for rank, (value, index) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * value))
+        corrected[index] = largest
+    return corrected

@@ -131,7 +131,7 @@ function begin() {
   byId('plot-title').textContent = isMapping ? 'Share of plans above a score' : 'Share of plans solved over time';
   byId('plot-hint').textContent = isMapping ? 'A curve that is further to the upper right is better.' : 'A plan is solved at the time of 95 % true coverage, if at least 95 % are correct at the end. A curve that is further to the upper left is better.';
   byId('legend').replaceChildren(...board.entries.map((entry, index) => element('li', [element('span', [], {style: `border-color: ${colour(index)}; border-top-style: ${dash(index).length ? 'dashed' : 'solid'}`}), entry.name])));
-  byId('pairs-hint').textContent = `Each entry with the next one in place, on the same plans: the ${isMapping ? 'F1' : 'time'} of the second minus that of the first, and Wilcoxon's signed-rank test (not corrected for several tests).`;
+  byId('pairs-hint').textContent = `Ranked entries on the same plans: the ${isMapping ? 'F1' : 'time'} of the second minus that of the first, and the p-value of Wilcoxon's signed-rank test, corrected for the number of pairs (Holm).`;
   const digits = isMapping ? 3 : 1;
   fill(byId('pairs'), [
     column('First', (row) => row.first, (row) => row.first, true), column('Second', (row) => row.second, (row) => row.second, true),

@@ -105,7 +105,8 @@ def column_of(opened, table, number):
 def test_the_page_shows_entries_runs_and_curves(opened):
     assert column_of(opened, "entries", 1) == ["Fast", "Wrong <b>", "Slow", "Oracle"]
     assert column_of(opened, "entries", 0) == ["1", "2", "3", "-"]
-    assert column_of(opened, "pairs", 0) == ["Fast", "Wrong <b>", "Slow"]
+    assert column_of(opened, "pairs", 0) == ["Fast", "Fast", "Wrong <b>"]
+    assert column_of(opened, "pairs", 1) == ["Wrong <b>", "Slow", "Slow"]
     assert opened.run("plot.series.length") == 5
     drawn = "new Set(new Uint32Array(plot.ctx.getImageData(0, 0, plot.ctx.canvas.width, 300).data.buffer)).size"
     assert opened.run(drawn) > 20

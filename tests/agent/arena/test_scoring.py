@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.arena.scoring import correct_coverage, exploration_scores, loss
-from limslam_agent.arena.statistics import compare, mean
+from limslam_agent.arena.statistics import compare, holm, mean
 from limslam_agent.arena.tracks import plans_of
 
 PLAN = replace(plans_of("exploration")[0], max_time=100.0)
@@ -73,4 +73,11 @@ def test_entries_are_compared_on_the_plans_that_both_have():
     assert found.difference.value == pytest.approx(3.0)
     assert found.p_value < 0.001
     assert compare(first, first).p_value is None
-    assert compare(first, {99: 1.0}) is None
+    with pytest.raises(ValueError, match="no plan in common"):
+        compare(first, {99: 1.0})
+
+
+def test_p_values_are_corrected_for_the_number_of_tests():
+    assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []
