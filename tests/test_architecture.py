@@ -122,6 +122,7 @@ COMPOSITION = {
     "limslam_agent",
     "limslam_agent.__main__",
     "limslam_agent.runs",
+    "limslam_agent.arena",
     "limslam_agent.cli",
     "limslam_agent.live.emulator",
 }

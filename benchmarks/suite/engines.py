@@ -14,6 +14,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Protocol, TypeAlias
 
 from benchmarks.suite.jobs import Failure, Job, Outcome
+from limslam_agent.output.worker import end_with_parent
 
 Result: TypeAlias = Outcome | Failure
 Work: TypeAlias = Callable[[Job], Outcome]
@@ -184,7 +185,7 @@ def _death(exit_code: int) -> str:
 
 def _serve(connection: Connection, work: Work) -> None:
     """Run jobs in a process of their own until the pipe is closed."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     while True:
         try:
             job = connection.recv()
@@ -192,14 +193,6 @@ def _serve(connection: Connection, work: Work) -> None:
             return
         for stage in stages(work, job):
             connection.send(stage)
-
-
-def _end_with_parent() -> None:
-    # A job may take minutes. A run that was killed and is started again should have those processors to itself.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def stages(work: Work, job: Job) -> Iterator[Result | None]:

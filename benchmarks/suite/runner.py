@@ -11,10 +11,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.suite.engines import Engine, Work
-from benchmarks.suite.provenance import commit, package_versions, work_alike
+from benchmarks.suite.provenance import package_versions, work_alike
 from benchmarks.suite.store import Row, Stamp, open_store
 from benchmarks.suite.suite import Suite
 from benchmarks.suite.work import run_job
+from limslam_agent.output.provenance import commit
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ line.
 """
 
 import json
-import os
 import sys
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
-from benchmarks.suite.provenance import version_changes
-from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.output.atomic_write import append_line, atomic_write, mend_lines, replace_content
 from limslam_agent.output.claims import clear_up, locked
+from limslam_agent.output.provenance import version_changes
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
@@ -126,7 +125,7 @@ class Store:
             series = self._write_series(job.key, result.series)
             came_of_it = {"metrics": result.metrics, "cost": result.cost, "config": result.config, "series": series}
         row = Row(**{**job.identity, **made_by, **came_of_it})
-        _append_line(self.folder / RESULTS, _line(row))
+        append_line(self.folder / RESULTS, _line(row))
         self.rows[job.key] = row
         return row
 
@@ -165,7 +164,7 @@ def open_store(folder: Path, stamp: Stamp, *, retry_failed: bool = False) -> Ite
         wanted = [row for row in before if not retry_failed or row.error is None]
         kept = [row for row in wanted if _has_series(folder, row)]
         if len(kept) < len(before):
-            _replace(folder / RESULTS, b"".join(_line(row) for row in kept))
+            replace_content(folder / RESULTS, b"".join(_line(row) for row in kept))
         yield Store(folder, stamp, len(wanted) - len(kept))
 
 
@@ -198,7 +197,7 @@ def _check_folder(folder: Path) -> None:
 def _check_stamp(folder: Path, stamp: Stamp) -> None:
     path, now = folder / STAMP, asdict(stamp)
     if not path.is_file():
-        _replace(path, json.dumps(now, indent=2).encode() + b"\n")
+        replace_content(path, json.dumps(now, indent=2).encode() + b"\n")
         return
     try:
         before = Stamp(**json.loads(path.read_bytes()))
@@ -219,26 +218,9 @@ def _check_stamp(folder: Path, stamp: Stamp) -> None:
 
 def _mend(folder: Path) -> None:
     """Remove an incomplete last line and partly written files, which remain after a kill."""
-    path = folder / RESULTS
-    content = path.read_bytes() if path.is_file() else b""
-    whole = content[: content.rfind(b"\n") + 1]
-    if whole != content or not path.is_file():
-        _replace(path, whole)
+    mend_lines(folder / RESULTS)
     clear_up(folder)
     clear_up(folder / SERIES)
-
-
-def _replace(path: Path, content: bytes) -> None:
-    with atomic_write(path) as beside:
-        beside.write_bytes(content)
-
-
-def _append_line(path: Path, line: bytes) -> None:
-    with path.open("ab", buffering=0) as file:
-        written = file.write(line)
-        if written != len(line):  # the disk is full: the incomplete line is removed at the next start
-            raise OSError(None, "the disk takes no more", str(path))
-        os.fsync(file.fileno())
 
 
 def _line(row: Row) -> bytes:

@@ -17,12 +17,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 import limslam_env  # noqa: F401 (registers the environments)
-from benchmarks.suite.provenance import commit, package_versions
+from benchmarks.suite.provenance import package_versions
 from benchmarks.suite.train_config import Phase, Pose, TrainConfig
 from benchmarks.training.direction_policy import DirectionPolicy
 from benchmarks.training.explore_env import ExploreConfig, ExploreVectorEnv
 from benchmarks.training.explore_trial import Trial, times_to
 from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.output.provenance import commit
 from limslam_agent.policies.learned.learned import TEMPERATURE
 from limslam_agent.policies.learned.network import DirectionNetwork, save_network
 from limslam_env.config import RewardConfig

@@ -35,7 +35,7 @@ def inspect(
 
     run = read_run(source) if source.is_dir() or not source.exists() else None
     target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / NAME)
-    _check(target, force=force)
+    check_page(target, force=force)
     title = source.name if run is None else run.title
     found = _of_log(source) if run is None else _of_folder(run)
     size = write_page(target, title, found.arrays, found.meta)
@@ -78,7 +78,7 @@ def _of_log(path: Path) -> "Inspection":
     return _of_replay(Given(None, {}, {"log": path}), None)
 
 
-def _check(path: Path, *, force: bool) -> None:
+def check_page(path: Path, *, force: bool) -> None:
     """Refuse a target that is no HTML file, or that would be replaced by accident."""
     if path.suffix.lower() not in {".html", ".htm"}:
         raise ValueError(f"{path}: a page ends in .html")

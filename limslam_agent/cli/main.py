@@ -10,14 +10,14 @@ from typing import Annotated
 
 import typer
 
-from limslam_agent.cli.compare import compare
+from limslam_agent.cli.arena import arena
 from limslam_agent.cli.export import export
 from limslam_agent.cli.inspect import inspect
 from limslam_agent.cli.live import live
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.score import score
-from limslam_agent.cli.show import show
+from limslam_agent.cli.show import compare, show
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
 
@@ -37,6 +37,7 @@ app.command()(score)
 app.command()(export)
 app.command()(warmup)
 app.add_typer(worlds)
+app.add_typer(arena)
 
 
 def _show_version(wanted: bool) -> None:

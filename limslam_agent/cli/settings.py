@@ -364,7 +364,8 @@ def run_options(given: Given) -> RunOptions:
     options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
     for name, ends in (("world", r"\.\w+"), ("policy", r"\.py:\w+")):
         value = getattr(options, name)
-        if name not in given.options and name in given.table and re.search(rf"{ends}$", value):
+        is_file = re.search(rf"{ends}$", value) and not value.startswith("random:")  # its size may have a decimal point
+        if name not in given.options and name in given.table and is_file:
             beside: dict[str, Any] = {name: str(given.beside_file(Path(value)))}
             options = replace(options, **beside)
     return replace(options, ablation=None) if options.ablation == "none" else options

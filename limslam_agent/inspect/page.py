@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -42,6 +42,20 @@ def _part(folder: str, name: str) -> str:
     return files(_HERE).joinpath(folder, name).read_text(encoding="utf-8")
 
 
+class PlottingLibrary(NamedTuple):
+    """The vendored plotting library: its style sheet, its licence as the text of an HTML comment, and its program."""
+
+    style: str
+    license: str
+    script: str
+
+
+def plotting_library() -> PlottingLibrary:
+    """The plotting library, for pages that ask nothing from a network."""
+    licence = _part("vendor", "LICENSE.uPlot").replace("--", "- -")
+    return PlottingLibrary(_part("vendor", "uPlot.min.css"), licence, _part("vendor", "uPlot.iife.min.js"))
+
+
 def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
     """The text of the HTML file.
 
@@ -69,11 +83,12 @@ def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
 
 def _assembled(title: str, content: str) -> str:
     script = "\n".join(_part("page", name) for name in SCRIPTS)
+    library = plotting_library()
     parts = {
-        "TITLE": _escaped(title),
-        "STYLE": _part("vendor", "uPlot.min.css") + _part("page", "style.css"),
-        "LICENSE": _part("vendor", "LICENSE.uPlot").replace("--", "- -"),
-        "LIBRARY": _part("vendor", "uPlot.iife.min.js"),
+        "TITLE": escaped(title),
+        "STYLE": library.style + _part("page", "style.css"),
+        "LICENSE": library.license,
+        "LIBRARY": library.script,
         "SCRIPT": script,
         "DATA": content,
     }
@@ -97,5 +112,6 @@ def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta:
     return len(content)
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
+    """A text as HTML shows it."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

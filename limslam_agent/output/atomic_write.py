@@ -1,5 +1,9 @@
-"""Atomic file writing: a file is either complete or does not exist."""
+"""Atomic file writing: a file is either complete or does not exist.
 
+Results of many runs are lines of a file that is only appended to: a kill at any moment loses at most the last line.
+"""
+
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,3 +41,32 @@ def atomic_write(path: Path) -> Iterator[Path]:
             sync_folder(path.parent)
         finally:
             beside.unlink(missing_ok=True)
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """Append a line durably: once this function has returned, a kill cannot lose the line.
+
+    Raises
+    ------
+    OSError
+        If the line cannot be written as a whole.
+    """
+    with path.open("ab", buffering=0) as file:
+        written = file.write(line)
+        if written != len(line):  # the disk is full: the incomplete line is removed at the next start
+            raise OSError(None, "the disk takes no more", str(path))
+        os.fsync(file.fileno())
+
+
+def mend_lines(path: Path) -> None:
+    """Remove an incomplete last line, which remains after a kill. A file that does not exist is made."""
+    content = path.read_bytes() if path.is_file() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole != content or not path.is_file():
+        replace_content(path, whole)
+
+
+def replace_content(path: Path, content: bytes) -> None:
+    """Give a file another content, as a whole or not at all."""
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)

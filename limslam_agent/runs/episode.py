@@ -5,7 +5,7 @@ record of the run.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,8 @@ from limslam_agent.joining import Joined, JoiningMapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
-from limslam_agent.policies.policy import NOT_EXPLORED
+from limslam_agent.policies.policy import NOT_EXPLORED, Policy
+from limslam_agent.runs.actor_policy import ActorPolicy
 from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
@@ -99,6 +100,8 @@ class RunConfig:
         Whether the second of two robots starts at a place that the agent does not know.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
+    driver
+        What the results call the policies that :func:`run_episode` is given. Empty calls them by ``policy``.
 
     Raises
     ------
@@ -124,6 +127,7 @@ class RunConfig:
     kidnap_at: float | None = None
     prior_map: Path | None = None
     unknown_starts: bool = False
+    driver: str = ""
 
     def __post_init__(self) -> None:
         _ = self.agent
@@ -324,6 +328,7 @@ def run_episode(
     *,
     on_association: Callable[[AssociationRecord], None] | None = None,
     render_mode: str | None = None,
+    policies: Sequence[Policy] | None = None,
 ) -> Episode:
     """Run the robots and record what happens.
 
@@ -337,6 +342,8 @@ def run_episode(
         Called with the association of each observed line.
     render_mode
         Render mode of the environment, for pictures of the truth.
+    policies
+        A policy for each robot, in place of those that ``config.policy`` names.
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
@@ -344,9 +351,10 @@ def run_episode(
         noise=replace(config.true_noise, sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
-    policies = policies_for(
-        config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
-    )
+    if policies is None:
+        policies = policies_for(
+            config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
+        )
     prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
     team = LimSlamTeam(
         config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
@@ -456,15 +464,16 @@ def _drive(
         starts[1] = 0.0
     team.reset(starts if config.prior_map is None else np.zeros_like(starts), config.seed)
     team.slam.on_association = on_association
+    for policy, start in zip(team.policies, starts, strict=True):
+        if isinstance(policy, ActorPolicy):
+            policy.reset(start, config.seed)
     rows: list[_Row] = []
     max_steps = round(config.max_time / config.robot.control_period)
     kidnapped_at = None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
     while True:
         observations = [observed[name] for name in team.names]
         truth = infos[team.names[0]]
-        for policy in team.policies:
-            if isinstance(policy, Oracle | TruePoseExplorer):
-                policy.observe_truth(env, truth["pose"], truth["coverage"])
+        _inform(team.policies, observations, env, truth)
         begin = time.perf_counter()
         team.observe(observations)
         actions = team.decide()
@@ -486,3 +495,14 @@ def _drive(
             draws = np.random.default_rng([config.seed, kidnapped_at])
             env.carry(0, another_place(env.world, config.robot, infos[team.names[0]]["pose"], draws))
         observed, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
+
+
+def _inform(
+    policies: Sequence[Policy], observations: Sequence[Observation], env: LimSlamParallelEnv, truth: dict[str, Any]
+) -> None:
+    """Tell what no belief holds: the truth to oracles, and the readings to actors."""
+    for policy, observation in zip(policies, observations, strict=True):
+        if isinstance(policy, Oracle | TruePoseExplorer):
+            policy.observe_truth(env, truth["pose"], truth["coverage"])
+        if isinstance(policy, ActorPolicy):
+            policy.observe(observation)

@@ -65,13 +65,25 @@ def file_policies(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots
         If the file cannot be loaded, or what it has by that name makes no policy.
     """
     path, name = file_and_name(policy)
+    made = made_by_file(policy, robot, config, robots=robots, seed=seed)
+    return [_checked(each, f"{path}: {name}") for each in made]
+
+
+def made_by_file(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int) -> list[Any]:
+    """What a class or a function of a file makes for each robot, which may be a policy or an actor.
+
+    Raises
+    ------
+    PolicyFileError
+        If the file cannot be loaded, or has nothing by that name that can be called.
+    """
+    path, name = file_and_name(policy)
     with naming_lines_of(policy):
         maker = _maker(_loaded(path), path, name)
-        made = [
+        return [
             maker({"robot": robot, "config": config, "seed": np.random.default_rng([seed, number])})
             for number in range(robots)
         ]
-    return [_checked(each, f"{path}: {name}") for each in made]
 
 
 @contextmanager

@@ -219,7 +219,8 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     written_config = {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
-        "policy": short_name(config.policy), "max_time": config.max_time, "laps": config.laps, "limit": config.limit,
+        "policy": config.driver or short_name(config.policy), "max_time": config.max_time, "laps": config.laps,
+        "limit": config.limit,
         "kidnap_at": config.kidnap_at, "map": config.prior_map and str(config.prior_map),
         "unknown_starts": config.unknown_starts,
         "robot": asdict(config.robot), "agent": asdict(config.agent),
@@ -259,7 +260,8 @@ def title_of(config: RunConfig) -> str:
     """The settings of a run in one line."""
     team = f"{config.robots} robots, " if config.robots > 1 else ""
     ablation = f" {config.ablation}" if config.ablation else ""
-    policy = f", {policy_words(short_name(config.policy))}" if config.policy != "frontier" else ""
+    name = config.driver or short_name(config.policy)
+    policy = f", {policy_words(name)}" if name != "frontier" else ""
     driver = policy + (f", {counted(config.laps, 'lap')}" if config.laps else "")
     noise = f"range noise {100 * config.noise:g} cm"
     return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{driver}, seed {config.seed}"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from support.arena import made_entry
 from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, pages
 
 from limslam_agent.cli.main import app as limslam_app
@@ -124,12 +125,17 @@ def test_no_exemption_outlives_its_block():
     assert [start for start in NOT_RUN if not any(text.startswith(start) for text in known)] == []
 
 
+def example(name: str) -> Path:
+    """A file of the examples."""
+    path = ROOT / "examples" / name
+    if not path.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    return path
+
+
 def live_robot() -> dict:
     """What the loop for a live robot is written for: a robot that answers, and an agent."""
-    example = ROOT / "examples" / "live_robot.py"
-    if not example.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
-    parts = runpy.run_path(str(example), run_name="live_robot")
+    parts = runpy.run_path(str(example("live_robot.py")), run_name="live_robot")
     agent = parts["LimSlamAgent"](parts["SPEC"], parts["preset"]("consistent", parts["NominalNoise"](0.01)))
     return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
 
@@ -241,6 +247,8 @@ def test_a_toml_block_is_read_by_its_reader(block):
     elif "axle" in keys:
         Path("robot.toml").write_text(block.text, encoding="utf-8")
         assert robot_named("robot.toml").radius == 0.06
+    elif "uses" in keys:
+        made_entry(Path("mine"), block.text, my_policy=example("my_policy.py").read_text(encoding="utf-8"))
     else:
         pytest.fail(f"{block.name}: no reader is known for a table with {sorted(keys)}")
 

@@ -5,16 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.live.emulator.channel import Channel, Faults
-from limslam_agent.live.emulator.firmware import Firmware
-from limslam_agent.live.protocol import MAX_BEAMS, NOTHING_SEEN, VERSION, Hello
+from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
+from limslam_agent.live.protocol import MAX_BEAMS, VERSION, Hello
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.simulation.simulation import Readings, Simulation
+from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.world import World
-
-NM_PER_TICK = 100_000
-"""Wheel travel for each tick of the emulated encoders, nm."""
 
 
 class Body(NamedTuple):
@@ -103,8 +100,8 @@ class Emulator:
         self._readings, truth = self._simulation.step([(left, right)])
         self.pose, self._steps = truth.poses[0], self._steps + 1
         self._travel += self._readings.wheels[0]
-        left_ticks, right_ticks = (int(round(1e9 * travel) // NM_PER_TICK) for travel in self._travel.tolist())
-        for line in self._firmware.say(self._now, (left_ticks, right_ticks), ranges_in_mm(self._readings, self._robot)):
+        ranges = ranges_in_mm(self._readings.ranges[0], self._robot)
+        for line in self._firmware.say(self._now, ticks(self._travel), ranges):
             self._down.push(line, self.time)
         return self._down.due(self.time)
 
@@ -117,11 +114,3 @@ def truth_line(time: float, pose: FloatArray) -> str:
     """A true pose (3,) at a time as a line of text."""
     x, y, heading = pose
     return f"{time:.3f} {x:.5f} {y:.5f} {heading:.6f}\n"
-
-
-def ranges_in_mm(readings: Readings, robot: RobotSpec) -> tuple[int, ...]:
-    """The ranges of a robot's readings as telemetry has them."""
-    ranges = readings.ranges[0].astype(float)
-    mm = np.minimum(np.round(1e3 * ranges), NOTHING_SEEN - 1)
-    mm = np.where(ranges >= robot.too_far, NOTHING_SEEN, np.where(ranges <= robot.too_near, 0.0, mm))
-    return tuple(int(each) for each in mm)

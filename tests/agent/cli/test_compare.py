@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from PIL import Image as Pictures
 from typer.testing import CliRunner
 
-from limslam_agent.cli.compare import compare
+from limslam_agent.cli.show import compare
 from limslam_agent.output.comparison_picture import COLOURS, MOST_RUNS, draw_comparison, names_of, sheet_size, table_of
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import read_run

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 from support.markdown import ROOT
 
-from limslam_agent.live.emulator.firmware import Firmware
+from limslam_agent.live.firmware import Firmware
 from limslam_agent.live.protocol import (
     MAX_BEAMS,
     NOTHING_SEEN,

@@ -21,11 +21,12 @@ from benchmarks.__main__ import main
 from benchmarks.analysis import plots, report, tables
 from benchmarks.suite.engines import ONE_THREAD, STARTING, JobClock, ProcessEngine
 from benchmarks.suite.jobs import Failure, Job
-from benchmarks.suite.provenance import commit, package_versions, work_alike
+from benchmarks.suite.provenance import package_versions, work_alike
 from benchmarks.suite.ray_engine import RayEngine
 from benchmarks.suite.runner import run_suite
 from benchmarks.suite.store import RESULTS, STAMP, read_rows
 from benchmarks.suite.suite import Suite, parse_suite
+from limslam_agent.output.provenance import commit
 
 TINY = """
 name = "tiny"

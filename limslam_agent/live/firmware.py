@@ -3,7 +3,13 @@
 ``examples/live/limslam_link.c`` is the same in C, and tests compare the two.
 """
 
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
 from limslam_agent.live.protocol import (
+    NOTHING_SEEN,
     BadLineError,
     Greeting,
     Heartbeat,
@@ -15,6 +21,11 @@ from limslam_agent.live.protocol import (
     difference,
     encode,
 )
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+
+NM_PER_TICK = 100_000
+"""Wheel travel for each tick of simulated encoders, nm."""
 
 HELLO_EVERY = 500
 """Time between two hellos of a robot without a host, ms."""
@@ -92,3 +103,17 @@ class Firmware:
     def _obey(self, command: Speeds | Heartbeat | Stop) -> None:
         if isinstance(command, Speeds):
             self._left, self._right, self._is_stopped = command.left, command.right, False
+
+
+def ticks(travel: FloatArray) -> tuple[int, int]:
+    """Ticks of simulated encoders after a travel (2,) of the wheels, m."""
+    left, right = (int(round(1e9 * each) // NM_PER_TICK) for each in travel.tolist())
+    return left, right
+
+
+def ranges_in_mm(ranges: NDArray[np.floating[Any]], robot: RobotSpec) -> tuple[int, ...]:
+    """Ranges (n_beams,), m, as telemetry has them."""
+    told = ranges.astype(float)
+    mm = np.minimum(np.round(1e3 * told), NOTHING_SEEN - 1)
+    mm = np.where(told >= robot.too_far, NOTHING_SEEN, np.where(told <= robot.too_near, 0.0, mm))
+    return tuple(int(each) for each in mm)

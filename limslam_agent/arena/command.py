@@ -1,0 +1,185 @@
+"""A command as an actor: it speaks the line protocol of live robots over its standard input and output.
+
+The robot's side is the firmware of the emulated robots. Simulated time waits for the answer to each telemetry line. So
+a command that always gives the same answers to the same lines drives the same run, however slow the computer is.
+"""
+
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
+
+import numpy as np
+
+from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
+from limslam_agent.live.protocol import LONGEST_LINE, VERSION, BadLineError, Hello, Speeds, Stop, Telemetry, decode
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import Observation, RobotSpec
+
+GREETING_WITHIN, ANSWER_WITHIN = 30.0, 5.0
+"""Longest wall-clock times to wait for the greeting of a new process and for an answer, s."""
+
+_WATCHDOG_MS = 500
+_ENDING = 2.0  # s, until a process that was told to end is killed
+
+
+class CommandActor:
+    """Drives one robot by a process of its own, which begins with each episode.
+
+    Parameters
+    ----------
+    words
+        The command. ``{python}`` stands for this Python.
+    folder
+        Folder in which the process runs.
+    robot
+        Body and beams of the robot.
+
+    Attributes
+    ----------
+    done
+        Whether the process has stopped the robot (``X``), which says that everything is explored.
+    stop_reason
+        Why it is done, in words.
+    """
+
+    def __init__(self, words: Sequence[str], folder: Path, robot: RobotSpec) -> None:
+        self._words = [sys.executable if word == "{python}" else word for word in words]
+        self._folder, self._robot = folder, robot
+        self._link: _Process | None = None
+        self._begin()
+
+    def reset(self, start_pose: FloatArray, seed: int) -> None:
+        """Start the process. Like the host of a real robot, it takes its first pose as it likes."""
+        del start_pose, seed
+        self.close()
+        self._begin()
+        self._link = _Process(self._words, self._folder)
+
+    def _begin(self) -> None:
+        period = round(1e3 * self._robot.control_period)
+        hello = Hello(VERSION, 1, "arena", len(self._robot.beams), NM_PER_TICK, period, _WATCHDOG_MS)
+        self._firmware, self._step, self._travel = Firmware(hello), 0, np.zeros(2)
+        self.done = False
+        self.stop_reason: str | None = None
+
+    def act(self, observation: Observation) -> FloatArray:
+        """Wheel speeds (2,) that the process answers.
+
+        Raises
+        ------
+        ValueError
+            If the process has ended without a stop, or does not answer in time.
+        """
+        if self._link is None:
+            raise ValueError("the command was not started")
+        self._travel += np.asarray(observation["wheels"], dtype=float)
+        seen = ranges_in_mm(np.asarray(observation["ranges"]), self._robot)
+        now = self._step * self._firmware.hello.period_ms
+        if not self._firmware.has_host:
+            self._greet(now)
+        lines = self._firmware.say(now, ticks(self._travel), seen)
+        self._link.send(lines)
+        self._hear_answer(now, lines)
+        self._step += 1
+        if self.done:
+            self.close()
+        speeds = np.array(self._firmware.speeds(now), dtype=float)
+        return np.clip(1e-3 * speeds / self._robot.max_wheel_speed, -1.0, 1.0)
+
+    def close(self) -> None:
+        """End the process, if there is one."""
+        if self._link is not None:
+            self._link.end()
+            self._link = None
+
+    def _greet(self, now: int) -> None:
+        assert self._link is not None  # noqa: S101 (act checks it)
+        self._link.send(self._firmware.say(now, ticks(self._travel), ()))
+        give_up = time.monotonic() + GREETING_WITHIN
+        while not self._firmware.has_host:
+            self._firmware.hear(self._link.line(give_up, "greet the robot", GREETING_WITHIN), now)
+
+    def _hear_answer(self, now: int, lines: Sequence[bytes]) -> None:
+        assert self._link is not None  # noqa: S101 (act checks it)
+        numbers = [message.seq for message in map(decode, lines) if isinstance(message, Telemetry)]
+        give_up = time.monotonic() + ANSWER_WITHIN
+        while True:
+            line = self._link.line(give_up, "answer", ANSWER_WITHIN)
+            self._firmware.hear(line, now)
+            try:
+                message = decode(line)
+            except BadLineError:  # a command may print its own words
+                continue
+            if isinstance(message, Stop):
+                self.done, self.stop_reason = True, "the command has stopped the robot"
+                return
+            if isinstance(message, Speeds) and message.answers == numbers[-1]:
+                return
+
+
+class _Process:
+    """A process whose output is read line by line, with a time limit."""
+
+    def __init__(self, words: Sequence[str], folder: Path) -> None:
+        self._errors = TemporaryFile()  # noqa: SIM115 (it lives as long as the process)
+        try:
+            # The words are those of the entry's manifest. No shell reads them.
+            self._process = subprocess.Popen(  # noqa: S603
+                list(words), cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors
+            )
+        except OSError as error:
+            self._errors.close()
+            raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
+        assert self._process.stdout is not None  # noqa: S101 (it is a pipe)
+        self._lines: queue.Queue[bytes] = queue.Queue()
+        threading.Thread(target=_read_lines, args=(self._process.stdout, self._lines), daemon=True).start()
+
+    def send(self, lines: Sequence[bytes]) -> None:
+        assert self._process.stdin is not None  # noqa: S101 (it is a pipe)
+        try:
+            self._process.stdin.write(b"".join(lines))
+            self._process.stdin.flush()
+        except OSError as error:
+            raise self._has_ended() from error
+
+    def line(self, give_up: float, task: str, limit: float) -> bytes:
+        """The next line of the process. An empty line of bytes is its end."""
+        try:
+            line = self._lines.get(timeout=max(give_up - time.monotonic(), 0.0))
+        except queue.Empty:
+            raise ValueError(f"the command did not {task} within {limit:g} s") from None
+        if not line:
+            raise self._has_ended()
+        return line
+
+    def _has_ended(self) -> ValueError:
+        """The reason of a process that has ended too early, with the last line of its errors."""
+        self._errors.seek(0)
+        last = self._errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+        return ValueError(f"the command has ended without stopping the robot{': ' if last else ''}{last}")
+
+    def end(self) -> None:
+        """Close the input of the process, which ends it. A process that goes on is killed."""
+        assert self._process.stdin is not None  # noqa: S101 (it is a pipe)
+        with suppress(OSError):  # what was written cannot be read any more
+            self._process.stdin.close()
+        try:
+            self._process.wait(_ENDING)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._errors.close()
+
+
+def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]") -> None:
+    with output:
+        while line := output.readline(LONGEST_LINE):
+            lines.put(line)
+    lines.put(b"")

@@ -1,0 +1,188 @@
+"""An entry: a folder with ``entry.toml``, which says who takes part with what."""
+
+import hashlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from limslam_agent.arena.tracks import EXPLORATION, MAPPING, TRACKS
+from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config.presets import PRESETS, preset
+from limslam_agent.config.tables import SettingsError, read_toml, updated
+from limslam_agent.runs.oracle import POLICIES, is_privileged
+from limslam_agent.runs.policy_file import file_and_name
+
+MANIFEST = "entry.toml"
+KINDS = {EXPLORATION: ("shipped", "python", "model", "command"), MAPPING: ("estimator", "command")}
+USES = ("belief", "readings", "truth")
+MODELS = (".zip", ".onnx")
+MOST_ROBOTS = 2
+_LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The content of ``entry.toml``.
+
+    Attributes
+    ----------
+    name
+        Name of the entry on the leaderboard.
+    authors
+        Who made it.
+    track
+        ``exploration`` or ``mapping``.
+    kind
+        What ``run`` is. Of the exploration track: a ``shipped`` policy, a ``python`` class, a ``model`` or a
+        ``command``. Of the mapping track: a shipped ``estimator`` or a ``command``.
+    run
+        The name of the policy or of the estimator's preset, ``FILE.py:CLASS``, or the file of the model.
+    command
+        The words of the command. ``{python}`` stands for the Python that runs the arena.
+    uses
+        What the entry acts on: ``belief`` (map and pose by the arena's mapper), ``readings`` or ``truth``. An entry
+        that uses the truth is not ranked.
+    robots
+        Largest number of robots that the entry drives. It loses plans with more robots.
+    preset
+        The estimator that draws the map of an exploration.
+    algorithm
+        The class of Stable-Baselines3 that made a model: ``PPO`` and so on.
+    about
+        What the entry is, in a sentence.
+    """
+
+    name: str = ""
+    authors: tuple[str, ...] = ()
+    track: str = EXPLORATION
+    kind: str = ""
+    run: str = ""
+    command: tuple[str, ...] = ()
+    uses: str = ""
+    robots: int = 1
+    preset: str = DEFAULT_PRESET
+    algorithm: str = "PPO"
+    about: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.strip() or len(self.name) > _LONGEST_NAME or not self.name.isprintable():
+            raise ValueError(f"name: an entry has a name of 1 to {_LONGEST_NAME} characters, not {self.name[:80]!r}")
+        if not self.authors:
+            raise ValueError('authors: an entry has authors: authors = ["A. Person"]')
+        _check_choice("track", self.track, tuple(TRACKS))
+        _check_choice("kind", self.kind, KINDS[self.track])
+        _check_choice("uses", self.uses, USES)
+        _check_choice("preset", self.preset, tuple(PRESETS))
+        if not 1 <= self.robots <= MOST_ROBOTS:
+            raise ValueError(f"robots: must be 1 to {MOST_ROBOTS}, not {self.robots}")
+        if (self.kind == "command") != bool(self.command) or (self.kind == "command") == bool(self.run):
+            raise ValueError("a command has the key command, and every other kind has the key run")
+        self._check_run()
+        if (self.uses == "truth") != self.knows_truth:
+            raise ValueError(f"uses: {self.run or self.kind} does {'' if self.knows_truth else 'not '}use the truth")
+        if self.uses == "belief" and self.kind not in {"shipped", "python"}:
+            raise ValueError(f"uses: an entry of the kind {self.kind} acts on readings")
+        if self.knows_truth and self.robots > 1:
+            raise ValueError(f"robots: {self.run} is for one robot")
+
+    @property
+    def knows_truth(self) -> bool:
+        """Whether the entry knows the true pose or the true map."""
+        return self.kind == "shipped" and is_privileged(self.run)
+
+    @property
+    def is_process(self) -> bool:
+        """Whether the entry runs in a process of its own, which may depend on time."""
+        return self.kind == "command"
+
+    def _check_run(self) -> None:
+        if self.kind == "shipped":
+            _check_choice("run", self.run, tuple(name for name in POLICIES if name != "tour"))
+        if self.kind == "estimator":
+            preset(self.run)
+        if self.kind == "model" and Path(self.run).suffix not in MODELS:
+            raise ValueError(f"run: a model ends in {' or '.join(MODELS)}, not {self.run!r}")
+        if self.kind in {"model", "python"} and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
+            raise ValueError(f"run: {self.run!r} is not in the folder of the entry")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry that can be run.
+
+    Attributes
+    ----------
+    folder
+        Its folder.
+    manifest
+        The content of its ``entry.toml``.
+    digest
+        Digest of the manifest and all other files of the folder.
+    """
+
+    folder: Path
+    manifest: Manifest
+    digest: str
+
+    @property
+    def run(self) -> str:
+        """What is run: a name, or the path of a file in the folder."""
+        kind = self.manifest.kind
+        return str(self.folder / self.manifest.run) if kind in {"python", "model"} else self.manifest.run
+
+
+def read_entry(folder: Path) -> Entry:
+    """The entry in a folder.
+
+    Raises
+    ------
+    ValueError
+        If the folder has no manifest, the manifest cannot be used, or a file that it names is missing.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: there is no such folder: an entry is a folder with {MANIFEST}")
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise ValueError(f"{folder}: has no {MANIFEST}, which says what the entry is")
+    table = read_toml(path)
+    manifest = _manifest(table, str(path))
+    entry = Entry(folder.absolute(), manifest, _digest(folder))
+    if manifest.kind == "python":
+        file_and_name(entry.run)
+    if manifest.kind == "model" and not Path(entry.run).is_file():
+        raise ValueError(f"{entry.run}: no such file")
+    return entry
+
+
+def _manifest(table: dict[str, object], where: str) -> Manifest:
+    # A manifest that names nothing is no manifest, so the defaults of an updated one must be possible.
+    possible = Manifest(name="-", authors=("-",), kind="shipped", run="frontier", uses="belief")
+    missing = [name for name in ("name", "authors", "kind", "uses") if name not in table]
+    if missing:
+        raise SettingsError(f"{where}: {missing[0]} is missing")
+    return updated(possible, {"run": "", **table}, where)
+
+
+def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"{name}: {', '.join(choices)} can be chosen, not {value!r}")
+
+
+def _digest(folder: Path) -> str:
+    """Digest of all files of a folder, without hidden files and compiled Python."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and _counts(path.relative_to(folder)))
+    if len(files) > _MOST_FILES or sum(path.stat().st_size for path in files) > _MOST_BYTES:
+        raise ValueError(f"{folder}: an entry has at most {_MOST_FILES} files of {_MOST_BYTES / 1e6:g} MB together")
+    found = hashlib.sha256()
+    for path in files:
+        content = path.read_bytes()
+        found.update(f"{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
+    return found.hexdigest()
+
+
+def _counts(path: Path) -> bool:
+    return not any(part[0] == "." or part == "__pycache__" for part in path.parts)
+
+
+def manifest_table(manifest: Manifest) -> dict[str, object]:
+    """A manifest as a table that JSON holds."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(manifest).items()}

@@ -1,0 +1,149 @@
+// The leaderboard: tables that can be sorted, and the share of plans that each entry has solved over time.
+
+const board = JSON.parse(document.getElementById('data').textContent);
+const byId = (id) => document.getElementById(id);
+const isMapping = board.track === 'mapping';
+const COLOURS = ['#2667b2', '#c4530f', '#288c5c', '#8454aa', '#a88a00', '#14808e', '#a83e6e', '#6b7280'];
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
+
+function element(name, children = [], attributes = {}) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...[].concat(children));
+  return made;
+}
+
+const number = (value, digits) => (value === null || value === undefined ? '-' : Number(value).toFixed(digits));
+const interval = (mean, digits) => number(mean.value, digits) + (mean.low === null ? '' : ` [${number(mean.low, digits)}, ${number(mean.high, digits)}]`);
+
+// A table whose headings sort it. A column has a title, a value to sort by, and a cell (text or element).
+function fill(table, columns, rows, {sorted = null, rowClass = () => ''} = {}) {
+  const state = {column: sorted, up: true};
+  const heads = columns.map((column, index) => {
+    const button = element('button', column.title, {type: 'button'});
+    button.addEventListener('click', () => {
+      state.up = state.column === index ? !state.up : true;
+      state.column = index;
+      draw();
+    });
+    return element('th', button, {scope: 'col', class: column.text ? 'text' : ''});
+  });
+  const body = element('tbody');
+  table.replaceChildren(element('thead', element('tr', heads)), body);
+  const isMissing = (value) => value === null || value === undefined || value === '';
+  const order = (first, second) => {
+    const [a, b] = [first, second].map(columns[state.column].value);
+    if (isMissing(a) || isMissing(b)) return isMissing(a) - isMissing(b);  // what has no value comes last
+    return (state.up ? 1 : -1) * (a < b ? -1 : a > b ? 1 : 0);
+  };
+  function draw() {
+    heads.forEach((head, index) => head.setAttribute('aria-sort', index !== state.column ? 'none' : state.up ? 'ascending' : 'descending'));
+    const listed = state.column === null ? rows : [...rows].sort(order);
+    body.replaceChildren(...listed.map((row) => element('tr', columns.map((column) => element('td', column.cell(row), {class: column.text ? 'text' : ''})), {class: rowClass(row)})));
+  }
+  draw();
+}
+
+const column = (title, value, cell, text = false) => ({title, value, cell, text});
+const plain = (title, value, digits) => column(title, value, (row) => number(value(row), digits));
+
+function entryColumns() {
+  const name = column('Entry', (row) => row.name, (row) => {
+    const button = element('button', row.name, {type: 'button'});
+    button.addEventListener('click', () => show(row));
+    return button;
+  }, true);
+  const common = [
+    plain('ATE, m', (row) => row.figures.ate_final_m, 3), plain('NEES/3', (row) => row.figures.anees_final, 2),
+    plain('CPU, s', (row) => row.figures.cpu_s, 1), plain('Failed', (row) => row.failed, 0),
+    column('Acts on', (row) => row.uses, (row) => row.uses, true),
+    column('By', (row) => row.authors.join(', '), (row) => row.authors.join(', '), true),
+  ];
+  const place = column('Place', (row) => row.place, (row) => row.place ?? '-');
+  const score = (title, digits) => column(title, (row) => row.score.value, (row) => interval(row.score, digits));
+  const rank = plain('Mean rank', (row) => row.meanRank, 2);
+  if (isMapping) return [place, name, score('F1 at 5 cm', 3), rank, plain('Mapped', (row) => row.solved, 0), ...common];
+  return [
+    place, name, score('95 % after, s', 1), plain('80 % after, s', (row) => row.figures.plan_time_to_80_s, 1), rank,
+    plain('Solved', (row) => row.solved, 0), plain('False claims', (row) => row.claimed, 0),
+    plain('Correct coverage', (row) => row.figures.correct_coverage, 3),
+    plain('F1 at 5 cm', (row) => row.figures.wall_f1_5cm, 3), plain('Touches', (row) => row.figures.touches, 2), ...common,
+  ];
+}
+
+const DIGITS = {time_to_80_s: 1, plan_time_to_95_s: 1, touches: 0};
+
+function runColumns() {
+  const result = column('Result', (row) => row.lost, (row) => (row.lost ? element('span', `lost: ${row.lost}`, {class: 'lost'}) : isMapping ? 'mapped' : 'explored'), true);
+  const look = column('Inspector', (row) => row.link || row.folder, (row) => {
+    if (row.link) return element('a', 'open', {href: row.link});
+    return row.folder ? element('code', `limslam inspect ${row.folder}`) : '-';
+  }, true);
+  return [
+    plain('Plan', (row) => row.plan, 0), column('World', (row) => row.world, (row) => row.world, true),
+    plain('Noise, m', (row) => row.noise, 2), plain('Robots', (row) => row.robots, 0),
+    column('Fault', (row) => row.fault, (row) => row.fault, true), result,
+    ...board.shown.map((name) => plain(name, (row) => row[name], DIGITS[name] ?? 3)), look,
+  ];
+}
+
+let chosen = null;
+function show(entry) {
+  chosen = entry;
+  byId('runs-title').textContent = `Runs of ${entry.name}`;
+  byId('about').textContent = `${entry.about ? `${entry.about} ` : ''}Map: ${isMapping ? 'its own' : entry.preset}. Version ${entry.version}, commit ${entry.commit.slice(0, 12)}, files ${entry.digest}.`;
+  fill(byId('runs'), runColumns(), entry.rows);
+  fill(byId('entries'), entryColumns(), board.entries, {rowClass: (row) => (row === chosen ? 'chosen' : '')});
+}
+
+// For times: the share of plans that were solved by then. For scores from 0 to 1: the share of plans above a score.
+function curves() {
+  const count = 121, top = isMapping ? 1 : board.longest;
+  const axis = Array.from({length: count}, (_, index) => (index * top) / (count - 1));
+  const share = (entry) => axis.map((value) => {
+    const passed = entry.values.filter((each, index) => (isMapping ? each >= value : each <= value && !entry.rows[index].lost));
+    return passed.length / entry.values.length;
+  });
+  return [axis, ...board.entries.map(share)];
+}
+
+const colour = (index) => COLOURS[index % COLOURS.length];
+const dash = (index) => DASHES[Math.floor(index / COLOURS.length) % DASHES.length];
+let plot = null;
+function draw() {
+  const style = getComputedStyle(document.documentElement), get = (name) => style.getPropertyValue(name).trim();
+  const axis = {stroke: get('--text'), grid: {stroke: get('--rule'), width: 1}, ticks: {stroke: get('--rule'), width: 1}, font: '12px system-ui, sans-serif'};
+  if (plot) plot.destroy();
+  const options = {
+    width: Math.max(byId('plot').clientWidth, 240), height: 300, legend: {show: false}, cursor: {show: false},
+    scales: {x: {time: false}, y: {range: [0, 1.02]}},
+    axes: [{...axis, label: isMapping ? 'F1 at 5 cm' : 'Simulated time, s', labelSize: 22}, {...axis, size: 50, values: (_, values) => values.map((value) => `${Math.round(100 * value)} %`)}],
+    series: [{}, ...board.entries.map((entry, index) => ({label: entry.name, stroke: colour(index), dash: dash(index), width: 2, points: {show: false}}))],
+  };
+  plot = new uPlot(options, curves(), byId('plot'));
+  plot.root.setAttribute('role', 'img');
+  plot.root.setAttribute('aria-label', byId('plot-title').textContent);
+}
+
+function begin() {
+  const words = isMapping ? 'mean F1 of walls at 5 cm (more is better)' : 'mean time to 95 % coverage, where a lost plan counts as the longest time (less is better)';
+  byId('summary').textContent = `${board.plans.length} plans${board.secret ? ' from a secret seed' : ''}, the same for all entries. Order: ${words}. Intervals are 95 % bootstrap intervals of the mean. An entry without a place knows the truth.`;
+  byId('plot-title').textContent = isMapping ? 'Share of plans above a score' : 'Share of plans solved over time';
+  byId('plot-hint').textContent = isMapping ? 'A curve that is further to the upper right is better.' : 'A plan is solved at the time of 95 % true coverage, if at least 95 % are correct at the end. A curve that is further to the upper left is better.';
+  byId('legend').replaceChildren(...board.entries.map((entry, index) => element('li', [element('span', [], {style: `border-color: ${colour(index)}; border-top-style: ${dash(index).length ? 'dashed' : 'solid'}`}), entry.name])));
+  byId('pairs-hint').textContent = `Ranked entries on the same plans: the ${isMapping ? 'F1' : 'time'} of the second minus that of the first, and the p-value of Wilcoxon's signed-rank test, corrected for the number of pairs (Holm).`;
+  const digits = isMapping ? 3 : 1;
+  fill(byId('pairs'), [
+    column('First', (row) => row.first, (row) => row.first, true), column('Second', (row) => row.second, (row) => row.second, true),
+    column('Mean difference', (row) => row.difference.value, (row) => interval(row.difference, digits)),
+    column('p', (row) => row.p, (row) => (row.p === null ? '-' : row.p < 0.001 ? '< 0.001' : row.p.toFixed(3))), plain('Plans', (row) => row.plans, 0),
+  ], board.comparisons);
+  show(board.entries[0]);
+  draw();
+  let width = innerWidth;
+  addEventListener('resize', () => { if (innerWidth !== width) { width = innerWidth; draw(); } });
+  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', draw);
+  document.body.dataset.state = 'ready';
+}
+
+begin();

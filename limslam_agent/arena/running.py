@@ -1,0 +1,180 @@
+"""Runs an entry on plans, in several processes, and stores each result as soon as its plan has ended."""
+
+import multiprocessing
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.arena.entry import Entry
+from limslam_agent.arena.exploration import Keep, explore
+from limslam_agent.arena.mapping import map_drive
+from limslam_agent.arena.results import RUNS, Row, digest_of, open_store, stamp_of
+from limslam_agent.arena.scoring import lost_scores
+from limslam_agent.arena.tracks import MAPPING, Plan
+from limslam_agent.output.provenance import commit
+from limslam_agent.output.worker import end_with_parent
+from limslam_agent.runs.results import versions
+from limslam_env.messages import one_line
+
+Report = Callable[[Row, int], None]
+"""Called with each new row and the number of rows that exist."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A plan that an entry has to run.
+
+    Attributes
+    ----------
+    entry, plan
+        Who runs what.
+    folder
+        Where the folder of the run is kept. None keeps nothing.
+    versions, commit
+        Provenance of the row.
+    keep
+        Writes the folder of an exploration.
+    """
+
+    entry: Entry
+    plan: Plan
+    folder: Path | None
+    versions: dict[str, str]
+    commit: str
+    keep: Keep | None = None
+
+
+def run_entry(
+    entry: Entry,
+    plans: Sequence[Plan],
+    folder: Path,
+    *,
+    seed: int,
+    is_secret: bool,
+    jobs: int,
+    keep: Keep | None = None,
+    report: Report = lambda _row, _count: None,
+) -> list[Row]:
+    """Run the plans that have no row in a folder yet. Returns all rows of these plans.
+
+    Parameters
+    ----------
+    entry, plans
+        Who runs what.
+    folder
+        Folder for the results. It may contain earlier results of the same entry.
+    seed, is_secret
+        The seed of the plans, and whether it is secret.
+    jobs
+        Number of processes.
+    keep
+        Writes the folders of explorations. None keeps no folders, of the mapping track neither.
+    report
+        Called with each new row.
+
+    Raises
+    ------
+    ValueError
+        If the folder cannot be used, or a process of the arena has died.
+    """
+    place = folder.absolute()
+    if place == entry.folder or entry.folder in place.parents:
+        raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
+    stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
+    with open_store(folder, stamp) as store:
+        todo = [
+            Job(entry, plan, place / RUNS / f"{plan.number:03d}" if keep else None, stamp.versions, stamp.commit, keep)
+            for plan in plans
+            if plan.number not in store.rows
+        ]
+        for row in results_of(todo, jobs):
+            store.append(row)
+            report(row, sum(plan.number in store.rows for plan in plans))
+        return [store.rows[plan.number] for plan in plans]
+
+
+def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
+    """The rows of jobs as they end, in any order.
+
+    Raises
+    ------
+    ValueError
+        If a process has died.
+    """
+    if jobs == 1:
+        yield from map(run_job, todo)
+        return
+    context = multiprocessing.get_context("spawn")
+    before = set(multiprocessing.active_children())
+    with ProcessPoolExecutor(min(jobs, max(len(todo), 1)), mp_context=context, initializer=_prepare) as pool:
+        try:
+            for done in as_completed([pool.submit(run_job, job) for job in todo]):
+                yield done.result()
+        except BrokenProcessPool as error:
+            raise ValueError("a process of the arena has died; the same command goes on") from error
+        except BaseException:
+            # Nobody waits for plans that are being run when the user stops the command.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in set(multiprocessing.active_children()) - before:
+                child.kill()
+            raise
+
+
+def _prepare() -> None:
+    """Begin a worker: one thread, no Ctrl-C of its own, and no life without its parent."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def run_job(job: Job) -> Row:
+    """Run a plan. Whatever the entry's code raises becomes the error of the row, and the plan is lost."""
+    plan, manifest = job.plan, job.entry.manifest
+    provenance: dict[str, Any] = {
+        "versions": job.versions, "commit": job.commit,
+        "settings": digest_of({"plan": plan.setting, "entry": job.entry.digest}),
+    }  # fmt: skip
+    begin, cpu, error = time.perf_counter(), _cpu_s(), None
+    try:
+        if plan.robots > manifest.robots:
+            raise ValueError(f"the entry drives one robot, and the plan has {plan.robots}")  # noqa: TRY301
+        if manifest.track == MAPPING:
+            metrics, cost = map_drive(job.entry, plan, job.folder)
+        else:
+            metrics, cost = explore(job.entry, plan, job.folder, job.keep)
+    except OSError:  # no space, or no permission: not the entry's failure
+        raise
+    except Exception as failure:  # noqa: BLE001 - the entry's code may raise anything
+        error = one_line(f"{failure}" if isinstance(failure, ValueError) else f"{type(failure).__name__}: {failure}")
+        metrics, cost = lost_scores(plan, manifest.track, f"failed: {error}"), {}
+    cost = {**cost, "cpu_s": _cpu_s() - cpu, "wall_clock_s": time.perf_counter() - begin}
+    return Row(plan.number, plan.setting, _plain(metrics), _plain(cost), **provenance, error=error)
+
+
+def _cpu_s() -> float:
+    """Processor time of this process and of its children that have ended, s. Windows tells nothing of children."""
+    if sys.platform == "win32":
+        return time.process_time()
+    import resource
+
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Values that JSON has: plain numbers and texts. What is not finite is None."""
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
+    return {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in plain.items()
+    }

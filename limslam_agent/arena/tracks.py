@@ -1,0 +1,141 @@
+"""The tracks: lists of plans that follow from a seed. Each plan has one setting of noise, robots and faults."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from limslam_env.config import NoiseConfig
+
+VERSION = 1
+"""Version of the tracks and the scores. Results of different versions cannot be compared."""
+
+PUBLIC_SEED = 0
+"""Seed of the published plans. Judges choose a secret seed for plans that nobody has seen."""
+
+EXPLORATION, MAPPING = "exploration", "mapping"
+TRACKS = {EXPLORATION: 100, MAPPING: 20}
+"""Names of the tracks, and their numbers of plans."""
+
+MAX_TIME = 240.0
+"""Longest simulated time of a plan, s."""
+
+_NOISES = (0.0, 0.02, 0.04)
+_FAULTS = ("none",) * 11 + ("wheels",) * 3 + ("sharp",) * 3 + ("dropout",) * 3
+_ROBOTS = (1,) * 7 + (2,) * 3
+_SIDES_DM = (50, 71)  # sides of a building, dm; the upper end is excluded
+_FLOOR_PLANS = (10**9, 2 * 10**9)  # seeds that no suite and no training of this project uses
+_WHEELS, _DROPOUT, _LEAST_SHARP_NOISE = 0.02, 0.1, 0.02
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One task of a track.
+
+    Attributes
+    ----------
+    number
+        Place in the track, from 0.
+    world
+        Floor plan, by its seed and size.
+    noise
+        Standard deviation of the ranges, m. The entry is told this value.
+    robots
+        Number of robots.
+    fault
+        What is wrong with the robots, which the entry is not told: ``none``, ``wheels`` (one wheel is larger than the
+        other), ``sharp`` (triangulating infrared sensors) or ``dropout`` (beams that see nothing now and then).
+    wheel_mismatch
+        Share by which the left encoder reports too much and the right one too little.
+    seed
+        Seed of starts and noise.
+    max_time
+        Longest simulated time, s.
+    """
+
+    number: int
+    world: str
+    noise: float
+    robots: int
+    fault: str
+    wheel_mismatch: float
+    seed: int
+    max_time: float = MAX_TIME
+
+    @property
+    def true_noise(self) -> NoiseConfig:
+        """The noise of the simulator besides the standard deviation of the ranges."""
+        if self.fault == "sharp":
+            return NoiseConfig.sharp()
+        dropout = _DROPOUT if self.fault == "dropout" else 0.0
+        return NoiseConfig(dropout=dropout, wheel_mismatch=self.wheel_mismatch)
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """The plan as a table."""
+        return asdict(self)
+
+
+def plans_of(track: str, seed: int = PUBLIC_SEED) -> list[Plan]:
+    """The plans of a track. The same seed gives the same plans.
+
+    Raises
+    ------
+    ValueError
+        If there is no such track, or the seed is negative.
+    """
+    if track not in TRACKS:
+        raise ValueError(f"there is no track {track!r}; there are {', '.join(TRACKS)}")
+    if seed < 0:
+        raise ValueError(f"a seed is 0 or more, not {seed}")
+    count, generator = TRACKS[track], np.random.default_rng([VERSION, list(TRACKS).index(track), seed])
+
+    def spread(values: tuple[Any, ...]) -> list[Any]:
+        """The values in their shares of the plans, in a random order."""
+        return [values[index % len(values)] for index in generator.permutation(count)]
+
+    worlds = generator.integers(*_FLOOR_PLANS, count)
+    sides = generator.integers(*_SIDES_DM, (count, 2)) / 10.0
+    noises, faults = spread(_NOISES), spread(_FAULTS)
+    robots = spread(_ROBOTS) if track == EXPLORATION else [1] * count
+    signs, seeds = generator.choice((-1.0, 1.0), count), generator.integers(0, 10**6, count)
+    return [
+        Plan(
+            number, f"random:{worlds[number]}:{sides[number, 0]:g}x{sides[number, 1]:g}",
+            max(noises[number], _LEAST_SHARP_NOISE) if faults[number] == "sharp" else noises[number], robots[number],
+            faults[number], float(signs[number]) * _WHEELS if faults[number] == "wheels" else 0.0,
+            int(seeds[number]),
+        )
+        for number in range(count)
+    ]  # fmt: skip
+
+
+def chosen(plans: list[Plan], words: str | None) -> list[Plan]:
+    """The plans that a text names: ``8`` (the first eight), ``3-10`` or ``0,5,7``. None names all.
+
+    Raises
+    ------
+    ValueError
+        If the text names no plan of the track.
+    """
+    if words is None:
+        return plans
+    try:
+        numbers = _numbers(words)
+    except ValueError as error:
+        raise ValueError(
+            f"--plans: {words!r} names no plans: 8 are the first eight, 3-10 and 0,5,7 are numbers"
+        ) from error
+    if not numbers or min(numbers) < 0 or max(numbers) >= len(plans):
+        raise ValueError(f"--plans: {words!r}: the track has the plans 0 to {len(plans) - 1}")
+    return [plans[number] for number in sorted(set(numbers))]
+
+
+def _numbers(words: str) -> list[int]:
+    if words.isdecimal():
+        return list(range(int(words)))
+    found: list[int] = []
+    for word in words.split(","):
+        first, dash, last = word.strip().partition("-")
+        found += range(int(first), int(last) + 1) if dash else [int(first)]
+    return found

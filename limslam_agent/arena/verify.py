@@ -1,0 +1,127 @@
+"""Runs plans of a folder of results again, and compares the metrics."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limslam_agent.arena.entry import Entry, read_entry
+from limslam_agent.arena.results import Row, Stamp, digest_of, plans_digest, read_rows, read_stamp
+from limslam_agent.arena.running import Job, results_of
+from limslam_agent.arena.tracks import Plan, plans_of
+from limslam_agent.output.provenance import commit, version_changes
+from limslam_agent.runs.results import versions
+
+BOUNDS = {
+    "plan_time_to_80_s": 30.0, "plan_time_to_95_s": 30.0, "correct_coverage": 0.05, "ate_final_m": 0.05,
+    "wall_f1_5cm": 0.1,
+}  # fmt: skip
+"""Largest differences of an entry that runs in a process of its own, whose answers may depend on time. Metrics of all
+other entries are equal to the bit.
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A plan that was run again.
+
+    Attributes
+    ----------
+    plan
+        Its number.
+    differences
+        What differs, in words. Empty if nothing does.
+    """
+
+    plan: int
+    differences: list[str]
+
+
+def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[Entry, Stamp, list[Plan]]:
+    """The entry, the stamp and the plans of a folder of results.
+
+    Raises
+    ------
+    ValueError
+        If the entry is not the one of the results, or the plans are not those of the seed.
+    """
+    stamp = read_stamp(folder)
+    if stamp.is_secret and seed is None:
+        raise ValueError(f"{folder}: its plans come from a secret seed: --secret-seed is needed")
+    entry = read_entry(entry_folder or Path(stamp.folder))
+    if entry.digest != stamp.digest:
+        raise ValueError(f"{entry.folder}: is not the entry of {folder}, or was changed since")
+    plans = plans_of(entry.manifest.track, seed or 0)
+    if plans_digest(entry.manifest.track, seed or 0) != stamp.plans:
+        raise ValueError(f"{folder}: its plans are not those of this seed")
+    return entry, stamp, plans
+
+
+def verify(folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int) -> Iterator[Check]:
+    """Run rows again, spread evenly over a folder of results.
+
+    Parameters
+    ----------
+    folder
+        The results.
+    entry, plans
+        The entry and all plans of the track.
+    count
+        Number of rows. None runs all.
+    jobs
+        Number of processes.
+
+    Raises
+    ------
+    ValueError
+        If there are no rows, or a row does not belong to its plan or to the entry.
+    """
+    rows = {row.plan: row for row in read_rows(folder)}
+    if not rows:
+        raise ValueError(f"{folder}: has no results yet")
+    for row in rows.values():
+        _check_origin(folder, row, entry, plans)
+    wanted = list(rows) if count is None else _spread(list(rows), count)
+    jobs_again = [Job(entry, plans[number], None, versions(), commit()) for number in wanted]
+    for row in results_of(jobs_again, jobs):
+        yield Check(row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process))
+
+
+def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
+    """What differs between two rows of a plan, in words. Cost and provenance are not compared."""
+    if before.error != now.error:
+        return [f"error: {before.error}, now {now.error}"]
+    names = BOUNDS if is_process else sorted(before.metrics.keys() | now.metrics.keys())
+    return [
+        f"{name} {first}, now {second}"
+        for name in names
+        if not _equal(first := before.metrics.get(name), second := now.metrics.get(name), BOUNDS.get(name), is_process)
+    ]
+
+
+def other_versions(stamp: Stamp) -> str:
+    """What is another version here than in a folder of results, in words. Empty if nothing is."""
+    changed = [version_changes(stamp.versions, versions())] if stamp.versions != versions() else []
+    if stamp.commit != commit():
+        changed.append(f"commit {stamp.commit}, now {commit()}")
+    return "; ".join(changed)
+
+
+def _equal(first: object, second: object, bound: float | None, is_process: bool) -> bool:
+    if is_process and isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
+        return abs(first - second) <= bound
+    return type(first) is type(second) and first == second
+
+
+def _spread(numbers: list[int], count: int) -> list[int]:
+    """Some of the numbers, as evenly as possible."""
+    chosen = np.unique(np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int))
+    return [numbers[index] for index in chosen]
+
+
+def _check_origin(folder: Path, row: Row, entry: Entry, plans: Sequence[Plan]) -> None:
+    if not 0 <= row.plan < len(plans) or row.setting != plans[row.plan].setting:
+        raise ValueError(f"{folder}: the row of plan {row.plan} has another setting than the plan")
+    if row.settings != digest_of({"plan": row.setting, "entry": entry.digest}):
+        raise ValueError(f"{folder}: the row of plan {row.plan} is not of this entry")

@@ -1,0 +1,137 @@
+"""``limslam arena``: enter the benchmark, verify results, and write the leaderboard."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from limslam_agent.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from limslam_agent.arena.leaderboard import Board
+    from limslam_agent.runs.episode import Episode
+
+arena = typer.Typer(name="arena", no_args_is_help=True, help="A benchmark that anybody can enter: run, verify, page.")
+
+_Secret = Annotated[
+    int | None,
+    typer.Option(help="Seed of plans that nobody has seen, for judging.", show_default="published plans"),
+]
+_Jobs = Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")]
+
+
+@arena.command()
+def run(
+    entry: Annotated[Path, typer.Argument(help="Folder of the entry, with entry.toml.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results. Results that are there are kept.")],
+    plans: Annotated[
+        str | None, typer.Option(help="Plans to run: 8 (the first eight), 3-10 or 0,5,7.", show_default="all")
+    ] = None,
+    secret_seed: _Secret = None,
+    jobs: _Jobs = 2,
+    *,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the folder of each run, for limslam inspect.")] = False,
+) -> None:
+    """Run an entry on the plans of its track. A run that was stopped goes on where it was."""
+    from limslam_agent.arena.entry import read_entry
+    from limslam_agent.arena.leaderboard import board
+    from limslam_agent.arena.running import run_entry
+    from limslam_agent.arena.tracks import PUBLIC_SEED, chosen, plans_of
+    from limslam_env.messages import printable
+
+    found = read_entry(entry)
+    seed = PUBLIC_SEED if secret_seed is None else secret_seed
+    wanted = chosen(plans_of(found.manifest.track, seed), plans)
+    with progress_bar("arena", len(wanted)) as advance:
+        rows = run_entry(
+            found, wanted, out, seed=seed, is_secret=secret_seed is not None, jobs=jobs,
+            keep=write_kept_run if keep else None,
+            report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
+        )  # fmt: skip
+    for row in rows:
+        if row.error is not None:
+            typer.echo(printable(f"limslam: warning: plan {row.plan} failed: {row.error}"), err=True)
+    _print_board(board([out]))
+    typer.echo(printable(f"results     {out}"))
+
+
+@arena.command()
+def verify(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results.")],
+    plans: Annotated[
+        int | None, typer.Option(min=1, help="How many plans are run again, spread evenly.", show_default="all")
+    ] = None,
+    entry: Annotated[
+        Path | None, typer.Option(help="Folder of the entry.", show_default="where it was when it ran")
+    ] = None,
+    secret_seed: _Secret = None,
+    jobs: _Jobs = 2,
+) -> None:
+    """Run plans again and compare all metrics. Exit code 1 if something differs."""
+    from limslam_agent.arena import verify as again
+    from limslam_env.messages import counted, one_line
+
+    found, stamp, track = again.opened(folder, entry, secret_seed)
+    if changed := again.other_versions(stamp):
+        typer.echo(one_line(f"limslam: warning: the results are of other versions ({changed})"), err=True)
+    checks = []
+    for check in again.verify(folder, found, track, plans, jobs):
+        checks.append(check)
+        words = "equal" if not check.differences else "; ".join(check.differences)
+        typer.echo(one_line(f"plan {check.plan:3}    {words}", 500))
+    different = sum(bool(check.differences) for check in checks)
+    within = " within the bounds of a process" if found.manifest.is_process else ""
+    typer.echo(f"verified    {counted(len(checks), 'plan')}, {len(checks) - different} equal{within}")
+    if different:
+        raise typer.Exit(1)
+
+
+@arena.command()
+def page(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of results of one track.")],
+    out: Annotated[Path, typer.Option(help="Write this file (.html).")],
+    *,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write the leaderboard as one page: open it in any browser."""
+    from limslam_agent.arena.leaderboard import board
+    from limslam_agent.arena.page import write_board
+    from limslam_agent.cli.inspect import check_page
+    from limslam_env.messages import printable
+
+    check_page(out, force=force)
+    found = board(folders)
+    size = write_board(out, found)
+    _print_board(found)
+    typer.echo(printable(f"page        {out} ({size / 1e6:.1f} MB)"))
+
+
+def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
+    """Write the folder of a run, as ``limslam run`` does, and return its metrics.
+
+    The policies of models and commands have no name that ``limslam run`` knows, so their folders have no ``run.toml``.
+    """
+    from limslam_agent.cli.settings import RunOptions, write_run_settings
+    from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.runs.results import write_episode
+
+    config = episode.config
+    with new_folder(folder, force=True) as new:
+        metrics: dict[str, Any] = write_episode(new.beside, episode)["metrics"]
+        if not config.driver:
+            options = RunOptions(
+                str(config.world), config.noise, config.preset, config.seed, config.max_time, config.policy,
+                until="seen", robots=config.robots,
+            )  # fmt: skip
+            write_run_settings(new.beside, options, config)
+    return metrics
+
+
+def _print_board(found: "Board") -> None:
+    from limslam_agent.arena.page import table_rows
+    from limslam_agent.cli.worlds import table
+    from limslam_env.messages import counted, printable
+
+    typer.echo(f"track       {found.track}, {counted(len(found.plans), 'plan')}")
+    for line in table(table_rows(found)).splitlines():
+        typer.echo(printable(line))

@@ -1,0 +1,35 @@
+"""The origin of results: the commit of the checkout, and differences between versions of packages."""
+
+import subprocess
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def version_changes(before: dict[str, str], now: dict[str, str]) -> str:
+    """The differences between two sets of versions, as text."""
+    return ", ".join(
+        f"{name} {before.get(name, 'missing')}, now {now.get(name, 'missing')}"
+        for name in sorted(before.keys() | now.keys())
+        if before.get(name) != now.get(name)
+    )
+
+
+def commit() -> str:
+    """The commit of the checkout, with ``-dirty`` if a file has been changed; ``unknown`` without a repository."""
+    try:
+        top = _git("rev-parse", "--show-toplevel")
+        # An unpacked archive may lie inside another project's repository.
+        return (
+            _git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+            if Path(top) == CHECKOUT
+            else "unknown"
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _git(*arguments: str) -> str:
+    command = ["git", "-C", str(CHECKOUT), *arguments]
+    # The arguments are fixed, and contain no user input.
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()  # noqa: S603

@@ -1,0 +1,15 @@
+"""Worker processes that end when the process that started them has died."""
+
+import multiprocessing
+import os
+
+
+def end_with_parent() -> None:
+    """Wait until the parent of this process has died, and end this process. To be called in a thread of its own.
+
+    A job may take minutes. A run that was killed and is started again should have those processors to itself.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,143 @@
+"""The leaderboard: the order of entries, and its page in a headless Chromium."""
+
+import pytest
+from support.arena import MANIFEST, made_entry, made_results
+from support.browser import CHROMIUM, browser
+from support.command_line import call
+
+from limslam_agent.arena.leaderboard import board
+from limslam_agent.arena.page import INSPECTOR, write_board
+from limslam_agent.arena.results import RUNS
+from limslam_agent.cli.main import main
+
+TIMES = {
+    "Slow": dict.fromkeys(range(8), 200.0),
+    "Fast": {plan: 100.0 + plan for plan in range(8)},
+    "Wrong <b>": {**dict.fromkeys(range(6), 90.0), 6: 240.0, 7: 240.0},
+}
+
+
+@pytest.fixture
+def folders(tmp_path):
+    made = []
+    for name, times in TIMES.items():
+        entry = made_entry(tmp_path / "entries" / name[:4], MANIFEST.format(name=name))
+        made.append(made_results(tmp_path / name[:4], entry, times, claims=(7,)))
+    oracle = MANIFEST.replace("random", "oracle").replace("belief", "truth").replace("robots = 2", "robots = 1")
+    entry = made_entry(tmp_path / "entries" / "oracle", oracle.format(name="Oracle"))
+    return [*made, made_results(tmp_path / "oracle", entry, dict.fromkeys(range(8), 50.0))]
+
+
+def test_the_mean_time_decides_and_lost_plans_cost_the_longest_time(folders):
+    found = board(folders)
+    assert [(each.name, each.place) for each in found.standings] == [
+        ("Fast", 1), ("Wrong <b>", 2), ("Slow", 3), ("Oracle", None),
+    ]  # fmt: skip
+    fast, wrong, slow, _ = found.standings
+    assert wrong.score.value == pytest.approx((6 * 90.0 + 2 * 240.0) / 8)
+    assert (wrong.solved, wrong.claimed, wrong.failed) == (6, 1, 0)
+    assert wrong.mean_rank == pytest.approx((6 * 1 + 2 * 3) / 8)
+    assert fast.mean_rank == pytest.approx((6 * 2 + 2 * 1) / 8)
+    assert slow.score.low == slow.score.high == 200.0
+    first, second, result = found.comparisons[0]
+    assert (first, second, result.plans) == ("Fast", "Wrong <b>", 8)
+
+
+def test_entries_are_compared_on_the_plans_that_all_have_run(folders, tmp_path):
+    entry = made_entry(tmp_path / "entries" / "few", MANIFEST.format(name="Few"))
+    few = made_results(tmp_path / "few", entry, {6: 10.0, 40: 10.0})
+    found = board([*folders, few])
+    assert found.plans == [6]
+    assert found.standings[0].name == "Few"
+    assert found.standings[0].score.low is None
+
+
+@pytest.mark.parametrize(
+    ("seed", "times", "reason"), [(5, {0: 10.0}, "has other plans than"), (0, {50: 10.0}, "have no plan in common")]
+)
+def test_results_that_cannot_be_compared_are_refused(folders, tmp_path, seed, times, reason):
+    entry = made_entry(tmp_path / "entries" / "other", MANIFEST.format(name="Other"))
+    other = made_results(tmp_path / "other", entry, times, seed=seed)
+    with pytest.raises(ValueError, match=reason):
+        board([*folders, other])
+    with pytest.raises(ValueError, match="is there twice"):
+        board([folders[0], folders[0]])
+
+
+def test_the_command_writes_the_page_and_a_table(folders, tmp_path):
+    words = ("arena", "page", *folders, "--out", tmp_path / "board.html")
+    finished = call(main, *words)
+    assert finished.returncode == 0, finished.stderr
+    assert "1      Fast" in finished.stdout
+    assert call(main, *words).returncode == 2
+    assert call(main, *words, "--force").returncode == 0
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    if not CHROMIUM:
+        pytest.skip("there is no Chromium")
+    with browser(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture
+def opened(chromium, folders, tmp_path):
+    run = folders[1] / RUNS / "003"
+    run.mkdir(parents=True)
+    (run / INSPECTOR).write_text("<!doctype html><title>run 3</title><body data-state='ready'>")
+    (folders[1] / RUNS / "004").mkdir()
+    (tmp_path / "site").mkdir()
+    write_board(tmp_path / "site" / "board.html", board(folders))
+    chromium.errors.clear()
+    chromium.requests.clear()
+    chromium.open(tmp_path / "site" / "board.html")
+    yield chromium
+    assert chromium.errors == []
+    assert chromium.requests == []
+
+
+def column_of(opened, table, number):
+    cells = f"[...document.querySelectorAll('#{table} tbody tr')].map((row) => row.cells[{number}].textContent)"
+    return opened.run(cells)
+
+
+def test_the_page_shows_entries_runs_and_curves(opened):
+    assert column_of(opened, "entries", 1) == ["Fast", "Wrong <b>", "Slow", "Oracle"]
+    assert column_of(opened, "entries", 0) == ["1", "2", "3", "-"]
+    assert column_of(opened, "pairs", 0) == ["Fast", "Fast", "Wrong <b>"]
+    assert column_of(opened, "pairs", 1) == ["Wrong <b>", "Slow", "Slow"]
+    assert opened.run("plot.series.length") == 5
+    drawn = "new Set(new Uint32Array(plot.ctx.getImageData(0, 0, plot.ctx.canvas.width, 300).data.buffer)).size"
+    assert opened.run(drawn) > 20
+    # Wrong has solved six of its eight plans after 90 s, and no more at the end.
+    assert opened.run("plot.data[2][plot.data[0].findIndex((time) => time >= 90)]") == 0.75
+    assert opened.run("plot.data[2].at(-1)") == 0.75
+
+
+def test_a_heading_sorts_and_sorts_the_other_way(opened):
+    opened.click("#entries th:nth-child(3) button")
+    assert column_of(opened, "entries", 1)[0] == "Oracle"
+    opened.click("#entries th:nth-child(3) button")
+    assert column_of(opened, "entries", 1)[0] == "Slow"
+    assert opened.run("document.querySelector('#entries th:nth-child(3)').ariaSort") == "descending"
+    opened.click("#entries th:nth-child(1) button")
+    assert column_of(opened, "entries", 0) == ["1", "2", "3", "-"]  # what has no place is last
+
+
+def test_a_name_shows_the_runs_of_its_entry_and_a_run_opens_in_the_inspector(opened):
+    opened.click("#entries tbody tr:nth-child(2) td:nth-child(2) button")
+    assert opened.run("document.getElementById('runs-title').textContent") == "Runs of Wrong <b>"
+    assert "lost: not explored in time" in column_of(opened, "runs", 5)
+    opened.click("#entries tbody tr:nth-child(1) td:nth-child(2) button")
+    assert "limslam inspect" in column_of(opened, "runs", 13)[4]
+    opened.click("#runs tbody tr:nth-child(4) a")
+    opened.wait_for("document.title === 'run 3'")
+
+
+@pytest.mark.parametrize("width", [360, 1440])
+def test_nothing_is_wider_than_the_window(opened, width):
+    opened.resize(width, 800)
+    opened.wait_for(f"innerWidth === {width}")
+    opened.wait_for(f"plot.width <= {width}")
+    assert opened.run("document.documentElement.scrollWidth") <= width

@@ -1,0 +1,64 @@
+"""Manifests of entries: what they may say, and what is refused with one line."""
+
+import pytest
+from support.arena import MANIFEST, made_entry
+
+from limslam_agent.arena.entry import read_entry
+
+GOOD = MANIFEST.format(name="Mine")
+
+
+def test_the_shipped_entries_can_be_read(examples):
+    found = {folder.name: read_entry(folder).manifest for folder in sorted(examples.iterdir())}
+    assert {"random", "wall_follower", "frontier", "learned", "oracle", "paper", "consistent", "graph"} <= set(found)
+    assert [name for name, manifest in found.items() if manifest.knows_truth] == ["oracle"]
+    assert found["graph"].track == "mapping"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "Mine"\n', "", "entry.toml: name is missing"),
+        ('authors = ["A. Person"]', "authors = []", "an entry has authors"),
+        ('kind = "shipped"', 'kind = "magic"', "shipped, python, model, command can be chosen, not 'magic'"),
+        ('run = "random"', 'run = "best"', "can be chosen, not 'best'"),
+        ('uses = "belief"', 'uses = "truth"', "random does not use the truth"),
+        ('run = "random"', 'run = "oracle"', "oracle does use the truth"),
+        ("robots = 2", "robots = 9", "robots: must be 1 to 2, not 9"),
+        ("robots = 2", 'robots = "two"', "robots"),
+        ("robots = 2", "speed = 2", "speed"),
+        ('run = "random"', 'command = ["drive"]', "a command has the key command"),
+        ('kind = "shipped"', 'track = "mapping"\nkind = "estimator"', "random"),
+        ('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"', "no such file"),
+        ('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "../mine.py:Mine"', "not in the folder"),
+        (
+            'kind = "shipped"\nrun = "random"\nuses = "belief"',
+            'kind = "model"\nrun = "m.h5"\nuses = "readings"',
+            ".onnx",
+        ),
+        ('kind = "shipped"\nrun = "random"', 'kind = "command"\ncommand = ["x"]', "acts on readings"),
+        ('name = "Mine"', "name = ", "is not TOML"),
+    ],
+)
+def test_a_manifest_that_cannot_be_used_is_refused_in_one_line(tmp_path, old, new, message):
+    assert old in GOOD
+    with pytest.raises(ValueError, match=r"(?s).*") as refusal:
+        made_entry(tmp_path / "mine", GOOD.replace(old, new))
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_folder_without_a_manifest_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"has no entry\.toml"):
+        read_entry(tmp_path)
+    with pytest.raises(ValueError, match="there is no such folder"):
+        read_entry(tmp_path / "nothing")
+
+
+def test_the_digest_covers_all_files_but_what_python_compiled(tmp_path):
+    first = made_entry(tmp_path / "mine", GOOD)
+    (tmp_path / "mine" / "__pycache__").mkdir()
+    (tmp_path / "mine" / "__pycache__" / "x.pyc").write_bytes(b"x")
+    assert read_entry(first.folder).digest == first.digest
+    (tmp_path / "mine" / "weights.bin").write_bytes(b"x")
+    assert read_entry(first.folder).digest != first.digest

@@ -1,0 +1,241 @@
+"""Entries that run: results are resumed after a kill, verified to the bit, and failures of an entry are its losses."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from support.arena import MANIFEST, made_entry
+from support.command_line import call
+
+from limslam_agent.arena.entry import read_entry
+from limslam_agent.arena.mapping import map_drive
+from limslam_agent.arena.results import RESULTS, RUNS, open_store, read_rows, read_stamp
+from limslam_agent.arena.running import Job, results_of, run_entry, run_job
+from limslam_agent.arena.verify import differences, opened, verify
+from limslam_agent.cli.arena import write_kept_run
+from limslam_agent.cli.main import main
+
+PYTHON = MANIFEST.replace('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"')
+POLICY = """
+import numpy as np
+
+class Mine:
+    stop_reason, plan = None, np.zeros((0, 2))
+
+    def act(self, belief):
+        {body}
+"""
+ACTOR = """
+class Mine:
+    done, steps = False, 0
+
+    def reset(self, start_pose, seed):
+        self.steps = 0
+
+    def act(self, observation):
+        self.steps += 1
+        self.done = self.steps > 5
+        return [0.5, 0.5]
+"""
+
+
+def run_all(entry, plans, folder, **options):
+    return run_entry(entry, plans, folder, **{"seed": 0, "is_secret": False, "jobs": 1, **options})
+
+
+def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
+    folder, seen = tmp_path / "out", []
+    run_all(entry, short_plans[:1], folder, keep=write_kept_run)
+    whole = (folder / RESULTS).read_bytes()
+    (folder / RESULTS).write_bytes(whole + b'{"plan": 1, "sett')  # killed while it wrote
+    rows = run_all(entry, short_plans[:2], folder, report=lambda row, count: seen.append((row.plan, count)))
+    assert seen == [(1, 2)]
+    assert [row.plan for row in rows] == [0, 1]
+    assert (folder / RESULTS).read_bytes().startswith(whole)
+    assert (folder / RUNS / "000" / "run.toml").is_file()
+    assert rows[0].metrics["lost"] == "not explored in time"
+    assert rows[0].metrics["plan_time_to_95_s"] == 2.0
+    assert rows[0].versions["limslam"]
+    assert rows[1].setting["robots"] == 2
+    assert [check.differences for check in verify(folder, entry, short_plans, None, 1)] == [[], []]
+
+
+def test_a_kept_run_can_be_inspected_although_its_world_has_a_decimal_size(tmp_path, entry, short_plans):
+    assert short_plans[0].world.endswith("6x5.1")
+    run_job(Job(entry, short_plans[0], tmp_path / "run", {}, "", write_kept_run))
+    finished = call(main, "inspect", tmp_path / "run")
+    assert finished.returncode == 0, finished.stderr
+    assert "The poses equal those in the folder" in finished.stdout
+
+
+def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
+    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body="return [0.5, 0.4]"))
+    row = run_job(Job(entry, short_plans[1], None, {}, ""))
+    assert row.error is None
+    assert row.metrics["path_m"] == pytest.approx(2.0 * 0.45 * 0.3, rel=0.05)
+
+
+def test_an_actor_ends_a_run_that_is_lost(tmp_path, short_plans):
+    manifest = PYTHON.replace('"belief"', '"readings"')
+    entry = made_entry(tmp_path / "mine", manifest.format(name="Mine"), mine=ACTOR)
+    metrics = run_job(Job(entry, short_plans[0], None, {}, "")).metrics
+    assert (metrics["lost"], metrics["claims_done"]) == ("claims to be done and is not", True)
+    assert metrics["end_time_s"] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        ("return 1 / 0", "mine.py, line 8, in act: ZeroDivisionError: division by zero"),
+        ("return [2.0]", "Mine: act must return two finite numbers"),
+    ],
+)
+def test_a_failure_of_the_entry_is_its_loss(tmp_path, short_plans, body, reason):
+    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body=body))
+    row = run_job(Job(entry, short_plans[0], None, {}, ""))
+    assert reason in row.error
+    assert row.metrics["lost"].startswith("failed: ")
+    assert row.metrics["plan_time_to_95_s"] == 2.0
+
+
+def test_what_the_manifest_says_about_a_python_class_is_checked(tmp_path, short_plans):
+    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=ACTOR)
+    assert "acts on readings, and the manifest says that it uses belief" in run_job(
+        Job(entry, short_plans[0], None, {}, "")
+    ).error  # fmt: skip
+
+
+def test_an_entry_for_one_robot_loses_plans_with_two(tmp_path, short_plans):
+    entry = made_entry(tmp_path / "one", MANIFEST.format(name="One").replace("robots = 2", "robots = 1"))
+    assert short_plans[1].robots == 2
+    assert "drives one robot" in run_job(Job(entry, short_plans[1], None, {}, "")).error
+
+
+def test_another_process_gives_the_same_row(entry, short_plans):
+    jobs = [Job(entry, short_plans[0], None, {}, "")]
+    (here,), (elsewhere,) = results_of(jobs, 1), results_of(jobs, 2)
+    assert here.metrics == elsewhere.metrics
+
+
+def test_a_command_and_an_estimator_map_a_recorded_drive(examples, tmp_path, short_plans):
+    # A world with a loop needs no planning of a tour, which takes seconds.
+    plan = replace(short_plans[0], world="square")
+    dead_reckoning = read_entry(examples / "dead_reckoning")
+    metrics, _ = map_drive(dead_reckoning, plan, tmp_path / "out")
+    assert 0.0 < metrics["ate_final_m"] < 0.1
+    assert metrics["poses"] == 21
+    assert (tmp_path / "out" / "map.json").is_file()
+    paper, _ = map_drive(read_entry(examples / "paper"), plan)
+    assert paper["ate_final_m"] < 0.1
+    assert paper["poses"] == 21
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [("", "has written no trajectory.tum"), ("import sys; sys.exit('no walls')", "ended with exit code 1: no walls")],
+)
+def test_a_command_that_maps_nothing_has_lost(tmp_path, short_plans, program, reason):
+    manifest = MANIFEST.format(name="Empty").replace('kind = "shipped"\nrun = "random"', 'kind = "command"')
+    manifest = manifest.replace('"belief"', '"readings"') + 'track = "mapping"\ncommand = ["{python}", "empty.py"]\n'
+    entry = made_entry(tmp_path / "empty", manifest, empty=program)
+    row = run_job(Job(entry, replace(short_plans[0], world="square"), None, {}, ""))
+    assert reason in row.error
+    assert row.metrics["wall_f1_5cm"] == 0.0
+
+
+def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plans):
+    folder = tmp_path / "out"
+    run_all(entry, [], folder)
+    other = made_entry(tmp_path / "other", MANIFEST.format(name="Other"))
+    with pytest.raises(ValueError, match="holds results of another entry"):
+        run_all(other, short_plans, folder)
+    with pytest.raises(ValueError, match="holds results of other plans"):
+        run_all(entry, short_plans, folder, seed=5, is_secret=True)
+    with pytest.raises(ValueError, match="lies in the folder of the entry"):
+        run_all(entry, short_plans, entry.folder / "out")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").touch()
+    with pytest.raises(ValueError, match="is not empty and holds no results"):
+        run_all(entry, short_plans, tmp_path / "full")
+    stamp = read_stamp(folder)
+    with open_store(folder, stamp), pytest.raises(ValueError, match="another run is writing there"):
+        run_all(entry, short_plans, folder)
+
+
+def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
+    folder = tmp_path / "out"
+    (row,) = run_all(entry, short_plans[:1], folder)
+    line = json.loads((folder / RESULTS).read_text())
+
+    def rewrite(**changes):
+        (folder / RESULTS).write_text(json.dumps({**line, **changes}) + "\n")
+
+    rewrite(metrics={**line["metrics"], "path_m": line["metrics"]["path_m"] + 1e-12})
+    (check,) = verify(folder, entry, short_plans, 1, 1)
+    assert len(check.differences) == 1
+    assert check.differences[0].startswith("path_m ")
+    rewrite(setting={**line["setting"], "noise": 0.0})
+    with pytest.raises(ValueError, match="has another setting than the plan"):
+        list(verify(folder, entry, short_plans, 1, 1))
+    rewrite(settings="0" * 64)
+    with pytest.raises(ValueError, match="is not of this entry"):
+        list(verify(folder, entry, short_plans, 1, 1))
+    assert row.plan == 0
+
+
+def test_a_process_is_verified_within_bounds(entry, short_plans):
+    row = run_job(Job(entry, short_plans[0], None, {}, ""))
+    near, far = ({**row.metrics, "correct_coverage": row.metrics["correct_coverage"] + off} for off in (0.04, 0.06))
+    made = [type(row)(row.plan, row.setting, metrics) for metrics in (near, far)]
+    assert differences(row, made[0], is_process=True) == []
+    assert differences(row, made[0], is_process=False)
+    assert differences(row, made[1], is_process=True)[0].startswith("correct_coverage ")
+
+
+def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
+    folder = tmp_path / "out"
+    run_all(entry, [], folder, seed=7, is_secret=True)
+    with pytest.raises(ValueError, match="--secret-seed is needed"):
+        opened(folder, None, None)
+    with pytest.raises(ValueError, match="its plans are not those of this seed"):
+        opened(folder, None, 8)
+    assert opened(folder, None, 7)[0].digest == entry.digest
+    with pytest.raises(ValueError, match="has no results yet"):
+        list(verify(folder, entry, opened(folder, None, 7)[2], None, 1))
+    (entry.folder / "more.txt").touch()
+    with pytest.raises(ValueError, match="was changed since"):
+        opened(folder, None, 7)
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [("{", "line 1: is no row"), ('{"plan": 1}', "line 1: is no row"),
+     ('{"plan": "1", "setting": {}, "metrics": {}}', "line 1: plan is"),
+     ('{"plan": 1, "setting": {}, "metrics": {"x": []}}', "x is no number"),
+     ('{"plan": 1, "setting": {}, "metrics": {}}\n' * 2, "line 2: there is a row for the plan 1 already")],
+)  # fmt: skip
+def test_damaged_results_are_refused_in_one_line(tmp_path, line, reason):
+    (tmp_path / RESULTS).write_text(line.rstrip("\n") + "\n")
+    with pytest.raises(ValueError, match=reason) as refusal:
+        read_rows(tmp_path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("run", "nowhere", "--out", "out"), "there is no such folder"),
+        (("run", "entry", "--out", "out", "--plans", "500"), "--plans: '500'"),
+        (("run", "entry", "--out", "out", "--secret-seed", "-1"), "a seed is 0 or more"),
+        (("run", "entry", "--out", "entry/out", "--plans", "1"), "lies in the folder of the entry"),
+        (("verify", "nowhere"), "holds no results of the arena"),
+        (("page", "nowhere", "--out", "board.html"), "holds no results of the arena"),
+        (("page", "nowhere", "--out", "board.txt"), "a page ends in .html"),
+    ],
+)
+def test_bad_input_is_refused_with_one_line(tmp_path, entry, words, reason):
+    assert entry.folder == tmp_path / "entry"
+    finished = call(main, "arena", *words, cwd=tmp_path)
+    assert finished.returncode == 2
+    assert reason in finished.stderr
+    assert len(finished.stderr.splitlines()) == 1

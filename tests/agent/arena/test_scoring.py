@@ -1,0 +1,83 @@
+"""Correct coverage, lost plans, and the statistics between entries."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from limslam_agent.arena.scoring import correct_coverage, exploration_scores, loss
+from limslam_agent.arena.statistics import compare, holm, mean
+from limslam_agent.arena.tracks import plans_of
+
+PLAN = replace(plans_of("exploration")[0], max_time=100.0)
+TIME, COVERAGE = np.array([0.0, 10.0, 20.0, 30.0]), np.array([0.1, 0.8, 0.96, 0.99])
+
+
+def floor():
+    """A floor of 2 x 3 m, all of which can be seen."""
+    return SimpleNamespace(coverable=np.ones((20, 30), dtype=bool), low=np.zeros(2))
+
+
+def free(shift=0.0, columns=30):
+    """A map that calls the left part of that floor free, moved to the right by some metres."""
+    x, y = np.meshgrid(np.arange(columns), np.arange(20))
+    centres = np.column_stack((0.1 * (x.ravel() + 0.5) + shift, 0.1 * (y.ravel() + 0.5)))
+    return SimpleNamespace(free=np.ones(len(centres), dtype=bool), centres=lambda index: centres[index.ravel()])
+
+
+@pytest.mark.parametrize(
+    ("seen_columns", "grid", "share"),
+    [
+        (30, free(), 1.0),
+        (15, free(), 0.5),  # a map of what was never seen
+        (30, free(columns=14), 0.5),  # cells beside a free cell count
+        (30, free(shift=0.1), 1.0),
+        (30, free(shift=0.6), 25 / 30),
+        (30, free(shift=9.0), 0.0),
+        (30, free(columns=0), 0.0),
+    ],
+)
+def test_coverage_is_correct_where_it_was_seen_and_the_map_says_so(seen_columns, grid, share):
+    seen = np.zeros((20, 30), dtype=bool)
+    seen[:, :seen_columns] = True
+    assert correct_coverage(floor(), seen, grid) == pytest.approx(share)
+
+
+def test_a_plan_takes_the_time_to_its_coverage():
+    scores = exploration_scores(PLAN, TIME, COVERAGE, 0.97, is_finished=True)
+    assert (scores["plan_time_to_80_s"], scores["plan_time_to_95_s"], scores["lost"]) == (10.0, 20.0, "")
+
+
+def test_a_lost_plan_takes_the_longest_time():
+    scores = exploration_scores(PLAN, TIME, COVERAGE, 0.94, is_finished=True)
+    assert (scores["plan_time_to_80_s"], scores["plan_time_to_95_s"]) == (100.0, 100.0)
+    assert scores["time_to_95_s"] == 20.0
+    assert scores["lost"] == "claims to be done and is not"
+    assert loss(0.94, is_finished=False) == "not explored in time"
+
+
+def test_a_mean_has_the_interval_of_its_plans():
+    values = np.random.default_rng(0).normal(50.0, 10.0, 100)
+    found = mean(values)
+    assert found.value == pytest.approx(values.mean())
+    assert found.low < 50.0 < found.high
+    assert found.high - found.low == pytest.approx(4 * values.std() / 10.0, rel=0.2)
+    assert mean(values[:2]).low is None
+
+
+def test_entries_are_compared_on_the_plans_that_both_have():
+    first = {plan: 10.0 + plan for plan in range(20)}
+    found = compare(first, {plan: 13.0 + plan for plan in range(5, 25)})
+    assert found.plans == 15
+    assert found.difference.value == pytest.approx(3.0)
+    assert found.p_value < 0.001
+    assert compare(first, first).p_value is None
+    with pytest.raises(ValueError, match="no plan in common"):
+        compare(first, {99: 1.0})
+
+
+def test_p_values_are_corrected_for_the_number_of_tests():
+    assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []
