@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from importlib.metadata import version as version_of
+from importlib.util import find_spec
 from pathlib import Path
 
 from pygments.lexers.special import TextLexer
@@ -27,7 +28,10 @@ extensions = [
 exclude_patterns = ["_build", "images/*.py", "paper"]
 html_theme = "furo"
 html_title = "LimSLAM"
-html_static_path = ["_static"]
+# MathJax comes from an installed package and is part of the site, which needs no other host.
+MATHJAX = Path(str(find_spec("sphinx-mathjax-offline").origin)).parent / "static/mathjax/tex-svg.js"
+html_static_path = ["_static", str(MATHJAX)]
+mathjax_path = MATHJAX.name
 html_css_files = ["style.css"]
 html_js_files = ["accessibility.js"]
 html_theme_options = {

@@ -2,7 +2,7 @@
 document.addEventListener("DOMContentLoaded", () => {
   // A table or a block of code that scrolls sideways can be reached and scrolled by keyboard.
   const scrolled = () => {
-    for (const element of document.querySelectorAll("pre, .table-wrapper, article table")) {
+    for (const element of document.querySelectorAll("pre, .table-wrapper, article table, div.math")) {
       if (element.scrollWidth > element.clientWidth + 1) element.tabIndex = 0;
     }
   };

@@ -14,6 +14,7 @@ def export(
     dxf: Annotated[bool, typer.Option("--dxf", help="Walls and paths for a CAD program: map.dxf.")] = False,
     bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag: the folder bag.")] = False,
     mcap: Annotated[bool, typer.Option("--mcap", help="The same messages for Foxglove: run.mcap.")] = False,
+    rerun: Annotated[bool, typer.Option("--rerun", help="A recording for the Rerun viewer: run.rrd.")] = False,
     origin: Annotated[
         str | None,
         typer.Option(help="Latitude and longitude of (0, 0), deg: LAT,LON. For --geojson.", show_default="metres"),
@@ -25,10 +26,17 @@ def export(
     from limslam_agent.output.formats.export import Format, export_run
     from limslam_env.messages import printable
 
-    wanted = {Format.CSV: csv, Format.GEOJSON: geojson, Format.DXF: dxf, Format.BAG: bag, Format.MCAP: mcap}
+    wanted = {
+        Format.CSV: csv,
+        Format.GEOJSON: geojson,
+        Format.DXF: dxf,
+        Format.BAG: bag,
+        Format.MCAP: mcap,
+        Format.RERUN: rerun,
+    }
     formats = [name for name, is_wanted in wanted.items() if is_wanted]
     if not formats:
-        raise ValueError("a format is needed: --csv, --geojson, --dxf, --bag or --mcap")
+        raise ValueError("a format is needed: --csv, --geojson, --dxf, --bag, --mcap or --rerun")
     for path in export_run(folder, out or folder / "export", formats, _origin(origin), force=force):
         typer.echo(printable(f"written     {path}"))
 

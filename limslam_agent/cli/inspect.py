@@ -66,6 +66,8 @@ def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
     options = given.merged(ReplayOptions(), ("agent", "robot"))
     if options.log is None:
         raise ValueError(f"{given.path}: names no log")
+    if options.other_log is not None:
+        raise ValueError(f"{given.path}: is of two logs; inspect one of them: limslam inspect {options.log}")
     job = job_of(options.log, options, replay_agent(given, options), given.replay_robot())
     prior_map, count = None if options.map is None else read_saved_map(options.map), len(job.log)
     with progress_bar("inspecting", count) as advance:

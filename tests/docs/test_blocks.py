@@ -104,7 +104,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_every_block_says_what_it_holds():
-    allowed = {"python", "sh", "toml", "csv", "math", "text"}
+    allowed = {"python", "sh", "toml", "csv", "math", "text", "bibtex"}
     assert [block.name for block in all_blocks() if block.language not in allowed] == []
 
 

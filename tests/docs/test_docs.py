@@ -7,6 +7,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import pytest
+import yaml
 from support.markdown import ROOT, all_blocks
 
 import limslam_env
@@ -69,3 +70,12 @@ def test_every_suite_is_named():
 
     text = (DOCS / "benchmark.md").read_text(encoding="utf-8").split("\n## Suites\n", 1)[1].split("\n### ", 1)[0]
     assert first_column(text) == set(shipped_suites())
+
+
+def test_the_release_is_the_same_everywhere():
+    version, changes = limslam_env.__version__, (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    date = re.search(rf"^## {re.escape(version)} - (\d{{4}}-\d\d-\d\d)$", changes, re.MULTILINE)
+    assert date is not None, "CHANGELOG.md has no dated heading of this version"
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["version"], citation["date-released"]) == (version, date[1])
+    assert f"version = {{{version}}}" in (DOCS / "index.md").read_text(encoding="utf-8")

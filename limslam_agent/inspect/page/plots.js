@@ -50,7 +50,7 @@ class Plots {
         [{...error(c.wall), label: 'NEES / 3'}, {stroke: c.text, width: 1, dash: [6, 4], points: {show: false}}], [], true);
     }
     this.add('Walls in the map', [columns.walls], [{stroke: c.robot1, width: 1.8, points: {show: false}, paths: uPlot.paths.stepped({align: 1})}]);
-    this.show(this.frame || 0);
+    this.resize();  // the first plot was alone in its row when it was drawn
   }
 
   add(title, data, series, bands = [], isLog = false) {
@@ -62,7 +62,7 @@ class Plots {
       width: Math.max(box.clientWidth, 200), height: 150, legend: {show: false},
       cursor: {sync: {key: 'time', setSeries: false}, drag: {x: true, y: false}, points: {show: false}},
       scales: {x: {time: false}, y: isLog ? {distr: 3, log: 10} : {range: (plot, low, high) => padded(low, high)}},
-      axes: [{...axis, size: 26, values: (plot, values) => values.map((value) => `${value} s`)}, {...axis, size: 44, ...(isLog ? {splits: decades} : {})}],
+      axes: [{...axis, size: 26, values: (plot, values) => values.map((value) => `${value} s`)}, {...axis, size: 44, ...(isLog ? {splits: decades, values: shortened} : {})}],
       series: [{}, ...series], bands,
       hooks: {
         drawClear: [(plot) => this.statusBand(plot)],
@@ -131,6 +131,12 @@ class Plots {
     for (const plot of this.plots) plot.destroy();
     this.plots = [];
   }
+}
+
+// 1,000,000 has no room beside a plot; 1M has.
+function shortened(plot, values) {
+  const short = new Intl.NumberFormat('en', {notation: 'compact'});
+  return values.map((value) => (value === null ? '' : short.format(value)));
 }
 
 // Powers of ten within the range of a logarithmic axis.

@@ -10,6 +10,7 @@ from limslam_agent.output.formats.content import read_exported
 from limslam_agent.output.formats.csv_tables import write_csv
 from limslam_agent.output.formats.dxf import write_dxf
 from limslam_agent.output.formats.geojson import write_geojson
+from limslam_agent.output.formats.rerun_recording import write_rerun
 from limslam_agent.output.formats.ros_bag import write_bag, write_mcap
 
 
@@ -21,6 +22,7 @@ class Format(StrEnum):
     DXF = "dxf"
     BAG = "bag"
     MCAP = "mcap"
+    RERUN = "rerun"
 
 
 def export_run(
@@ -57,6 +59,7 @@ def export_run(
         place, made = Path(beside), []
         for name, write in (
             (Format.CSV, write_csv), (Format.DXF, write_dxf), (Format.BAG, write_bag), (Format.MCAP, write_mcap),
+            (Format.RERUN, write_rerun),
         ):  # fmt: skip
             if name in formats:
                 made += write(place, exported)

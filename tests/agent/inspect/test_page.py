@@ -57,6 +57,12 @@ def test_nothing_is_wider_than_the_window(opened, width, height):
     assert opened.run("document.documentElement.scrollWidth") <= width
 
 
+def test_plots_fit_into_their_boxes_from_the_start(opened, page):
+    opened.open(page, 800, 1000)
+    widths = "[...document.querySelectorAll('.uplot')].map((plot) => plot.offsetWidth - plot.parentElement.clientWidth)"
+    assert opened.run(f"Math.max(...{widths})") <= 0
+
+
 @pytest.mark.parametrize(
     ("selector", "expected"),
     [

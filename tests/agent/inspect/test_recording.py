@@ -165,6 +165,11 @@ def test_replays_and_logs(tmp_path, run_folder):
     bare = inspected(run_folder / "log.npz", tmp_path / "bare.html")
     assert bare.returncode == 0, bare.stderr
     assert "check" not in bare.stdout
+    settings = replayed / "run.toml"
+    settings.write_text(f'other_log = "second.npz"\n{settings.read_text(encoding="utf-8")}', encoding="utf-8")
+    refused = inspected(replayed, tmp_path / "two.html")
+    assert refused.returncode == 2
+    assert "is of two logs; inspect one of them: limslam inspect " in refused.stderr
 
 
 def test_poses_of_another_version_are_noticed(tmp_path, run_folder):

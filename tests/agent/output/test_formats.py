@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from limslam_agent import read_log
 from limslam_agent.cli.export import export
 from limslam_agent.logs.table_options import TableOptions
-from limslam_agent.output.finished_run import read_run
+from limslam_agent.output.finished_run import position_error, read_run
 from limslam_agent.output.formats.content import read_exported
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
@@ -165,6 +165,49 @@ def test_a_folder_without_readings_gives_the_rest(folder, tmp_path):
     assert (bare / "export" / "bag" / "metadata.yaml").is_file()
 
 
+class TestRerun:
+    """The official library reads the recordings back."""
+
+    @pytest.fixture
+    def chunks(self):
+        return pytest.importorskip("rerun.chunk", reason="needs the extra rerun (rerun-sdk)")
+
+    def columns(self, chunks, path, entity, component):
+        """The values of a component of an entity at all times."""
+        found = []
+        for chunk in chunks.RrdReader(path).stream():
+            batch = chunk.to_record_batch()
+            if chunk.entity_path == entity and not chunk.is_static and component in batch.schema.names:
+                found += batch.column(component).to_pylist()
+        return found
+
+    def test_poses_errors_and_beams(self, chunks, folder, tmp_path):
+        run_export(folder, "--rerun", "--out", tmp_path)
+        run, readings, path = read_run(folder), read_exported(folder).readings, tmp_path / "run.rrd"
+        places = self.columns(chunks, path, "/map/robot/smoothed", "Transform3D:translation")
+        np.testing.assert_allclose(np.reshape(places, (-1, 3))[:, :2], run.smoothed[0][:, :2], atol=1e-6)
+        errors = self.columns(chunks, path, "/plots/robot/position_error/estimated", "Scalars:scalars")
+        np.testing.assert_allclose(np.ravel(errors), position_error(run.estimated[0], run.true[0]), atol=1e-9)
+        seen = readings.ranges[:, 0] < np.array([beam.max_range for beam in readings.robot.beams], dtype=np.float32)
+        beams = self.columns(chunks, path, "/map/robot/estimated/beams", "LineStrips3D:strips")
+        assert [len(step or []) for step in beams] == seen.sum(axis=1).tolist()
+        lengths = [math.dist(*strip) for step in beams for strip in step or []]
+        np.testing.assert_allclose(lengths, readings.ranges[:, 0][seen], atol=1e-6)
+
+    def test_the_viewer_has_a_layout(self, chunks, folder, tmp_path):
+        run_export(folder, "--rerun", "--out", tmp_path)
+        reader = chunks.RrdReader(tmp_path / "run.rrd")
+        (layout,) = reader.blueprints()
+        names = [chunk.entity_path for chunk in reader.stream(store=layout)]
+        # The map, and the errors of position and heading beside the ranges.
+        assert sum(name.startswith("/view/") and name.count("/") == 2 for name in names) == 4
+
+    def test_a_team(self, chunks, team_folder, tmp_path):
+        run_export(team_folder, "--rerun", "--out", tmp_path)
+        names = {chunk.entity_path for chunk in chunks.RrdReader(tmp_path / "run.rrd").stream()}
+        assert {"/map/walls", "/map/grid", "/map/robot_0/estimated", "/plots/robot_1/ranges/beam_5"} <= names
+
+
 class TestRefusals:
     def test_nothing_is_replaced_by_accident_and_nothing_is_lost(self, folder, tmp_path):
         (tmp_path / "map.geojson").write_text("mine")
@@ -187,7 +230,8 @@ class TestRefusals:
             run_export(folder, *options, "--out", tmp_path / "new")
 
     @pytest.mark.parametrize(
-        ("option", "package", "extra"), [("--dxf", "ezdxf", "export"), ("--mcap", "rosbags", "ros")]
+        ("option", "package", "extra"),
+        [("--dxf", "ezdxf", "export"), ("--mcap", "rosbags", "ros"), ("--rerun", "rerun", "rerun")],
     )
     def test_a_missing_package_is_named(self, folder, tmp_path, monkeypatch, option, package, extra):
         for name in [name for name in sys.modules if name.partition(".")[0] == package]:
