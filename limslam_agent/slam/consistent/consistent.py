@@ -13,13 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
-from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings, hit_points
+from limslam_agent.slam.consistent.beam_model import RangeSensor, Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
-from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
+from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
@@ -236,8 +237,8 @@ class ConsistentEstimator(Estimator):
 
         Where the wall is not known, they are on the middle of each beam.
         """
-        poses = self._filter.clone_poses(readings.clones)
-        return hit_points(poses, readings if theta is None else readings.towards(theta, poses[:, 2]))
+        places = self._filter.places(readings.clones)
+        return self._filter.points(places, readings.rows, math.nan if theta is None else theta)
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""

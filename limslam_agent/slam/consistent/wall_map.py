@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from limslam_agent.config.consistent import ExtentConfig
-from limslam_agent.slam.consistent.beam_model import GRAZING
+from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core.line_map import Landmark

@@ -115,7 +115,7 @@ def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
     bias.predict(slice(0, 3), np.eye(3))
     bias.drive(slice(0, 3), np.eye(3))
     innovation, noise = 0.02 * generator.normal(size=5), 1e-4 * np.eye(5)
-    bias.update(jacobian, np.arange(3), innovation, noise, np.zeros((5, 3)))
+    bias.update(jacobian, np.arange(3), innovation, np.linalg.cholesky(noise), np.zeros((5, 3)))
     wide = noise + jacobian @ prior @ jacobian.T
     chi_squares = [innovation @ np.linalg.solve(each, innovation) for each in (noise, wide)]
     sizes = [np.linalg.slogdet(each)[1] for each in (noise, wide)]
