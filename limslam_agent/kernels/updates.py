@@ -1,4 +1,4 @@
-"""Updates of the filter of poses, lines and clones by readings of one line.
+"""Motions of the filter of poses, lines and clones, and its updates by readings of one line.
 
 ``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the literature. Readings,
 ``places`` and the state are those of :mod:`~limslam_agent.kernels.measurement`. Rows of H are stored without zeros, as
@@ -6,13 +6,49 @@
 store P in different ways.
 """
 
+import math
+
 import numpy as np
 
-from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
-from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten, wrapped
+from limslam_agent.kernels.compilation import algebra, entry, lean_entry
 from limslam_agent.kernels.measurement import fill_transport, predict_ranges
 from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_RESIDUAL, POSE
 from limslam_env.geometry import FloatArray, IntArray
+
+
+@lean_entry
+def move_pose(
+    x: FloatArray, P: FloatArray, at: int, increment: FloatArray, covariance: FloatArray, by_pose: FloatArray,
+    by_increment: FloatArray,
+) -> None:  # fmt: skip
+    """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its frame, m, m, rad.
+
+    The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to
+    the derivatives of the new pose.
+    """
+    cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+    ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
+    for k in range(POSE):
+        by_pose[k, k] = 1.0
+    by_pose[0, 2], by_pose[1, 2] = -left, ahead
+    by_increment[0, 0], by_increment[0, 1], by_increment[1, 0], by_increment[1, 1] = cos, -sin, sin, cos
+    by_increment[2, 2] = 1.0
+    x[at], x[at + 1], x[at + 2] = x[at] + ahead, x[at + 1] + left, wrapped(x[at + 2] + increment[2])
+    for j in range(len(x)):
+        P[at, j] -= left * P[at + 2, j]
+        P[at + 1, j] += ahead * P[at + 2, j]
+    for i in range(POSE):
+        P[at + i, at] -= left * P[at + i, at + 2]
+        P[at + i, at + 1] += ahead * P[at + i, at + 2]
+    for i in range(POSE):
+        for j in range(POSE):
+            for k in range(POSE):
+                for m in range(POSE):
+                    P[at + i, at + j] += by_increment[i, k] * covariance[k, m] * by_increment[j, m]
+    for i in range(POSE):
+        for j in range(len(x)):
+            P[j, at + i] = P[at + i, j]
 
 
 @algebra
