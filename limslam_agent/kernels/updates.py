@@ -69,6 +69,15 @@ def clear_readings(
 
 
 @algebra
+def gathered(values: FloatArray, chosen: IntArray) -> FloatArray:
+    """Some of the values."""
+    found = np.empty(len(chosen))
+    for i in range(len(chosen)):
+        found[i] = values[chosen[i]]
+    return found
+
+
+@algebra
 def involved(
     places: IntArray, chosen: IntArray, num_clones: int, start: int, line: int
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
@@ -103,6 +112,16 @@ def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
 
 
 @algebra
+def dense_rows(P: FloatArray, columns: IntArray) -> FloatArray:
+    """Rows (k, n) of a covariance."""
+    rows = np.empty((len(columns), P.shape[1]))
+    for i in range(len(columns)):
+        for j in range(P.shape[1]):
+            rows[i, j] = P[columns[i], j]
+    return rows
+
+
+@algebra
 def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variances: FloatArray) -> FloatArray:
     """H P H^T + R of readings with variances (n,), the lower triangle; ``block`` is the part of P of ``involved``."""
     count, size = len(begins), len(block)
@@ -134,7 +153,7 @@ def compare(
     count = len(chosen)
     H, values = np.empty((count, 7)), np.empty((count, 3))
     predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, H)
-    S = covariance_of(block, begins, H, variances[chosen])
+    S = covariance_of(block, begins, H, gathered(variances, chosen))
     for i in range(count):
         values[i, 0] = readings[chosen[i], 3] - H[i, 0]
         values[i, 1], values[i, 2] = H[i, 4], H[i, 5]
@@ -189,19 +208,14 @@ def innovation(
 
 
 @algebra
-def off_from(
-    x: FloatArray, before: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, measured: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
-    """Residuals relative to the state ``before`` the update."""
-    line = columns[-2]
-    for i in range(len(begins)):
-        at = columns[begins[i]]
-        out[i] = measured[i] - H[i, 0]
-        for k in range(POSE):
-            out[i] += H[i, 1 + k] * (x[at + k] - before[at + k])
-        for k in range(2):
-            out[i] += H[i, 4 + k] * (x[line + k] - before[line + k])
+def since(x: FloatArray, before: FloatArray, columns: IntArray, begin: int, H: FloatArray) -> float:
+    """What the change of the state since ``before`` makes of a range, by its row of H."""
+    at, line, total = columns[begin], columns[-2], 0.0
+    for k in range(POSE):
+        total += H[1 + k] * (x[at + k] - before[at + k])
+    for k in range(2):
+        total += H[4 + k] * (x[line + k] - before[line + k])
+    return total
 
 
 @algebra
@@ -235,36 +249,56 @@ def iterate(
         What is still to be added to the state (size,).
     """
     count, first, start = len(chosen), begins_of[1] + 2 * index, begins_of[2]
-    anchor, measured, before = (anchors[index, 0], anchors[index, 1]), readings[chosen, 3], x[:size].copy()
+    anchor, before, off, solution = (
+        (anchors[index, 0], anchors[index, 1]),
+        np.empty(size),
+        np.empty(count),
+        np.empty(count),
+    )
     moved, at_first = np.zeros((size, POSE)), np.empty((size, POSE))
     fill_transport(x, size, begins_of, anchors, num_lines, at_first)
-    H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows.copy()
-    change, weights, S, now = np.zeros(size), np.ones(count), np.empty((count, count)), np.empty((POSE, size))
-    off, solution = np.empty(count), np.empty(count)
+    H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows
+    change, scaled, S = np.zeros(size), np.empty(count), np.empty((count, count))
+    now, further = np.empty((POSE, size)), np.empty(rows.shape)
+    for j in range(size):
+        before[j] = x[j]
+    for i in range(count):
+        scaled[i] = variances[i]
     for iteration in range(iterations):
         if iteration:
-            x[:size] += change
+            shifted = further
+            for j in range(size):
+                x[j] += change[j]
             fill_transport(x, size, begins_of, anchors, num_lines, moved)
-            moved -= at_first
+            subtract(moved, at_first)
             transport_top(top, moved, size, now)
             transport_rows(top, rows, columns, moved, now, shifted)
         predict_ranges(x, start, places, readings, chosen, (x[first], x[first + 1]), anchor, H)
         gained(shifted, begins, H, HP)
-        innovation(HP, columns, begins, H, variances / weights, S)
-        off_from(x, before, columns, begins, H, measured, off)
+        innovation(HP, columns, begins, H, scaled, S)
         for i in range(count):
-            solution[i] = off[i]
+            residual = readings[chosen[i], 3] - H[i, 0]
+            off[i] = solution[i] = residual + since(x, before, columns, begins[i], H[i])
             if huber > 0.0:
-                residual = abs(measured[i] - H[i, 0])
-                weights[i] = min(1.0, huber * np.sqrt(variances[i]) / max(residual, LEAST_RESIDUAL))
+                weight = min(1.0, huber * math.sqrt(variances[i]) / max(abs(residual), LEAST_RESIDUAL))
+                scaled[i] = variances[i] / weight
         factorise(S, count)
         solve_factored(S, solution, count)
-        change[:] = before - x[:size]
+        for j in range(size):
+            change[j] = before[j] - x[j]
         for i in range(count):
             for j in range(size):
                 change[j] += solution[i] * HP[i, j]
     whiten(S, HP, count, size)
     return moved, H, S, HP, off, change
+
+
+@algebra
+def subtract(values: FloatArray, others: FloatArray) -> None:
+    """Subtract one matrix from another, in place."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            values[i, j] -= others[i, j]
 
 
 @algebra
@@ -303,33 +337,40 @@ def stack_changes(
     """Finish an update: transport the error of P to where W was found, subtract W^T W, and change the state.
 
     Then the error is transported to the changed state. With ``moved`` M (n, 3), the pose's rows A of P, and their
-    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. So all is one product of two matrices
-    (at least the number of rows of W + 12, size), which are filled: P becomes P + ``left``^T ``right``. The pose's own
-    rows, ``top``, become what they are after it.
+    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. The two transports are one by the sum
+    of both M, if W is transported by the second M. So all is one product of two matrices (at least the number of rows
+    of W + 6, size), which are filled: P becomes P + ``left``^T ``right``. The pose's own rows, ``top``, become what
+    they are after it.
 
     Returns
     -------
     moved
         The last transport (size, 3).
     """
-    rank = len(W)
-    left[:], right[:] = 0.0, 0.0
-    left[:rank], right[:rank] = -W, W
-    stack_transport(top, moved, size, left, right, rank)
-    for k in range(POSE):
-        for j in range(size):
-            total = right[rank + k, j]
-            for r in range(rank):
-                total -= W[r, k] * W[r, j]
-            top[k, j] = total
-    before, after = np.empty((size, POSE)), np.empty((size, POSE))
-    fill_transport(x, size, begins_of, anchors, num_lines, before)
+    rank, after, both = len(W), np.empty((size, POSE)), np.empty((size, POSE))
+    fill_transport(x, size, begins_of, anchors, num_lines, both)
     for j in range(size):
         x[j] += change[j]
     fill_transport(x, size, begins_of, anchors, num_lines, after)
-    after -= before
-    stack_transport(top, after, size, left, right, rank + 2 * POSE)
-    top[:, :size] = right[rank + 2 * POSE : rank + 3 * POSE]
+    subtract(after, both)
+    for j in range(size):
+        for k in range(POSE):
+            both[j, k] = moved[j, k] + after[j, k]
+    stack_transport(top, both, size, left, right, rank)
+    for k in range(POSE):
+        for j in range(size):
+            top[k, j] = right[rank + k, j]
+    for r in range(rank):
+        a, b, c = W[r, 0], W[r, 1], W[r, 2]
+        for j in range(size):
+            right[r, j] = W[r, j] + a * after[j, 0] + b * after[j, 1] + c * after[j, 2]
+            left[r, j] = -right[r, j]
+        for k in range(POSE):
+            for j in range(size):
+                top[k, j] += left[r, k] * right[r, j]
+    for r in range(rank + 2 * POSE, len(left)):
+        for j in range(size):
+            left[r, j] = right[r, j] = 0.0
     return after
 
 
@@ -347,7 +388,7 @@ def stack_transport(
 
 
 @algebra
-def dense_rows(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
+def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
     """H (m, width) with its zeros."""
     dense = np.zeros((len(begins), width))
     for i in range(len(begins)):
@@ -382,14 +423,13 @@ def update_by_readings(
     chosen = clear_readings(x, start, places, readings, first, anchor)
     columns, begins = involved(places, chosen, (size - start) // POSE, start, first)
     moved, H, factor, W, off, change = iterate(
-        x, size, begins_of, anchors, len(anchors), P[:POSE], P[columns], columns, begins, places, readings, chosen,
-        index, variances[chosen], iterations if len(chosen) else 0, huber,
+        x, size, begins_of, anchors, len(anchors), P[:POSE], dense_rows(P, columns), columns, begins, places, readings,
+        chosen, index, gathered(variances, chosen), iterations if len(chosen) else 0, huber,
     )  # fmt: skip
-    height = len(chosen) + 4 * POSE if len(chosen) else 0
+    height = len(chosen) + 2 * POSE if len(chosen) else 0
     left, right = np.empty((height, size)), np.empty((height, size))
     again = moved
     if height:
-        again = stack_changes(
-            x, size, begins_of, anchors, len(anchors), P[:POSE].copy(), moved, W, change, left, right
-        )  # fmt: skip
-    return left, right, moved, again, H, dense_rows(H, begins, len(columns)), columns, factor, W, off
+        top = dense_rows(P, np.arange(POSE))
+        again = stack_changes(x, size, begins_of, anchors, len(anchors), top, moved, W, change, left, right)
+    return left, right, moved, again, H, with_zeros(H, begins, len(columns)), columns, factor, W, off
