@@ -249,17 +249,12 @@ def iterate(
         What is still to be added to the state (size,).
     """
     count, first, start = len(chosen), begins_of[1] + 2 * index, begins_of[2]
-    anchor, before, off, solution = (
-        (anchors[index, 0], anchors[index, 1]),
-        np.empty(size),
-        np.empty(count),
-        np.empty(count),
-    )
+    anchor, before = (anchors[index, 0], anchors[index, 1]), np.empty(size)
     moved, at_first = np.zeros((size, POSE)), np.empty((size, POSE))
     fill_transport(x, size, begins_of, anchors, num_lines, at_first)
     H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows
     change, scaled, S = np.zeros(size), np.empty(count), np.empty((count, count))
-    now, further = np.empty((POSE, size)), np.empty(rows.shape)
+    off, solution, now, further = np.empty(count), np.empty(count), np.empty((POSE, size)), np.empty(rows.shape)
     for j in range(size):
         before[j] = x[j]
     for i in range(count):
@@ -279,18 +274,30 @@ def iterate(
         for i in range(count):
             residual = readings[chosen[i], 3] - H[i, 0]
             off[i] = solution[i] = residual + since(x, before, columns, begins[i], H[i])
-            if huber > 0.0:
-                weight = min(1.0, huber * math.sqrt(variances[i]) / max(abs(residual), LEAST_RESIDUAL))
-                scaled[i] = variances[i] / weight
+            scaled[i] = variances[i] / huber_weight(residual, variances[i], huber)
         factorise(S, count)
         solve_factored(S, solution, count)
-        for j in range(size):
-            change[j] = before[j] - x[j]
-        for i in range(count):
-            for j in range(size):
-                change[j] += solution[i] * HP[i, j]
+        set_change(before, x, solution, HP, change)
     whiten(S, HP, count, size)
     return moved, H, S, HP, off, change
+
+
+@algebra
+def huber_weight(residual: float, variance: float, huber: float) -> float:
+    """Weight of a range: less than 1 beyond ``huber`` standard deviations, unless that is 0."""
+    if huber <= 0.0:
+        return 1.0
+    return min(1.0, huber * math.sqrt(variance) / max(abs(residual), LEAST_RESIDUAL))
+
+
+@algebra
+def set_change(before: FloatArray, x: FloatArray, solution: FloatArray, HP: FloatArray, change: FloatArray) -> None:
+    """Set what has to be added to the state x, which was ``before`` when the update began."""
+    for j in range(len(change)):
+        change[j] = before[j] - x[j]
+    for i in range(len(solution)):
+        for j in range(len(change)):
+            change[j] += solution[i] * HP[i, j]
 
 
 @algebra
@@ -360,18 +367,24 @@ def stack_changes(
     for k in range(POSE):
         for j in range(size):
             top[k, j] = right[rank + k, j]
-    for r in range(rank):
-        a, b, c = W[r, 0], W[r, 1], W[r, 2]
-        for j in range(size):
-            right[r, j] = W[r, j] + a * after[j, 0] + b * after[j, 1] + c * after[j, 2]
-            left[r, j] = -right[r, j]
-        for k in range(POSE):
-            for j in range(size):
-                top[k, j] += left[r, k] * right[r, j]
+    stack_square(top, after, W, left, right)
     for r in range(rank + 2 * POSE, len(left)):
         for j in range(size):
             left[r, j] = right[r, j] = 0.0
     return after
+
+
+@algebra
+def stack_square(top: FloatArray, moved: FloatArray, W: FloatArray, left: FloatArray, right: FloatArray) -> None:
+    """Add -W^T W, where W (m, size) is transported, to two stacks and to the pose's rows of P."""
+    for r in range(len(W)):
+        a, b, c = W[r, 0], W[r, 1], W[r, 2]
+        for j in range(len(moved)):
+            right[r, j] = W[r, j] + a * moved[j, 0] + b * moved[j, 1] + c * moved[j, 2]
+            left[r, j] = -right[r, j]
+        for k in range(POSE):
+            for j in range(len(moved)):
+                top[k, j] += left[r, k] * right[r, j]
 
 
 @algebra
