@@ -1,8 +1,8 @@
 """How the kernels of a step are compiled: the decorators of ``limslam_env.compilation``, for these sources."""
 
-from limslam_env.compilation import compiled, entry_of
+from limslam_env.compilation import algebra, compiled, entry_of
 
-__all__ = ["compiled", "entry", "lean_entry"]
+__all__ = ["algebra", "compiled", "entry", "lean_entry"]
 
 entry = entry_of("limslam_agent.kernels")
 """The decorator for kernels of a step that Python calls."""

@@ -1,93 +1,157 @@
-"""Beams that meet a line, and how errors move with the world: parts of each update of the consistent filter.
+"""Measurement model of a range beam that meets a line, and how errors move with the world.
 
-The operations are those of plain numpy in the same order, so that results are the same to the bit.
+``slam.consistent.beam_model`` explains the model. Readings come as ``places`` (n,), the places of their clones in the
+state, and ``readings`` (n, 5): the beam's origin x, y in the robot's frame (m), its direction (rad), its range (m), and
+half its opening angle (rad). The clones begin in the state ``x`` at the index ``start``.
 """
 
 import math
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import compiled, entry
-from limslam_env.geometry import FloatArray
+from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
+from limslam_env.geometry import FloatArray, IntArray
 
 
-@compiled
-def ray_of(
-    pose: FloatArray, origin: FloatArray, angle: float
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """Vector from body to beam in the world's axes, m, and the beam's direction, for a beam read at a pose (3,)."""
-    cos, sin, heading = math.cos(pose[2]), math.sin(pose[2]), pose[2] + angle
-    return cos * origin[0] - sin * origin[1], sin * origin[0] + cos * origin[1], math.cos(heading), math.sin(heading)
+@algebra
+def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
+    """Direction in the robot's frame, rad, of the ray that measures a line with its normal at ``theta`` as a beam does.
+
+    ``heading``, rad, is that of the pose that the reading was taken from.
+    """
+    angle, cone = float(reading[2]), reading[4]
+    if cone > 0.0:
+        turn = (theta - heading - angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+        angle += min(max(turn, -cone), cone) if abs(turn) < FLATTEST else 0.0
+    return angle
+
+
+@algebra
+def towards(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
+    """The rays (n, 5) that measure a line with its normal at ``theta``, rad, as the beams do."""
+    rays = readings.copy()
+    for i in range(len(places)):
+        rays[i, 2] = ray_angle(readings[i], x[start + POSE * places[i] + 2], theta)
+        rays[i, 4] = 0.0
+    return rays
+
+
+@algebra
+def predict_ranges(
+    x: FloatArray, start: int, places: IntArray, readings: FloatArray, chosen: IntArray, line: tuple[float, float],
+    anchor: tuple[float, float], out: FloatArray,
+) -> None:  # fmt: skip
+    """Predict the ranges of some beams that meet a line.
+
+    Parameters
+    ----------
+    x, start, places, readings
+        As above.
+    chosen
+        Indices (k,) of the readings that are predicted.
+    line, anchor
+        (d, theta), m and rad, and the anchor, m.
+    out
+        (k, 7), filled: range, derivatives by pose (3) and by line (2), and cosine between beam and normal.
+    """
+    nx, ny = math.cos(line[1]), math.sin(line[1])
+    for i in range(len(chosen)):
+        read = chosen[i]
+        at = start + POSE * places[read]
+        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+        offset_x, offset_y = (
+            cos * readings[read, 0] - sin * readings[read, 1],
+            sin * readings[read, 0] + cos * readings[read, 1],
+        )
+        heading = x[at + 2] + ray_angle(readings[read], x[at + 2], line[1])
+        ux, uy = math.cos(heading), math.sin(heading)
+        from_x, from_y = x[at] + offset_x - anchor[0], x[at + 1] + offset_y - anchor[1]
+        cosine = nx * ux + ny * uy
+        divisor = math.copysign(max(abs(cosine), LEAST_COSINE), cosine)
+        reach = (line[0] - nx * from_x - ny * from_y) / divisor
+        hit_x, hit_y = from_x + reach * ux, from_y + reach * uy
+        turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)
+        out[i, 0] = reach
+        out[i, 1], out[i, 2], out[i, 3] = -nx / divisor, -ny / divisor, -turning / divisor
+        out[i, 4], out[i, 5], out[i, 6] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor, cosine
+
+
+@algebra
+def end_of_beam(x: FloatArray, at: int, reading: FloatArray, angle: float, reach: float) -> tuple[float, float]:
+    """End point, m, of a ray at ``angle``, rad, with a range, m, from the pose that begins in the state at ``at``."""
+    cos, sin, heading = math.cos(x[at + 2]), math.sin(x[at + 2]), x[at + 2] + angle
+    return (
+        x[at] + (cos * reading[0] - sin * reading[1]) + reach * math.cos(heading),
+        x[at + 1] + (sin * reading[0] + cos * reading[1]) + reach * math.sin(heading),
+    )
+
+
+@algebra
+def hit_points(x: FloatArray, start: int, places: IntArray, readings: FloatArray, ranges: FloatArray) -> FloatArray:
+    """End points (n, 2) in the world, m, of beams with given ranges (n,), m."""
+    points = np.empty((len(places), 2))
+    for i in range(len(places)):
+        points[i] = end_of_beam(x, start + POSE * places[i], readings[i], readings[i, 2], ranges[i])
+    return points
+
+
+@algebra
+def fill_transport(
+    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int, out: FloatArray
+) -> None:
+    """Derivative (size, 3) of the state by the first robot's pose when robot and world move together rigidly.
+
+    Parameters
+    ----------
+    x, size
+        The state, and its length.
+    begins
+        Where the poses end in the state, and where lines and clones begin.
+    anchors, num_lines
+        Anchors, m, of the lines, and the number of lines.
+    out
+        Is filled.
+    """
+    poses_end, first, clones_from = begins
+    out[:size] = 0.0
+    for place in range((poses_end + size - clones_from) // POSE):
+        # The clones do not begin at a multiple of three.
+        at = POSE * place
+        row = at if at < poses_end else at - poses_end + clones_from
+        for k in range(POSE):
+            out[row + k, k] = 1.0
+        out[row, 2], out[row + 1, 2] = x[1] - x[row + 1], x[row] - x[0]
+    for number in range(num_lines):
+        row = first + 2 * number
+        cos, sin = math.cos(x[row + 1]), math.sin(x[row + 1])
+        out[row, 0], out[row, 1] = cos, sin
+        out[row, 2] = cos * (x[1] - anchors[number, 1]) - sin * (x[0] - anchors[number, 0])
+        out[row + 1, 2] = 1.0
+
+
+@entry
+def error_transport(x: FloatArray, begins: tuple[int, int, int], anchors: FloatArray) -> FloatArray:
+    """:func:`fill_transport` of a whole state x (n,) with the lines' anchors (k, 2), as Python calls it: (n, 3)."""
+    moved = np.empty((len(x), POSE))
+    fill_transport(x, len(x), begins, anchors, len(anchors), moved)
+    return moved
 
 
 @entry
 def ranges_to_line(
-    poses: FloatArray, origins: FloatArray, angles: FloatArray, line: FloatArray, anchor: FloatArray, least: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Predicted ranges (n,) of beams to a line, their derivatives by pose (n, 3) and line (n, 2), and cosines (n,).
-
-    Parameters
-    ----------
-    poses, origins, angles
-        Pose from which each beam was read (n, 3), and where it begins (n, 2), m, and its direction (n,), rad, in the
-        robot's frame.
-    line, anchor
-        (d, theta), m and rad, and the anchor (2,), m.
-    least
-        Least cosine that a range is divided by.
-    """
-    count = len(poses)
-    ranges, by_pose, by_line, cosines = np.empty(count), np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
-    nx, ny = math.cos(line[1]), math.sin(line[1])
-    for i in range(count):
-        offset_x, offset_y, ux, uy = ray_of(poses[i], origins[i], angles[i])
-        x, y = poses[i, 0] + offset_x, poses[i, 1] + offset_y
-        cosine = nx * ux + ny * uy
-        divisor = math.copysign(max(abs(cosine), least), cosine)
-        reach = (line[0] - nx * (x - anchor[0]) - ny * (y - anchor[1])) / divisor
-        hit_x, hit_y = x + reach * ux - anchor[0], y + reach * uy - anchor[1]
-        turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)
-        ranges[i], cosines[i] = reach, cosine
-        by_pose[i, 0], by_pose[i, 1], by_pose[i, 2] = -nx / divisor, -ny / divisor, -turning / divisor
-        by_line[i, 0], by_line[i, 1] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor
-    return ranges, by_pose, by_line, cosines
+    x: FloatArray, places: IntArray, readings: FloatArray, line: FloatArray, anchor: FloatArray
+) -> FloatArray:
+    """:func:`predict_ranges` of all readings, from poses x (3 k,) that begin at 0, as Python calls it: (n, 7)."""
+    out = np.empty((len(places), 7))
+    predict_ranges(
+        x, 0, places, readings, np.arange(len(places)), (line[0], line[1]), (anchor[0], anchor[1]), out
+    )  # fmt: skip
+    return out
 
 
 @entry
-def ends_of_beams(poses: FloatArray, origins: FloatArray, angles: FloatArray, ranges: FloatArray) -> FloatArray:
-    """End points (n, 2), m, of beams with ranges (n,), m; the other parameters are as of :func:`ranges_to_line`."""
-    points = np.empty((len(poses), 2))
-    for i in range(len(poses)):
-        offset_x, offset_y, ux, uy = ray_of(poses[i], origins[i], angles[i])
-        points[i, 0] = poses[i, 0] + offset_x + ranges[i] * ux
-        points[i, 1] = poses[i, 1] + offset_y + ranges[i] * uy
-    return points
-
-
-@entry
-def error_transport(x: FloatArray, poses_end: int, first: int, clones_from: int, anchors: FloatArray) -> FloatArray:
-    """Derivative (n, 3) of the filter's state x (n,) by the first robot's pose when robot and world move together.
-
-    Parameters
-    ----------
-    poses_end, first, clones_from
-        Where the poses end in the state, and where lines and clones begin.
-    anchors
-        Anchors (k, 2), m, of the lines.
-    """
-    moved = np.zeros((len(x), 3))
-    for at in range(0, len(x), 3):
-        # The clones do not begin at a multiple of three.
-        begin = at if at < poses_end else at - poses_end + clones_from
-        if begin >= len(x):
-            break
-        for k in range(3):
-            moved[begin + k, k] = 1.0
-        moved[begin, 2], moved[begin + 1, 2] = x[1] - x[begin + 1], x[begin] - x[0]
-    for number in range(len(anchors)):
-        begin = first + 2 * number
-        cos, sin = math.cos(x[begin + 1]), math.sin(x[begin + 1])
-        moved[begin, 0], moved[begin, 1] = cos, sin
-        moved[begin, 2] = cos * (x[1] - anchors[number, 1]) - sin * (x[0] - anchors[number, 0])
-        moved[begin + 1, 2] = 1.0
-    return moved
+def ends_of_beams(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
+    """End points (n, 2), m, of readings on a line with its normal at ``theta``, rad; of the middle of beams if NaN."""
+    rays = readings if math.isnan(theta) else towards(x, start, places, readings, theta)
+    return hit_points(x, start, places, rays, readings[:, 3])

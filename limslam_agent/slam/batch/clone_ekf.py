@@ -9,21 +9,13 @@ import math
 
 import numpy as np
 
-from limslam_agent.slam.batch.algebra import (
-    add_products,
-    block_of,
-    dot,
-    factorise,
-    gather_rows,
-    solve_factored,
-    whiten,
-    wrapped,
-)
-from limslam_agent.slam.batch.beam_model import expected_ranges
+from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.tables import FEWEST_TO_COMPARE
+from limslam_agent.kernels.updates import clear_readings, compare, involved, iterate, stack_changes
+from limslam_agent.slam.batch.algebra import add_products, block_of, gather_rows
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.batch.state import CLONES, LINES, NEXT_CLONE, Filter
-from limslam_agent.slam.consistent.beam_model import GRAZING
-from limslam_agent.slam.consistent.clone_ekf import EQUALITY_NOISE, FEWEST_TO_COMPARE, LEAST_RESIDUAL, LINE_PRIOR
+from limslam_agent.slam.consistent.clone_ekf import EQUALITY_NOISE, LINE_PRIOR
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
@@ -149,100 +141,17 @@ def add_line(ekf: Filter, theta: float, anchor_x: float, anchor_y: float) -> int
 
 
 @algebra
-def expected(
-    ekf: Filter, places: IntArray, readings: FloatArray, chosen: IntArray, index: int, out: FloatArray
-) -> None:
-    """Predicted ranges of some beams that meet a line of the filter: the rows of ``expected_ranges``."""
-    row, anchors = POSE + 2 * index, ekf.anchors
-    expected_ranges(
-        ekf.x, clones_from(ekf), places, readings, chosen, (ekf.x[row], ekf.x[row + 1]),
-        (anchors[index, 0], anchors[index, 1]), out,
-    )  # fmt: skip
-
-
-@algebra
-def clear_readings(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> IntArray:
-    """Indices of the readings that meet a line ahead of the beam and do not graze it."""
-    chosen, size, out = np.arange(len(places)), 0, np.empty((len(places), 7))
-    expected(ekf, places, readings, chosen, index, out)
-    for i in range(len(places)):
-        if abs(out[i, 6]) > GRAZING and out[i, 0] > 0.0:
-            chosen[size] = i
-            size += 1
-    return chosen[:size]
-
-
-@algebra
-def involved(ekf: Filter, places: IntArray, chosen: IntArray, index: int) -> tuple[IntArray, IntArray]:
-    """Indices in the state of all that readings depend on, and where each reading's clone begins among them (n,).
-
-    The clones come first, then the line ``index``; no line if that is negative.
-    """
-    start, size = clones_from(ekf), 0
-    columns = np.empty(POSE * len(chosen) + 2, dtype=np.int64)
-    begins, column_of = np.empty(len(chosen), dtype=np.int64), np.full(len(ekf.clones), -1, dtype=np.int64)
-    for i in range(len(chosen)):
-        place = places[chosen[i]]
-        if column_of[place] < 0:
-            column_of[place] = size
-            for k in range(POSE):
-                columns[size + k] = start + POSE * place + k
-            size += POSE
-        begins[i] = column_of[place]
-    if index >= 0:
-        columns[size], columns[size + 1] = POSE + 2 * index, POSE + 2 * index + 1
-        size += 2
-    return columns[:size], begins
-
-
-@algebra
-def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variance: float) -> FloatArray:
-    """H P H^T + R of readings, the lower triangle; the rows of H are those of ``expected_ranges``.
-
-    ``block`` is the part of P that ``involved`` names.
-    """
-    count, size = len(begins), len(block)
-    S, row = np.empty((count, count)), np.empty(size)
-    # The block holds three rows for each clone, and two for the line if there is one.
-    line, with_line = size - 2, size % POSE > 0
-    for i in range(count):
-        at = begins[i]
-        for j in range(size):
-            row[j] = H[i, 1] * block[at, j] + H[i, 2] * block[at + 1, j] + H[i, 3] * block[at + 2, j]
-        if with_line:
-            for j in range(size):
-                row[j] += H[i, 4] * block[line, j] + H[i, 5] * block[line + 1, j]
-        for m in range(i + 1):
-            to = begins[m]
-            S[i, m] = row[to] * H[m, 1] + row[to + 1] * H[m, 2] + row[to + 2] * H[m, 3]
-            if with_line:
-                S[i, m] += row[line] * H[m, 4] + row[line + 1] * H[m, 5]
-        S[i, i] += variance
-    return S
-
-
-@algebra
 def disagreement(
     ekf: Filter, places: IntArray, readings: FloatArray, index: int, std: float
 ) -> tuple[float, float, int, float, float]:
     """The fields of ``consistent.Disagreement``; no readings were used if too few of them can be compared."""
-    chosen = clear_readings(ekf, places, readings, index)
-    count = len(chosen)
-    if count < FEWEST_TO_COMPARE:
+    start, line, anchor = clones_from(ekf), POSE + 2 * index, (ekf.anchors[index, 0], ekf.anchors[index, 1])
+    chosen = clear_readings(ekf.x, start, places, readings, line, anchor)
+    if len(chosen) < FEWEST_TO_COMPARE:
         return 0.0, 0.0, 0, 0.0, 0.0
-    columns, begins = involved(ekf, places, chosen, index)
-    H, values = np.empty((count, 7)), np.empty((count, 3))
-    expected(ekf, places, readings, chosen, index, H)
-    S = covariance_of(block_of(ekf.top, ekf.rest, columns), begins, H, std**2)
-    for i in range(count):
-        values[i, 0] = readings[chosen[i], 3] - H[i, 0]
-        values[i, 1], values[i, 2] = H[i, 4], H[i, 5]
-    factorise(S, count)
-    whiten(S, values, count, 3)
-    a, b, c = dot(values, 1, 1, count), dot(values, 1, 2, count), dot(values, 2, 2, count)
-    along, across = dot(values, 0, 1, count), dot(values, 0, 2, count)
-    of_line = (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
-    return of_line, dot(values, 0, 0, count) - of_line, count, along / a, 1.0 / a
+    columns, begins = involved(places, chosen, len(ekf.clones), start, line)
+    block, variances = block_of(ekf.top, ekf.rest, columns), np.full(len(places), std**2)
+    return compare(ekf.x, start, block, begins, places, readings, chosen, line, anchor, variances)
 
 
 @algebra
@@ -255,88 +164,23 @@ def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> 
 
 
 @algebra
-def gained(rows: FloatArray, begins: IntArray, H: FloatArray, HP: FloatArray) -> None:
-    """H P (m, size) from those rows of P for which H is not zero."""
-    line = len(rows) - 2
-    for i in range(len(begins)):
-        at = begins[i]
-        a, b, c, d, e = H[i, 1], H[i, 2], H[i, 3], H[i, 4], H[i, 5]
-        for j in range(rows.shape[1]):
-            HP[i, j] = (
-                a * rows[at, j] + b * rows[at + 1, j] + c * rows[at + 2, j] + d * rows[line, j] + e * rows[line + 1, j]
-            )
-
-
-@algebra
-def innovation(
-    HP: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, variances: FloatArray, S: FloatArray
-) -> None:
-    """H P H^T + R of readings (m, m), the lower triangle."""
-    line = columns[-2]
-    for i in range(len(begins)):
-        for m in range(i + 1):
-            at = columns[begins[m]]
-            S[i, m] = (
-                HP[i, at] * H[m, 1] + HP[i, at + 1] * H[m, 2] + HP[i, at + 2] * H[m, 3]
-                + HP[i, line] * H[m, 4] + HP[i, line + 1] * H[m, 5]
-            )  # fmt: skip
-        S[i, i] += variances[i]
-
-
-@algebra
-def off_from(
-    x: FloatArray, start: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, measured: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
-    """Residuals relative to the state ``start`` at which the update began."""
-    line = columns[-2]
-    for i in range(len(begins)):
-        at = columns[begins[i]]
-        out[i] = measured[i] - H[i, 0]
-        for k in range(POSE):
-            out[i] += H[i, 1 + k] * (x[at + k] - start[at + k])
-        for k in range(2):
-            out[i] += H[i, 4 + k] * (x[line + k] - start[line + k])
-
-
-@algebra
 def observe(
     ekf: Filter, places: IntArray, readings: FloatArray, index: int, std: float, iterations: int, huber: float
 ) -> None:
     """Update by readings of one line: the iterated EKF with Huber weights, linearised anew at each iteration."""
-    chosen, size = clear_readings(ekf, places, readings, index), size_of(ekf)
-    count = len(chosen)
-    if not count:
+    start, size, line = clones_from(ekf), size_of(ekf), POSE + 2 * index
+    chosen = clear_readings(
+        ekf.x, start, places, readings, line, (ekf.anchors[index, 0], ekf.anchors[index, 1])
+    )  # fmt: skip
+    if not len(chosen):
         return
-    columns, begins = involved(ekf, places, chosen, index)
-    rows, measured = gather_rows(ekf.top, ekf.rest, columns, size), readings[chosen, 3]
-    start, moved, at_first = ekf.x[:size].copy(), np.zeros((size, POSE)), np.empty((size, POSE))
-    error_transport(ekf, size, at_first)
-    H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows.copy()
-    change, weights, S, top = np.zeros(size), np.ones(count), np.empty((count, count)), np.empty((POSE, size))
-    solution = np.empty(count)
-    for iteration in range(iterations):
-        if iteration:
-            ekf.x[:size] += change
-            error_transport(ekf, size, moved)
-            moved -= at_first
-            transported_top(ekf, moved, size, top)
-            transported_rows(ekf.top, rows, columns, moved, top, shifted)
-        expected(ekf, places, readings, chosen, index, H)
-        gained(shifted, begins, H, HP)
-        innovation(HP, columns, begins, H, std**2 / weights, S)
-        off_from(ekf.x, start, columns, begins, H, measured, solution)
-        for i in range(count):
-            if huber > 0.0:
-                weights[i] = min(1.0, huber * std / max(abs(measured[i] - H[i, 0]), LEAST_RESIDUAL))
-        factorise(S, count)
-        solve_factored(S, solution, count)
-        change[:] = start - ekf.x[:size]
-        for i in range(count):
-            for j in range(size):
-                change[j] += solution[i] * HP[i, j]
-    whiten(S, HP, count, size)
-    correct(ekf, moved, HP, count, change)
+    columns, begins = involved(places, chosen, len(ekf.clones), start, line)
+    rows, variances = gather_rows(ekf.top, ekf.rest, columns, size), np.full(len(chosen), std**2)
+    moved, _, _, W, _, change = iterate(
+        ekf.x, size, (POSE, POSE, start), ekf.anchors, ekf.counts[LINES], ekf.top, rows, columns, begins, places,
+        readings, chosen, index, variances, iterations, huber,
+    )  # fmt: skip
+    correct(ekf, moved, W, change)
 
 
 @algebra
@@ -376,7 +220,7 @@ def merge(ekf: Filter, younger: int, H: FloatArray, columns: IntArray, S: FloatA
         HP[0, j] /= first
         HP[1, j] = (HP[1, j] - beside * HP[0, j]) / second
         change[j] = y * HP[0, j] + z * HP[1, j]
-    correct(ekf, np.zeros((size, POSE)), HP, 2, change)
+    correct(ekf, np.zeros((size, POSE)), HP, change)
     remove_line(ekf, younger)
 
 
@@ -394,93 +238,12 @@ def remove_line(ekf: Filter, index: int) -> None:
 
 
 @algebra
-def error_transport(ekf: Filter, size: int, out: FloatArray) -> None:
-    """Derivative (size, 3) of the state by the robot's pose when robot and world move together rigidly."""
-    x, start = ekf.x, clones_from(ekf)
-    out[:size] = 0.0
-    for k in range(POSE):
-        out[k, k] = 1.0
-    for index in range(ekf.counts[LINES]):
-        row = POSE + 2 * index
-        cos, sin = math.cos(x[row + 1]), math.sin(x[row + 1])
-        out[row, 0], out[row, 1] = cos, sin
-        out[row, 2] = cos * (x[1] - ekf.anchors[index, 1]) - sin * (x[0] - ekf.anchors[index, 0])
-        out[row + 1, 2] = 1.0
-    for row in range(start, size, POSE):
-        for k in range(POSE):
-            out[row + k, k] = 1.0
-        out[row, 2], out[row + 1, 2] = x[1] - x[row + 1], x[row] - x[0]
-
-
-@algebra
-def transported_top(ekf: Filter, moved: FloatArray, size: int, out: FloatArray) -> None:
-    """The pose's rows of P (3, size) after its error is transported by ``moved`` (size, 3)."""
-    top = ekf.top
-    for k in range(POSE):
-        for j in range(size):
-            out[k, j] = top[k, j] + top[k, 0] * moved[j, 0] + top[k, 1] * moved[j, 1] + top[k, 2] * moved[j, 2]
-
-
-@algebra
-def transported_rows(
-    before: FloatArray, rows: FloatArray, columns: IntArray, moved: FloatArray, top: FloatArray, out: FloatArray
-) -> None:
-    """Some rows of P after its error is transported; ``before`` and ``top`` are the pose's rows before and after."""
-    size = len(moved)
-    across = np.empty((POSE, size))
-    for k in range(POSE):
-        for j in range(size):
-            across[k, j] = moved[j, k]
-    for i in range(len(columns)):
-        column = columns[i]
-        a, b, c = moved[column, 0], moved[column, 1], moved[column, 2]
-        d, e, f = before[0, column], before[1, column], before[2, column]
-        for j in range(size):
-            out[i, j] = rows[i, j] + (
-                a * top[0, j] + b * top[1, j] + c * top[2, j] + d * across[0, j] + e * across[1, j] + f * across[2, j]
-            )
-
-
-@algebra
-def correct(ekf: Filter, moved: FloatArray, W: FloatArray, rank: int, change: FloatArray) -> None:
-    """Finish an update: transport the error of P to where W was found, subtract W^T W, and change the state.
-
-    Then the error is transported to the changed state. With ``moved`` M (n, 3), the pose's rows A of P, and their
-    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. The two transports are one by the sum
-    of both M, if W is transported by the second M. All is done in one pass over P.
-    """
+def correct(ekf: Filter, moved: FloatArray, W: FloatArray, change: FloatArray) -> None:
+    """Finish an update, as ``stack_changes`` describes it, in one pass over P."""
     size = size_of(ekf)
-    height = (rank + 2 * POSE + 3) // 4 * 4
-    left, right, across = np.zeros((height, size)), np.zeros((height, size)), np.empty((POSE, size))
-    before, after = np.empty((size, POSE)), np.empty((size, POSE))
-    error_transport(ekf, size, before)
-    for j in range(size):
-        ekf.x[j] += change[j]
-    error_transport(ekf, size, after)
-    after -= before
-    for k in range(POSE):
-        across[k] = after[:, k]
-    stack_transport(ekf, moved + after, size, left, right, rank)
-    for k in range(POSE):
-        ekf.top[k, :size] = right[rank + k]
-    for r in range(rank):
-        a, b, c = W[r, 0], W[r, 1], W[r, 2]
-        for j in range(size):
-            right[r, j] = W[r, j] + a * across[0, j] + b * across[1, j] + c * across[2, j]
-            left[r, j] = -right[r, j]
-        for k in range(POSE):
-            for j in range(size):
-                ekf.top[k, j] += left[r, k] * right[r, j]
+    height = (len(W) + 2 * POSE + 3) // 4 * 4
+    left, right = np.empty((height, size)), np.empty((height, size))
+    begins = (POSE, POSE, clones_from(ekf))
+    stack_changes(ekf.x, size, begins, ekf.anchors, ekf.counts[LINES], ekf.top, moved, W, change, left, right)
     add_products(ekf.rest, left, right, height, POSE, size)
     ekf.x[2] = wrapped(ekf.x[2])
-
-
-@algebra
-def stack_transport(ekf: Filter, moved: FloatArray, size: int, left: FloatArray, right: FloatArray, row: int) -> None:
-    """Factors of a transport for ``add_products``; the first three rows of ``right`` are the pose's new rows of P."""
-    transported_top(ekf, moved, size, right[row : row + POSE])
-    for k in range(POSE):
-        for j in range(size):
-            left[row + k, j] = moved[j, k]
-            left[row + POSE + k, j] = ekf.top[k, j]
-            right[row + POSE + k, j] = moved[j, k]

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 
-from limslam_agent.slam.batch.algebra import sort_with, squared_distance
-from limslam_agent.slam.batch.beam_model import hit_points, towards
+from limslam_agent.kernels.algebra import sort_with
+from limslam_agent.kernels.measurement import hit_points, towards
+from limslam_agent.kernels.tables import FEWEST
+from limslam_agent.slam.batch.algebra import squared_distance
 from limslam_agent.slam.batch.clone_ekf import (
     add_line,
     clone,
@@ -48,7 +50,6 @@ from limslam_agent.slam.batch.wall_map import (
 from limslam_agent.slam.batch.wall_map import merge as merge_walls
 from limslam_agent.slam.consistent.consistent import BESIDE_CORNER, SHORTEST, STRAIGHTNESS
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES
-from limslam_agent.slam.consistent.segmentation import FEWEST
 from limslam_agent.slam.core import wall_faces
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.batch.compilation import compiled
 from limslam_agent.slam.batch.state import (
     ANGLE,
@@ -21,7 +22,6 @@ from limslam_agent.slam.batch.state import (
     Walls,
 )
 from limslam_agent.slam.batch.wall_extent import absorb, hit, pass_at
-from limslam_agent.slam.consistent.beam_model import GRAZING
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import BoolArray, FloatArray
 

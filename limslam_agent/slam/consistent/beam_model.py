@@ -16,17 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
-
-GRAZING = 0.2
-"""Least cosine between a beam and a line's normal. A reading at a flatter angle says too little about the line."""
-
-FLATTEST = math.acos(GRAZING)
-"""Largest angle between a line's normal and the middle of a beam that does not graze the line, rad."""
-
-LEAST_COSINE = 1e-9
-"""Least cosine that a range is divided by. A beam parallel to a line meets it very far away, at a finite range."""
 
 
 class Readings(NamedTuple):
@@ -60,6 +52,13 @@ class Readings(NamedTuple):
             self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen],
             self.growth, self.cone,
         )  # fmt: skip
+
+    @property
+    def rows(self) -> FloatArray:
+        """Origins, angles, ranges and opening angle (n, 5), as compiled functions take them."""
+        rows = np.empty((len(self.ranges), 5))
+        rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4] = self.origins, self.angles, self.ranges, self.cone
+        return rows
 
     def variances(self, std: float) -> FloatArray:
         """Variances of the ranges (n,), m^2, if short ranges have a standard deviation, m."""
@@ -115,8 +114,12 @@ def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anc
     """
     from limslam_agent.kernels.measurement import ranges_to_line
 
-    rays = readings.towards(line[1], poses[:, 2])
-    return Expected(*ranges_to_line(poses, rays.origins, rays.angles, line, anchor, LEAST_COSINE))
+    return expected_of(ranges_to_line(poses.ravel(), np.arange(len(poses)), readings.rows, line, anchor))
+
+
+def expected_of(rows: FloatArray) -> Expected:
+    """Predicted measurements from the rows (n, 7) that compiled functions fill."""
+    return Expected(rows[:, 0], rows[:, 1:4], rows[:, 4:6], rows[:, 6])
 
 
 def by_range_errors(expected: Expected) -> FloatArray:
@@ -133,4 +136,4 @@ def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
     """End points of readings in the world (n, 2), m, for readings taken from poses (n, 3)."""
     from limslam_agent.kernels.measurement import ends_of_beams
 
-    return ends_of_beams(poses, readings.origins, readings.angles, np.ascontiguousarray(readings.ranges))
+    return ends_of_beams(poses.ravel(), 0, np.arange(len(poses)), readings.rows, math.nan)

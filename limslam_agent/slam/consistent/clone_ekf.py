@@ -7,12 +7,13 @@ read, even if the wall that the beam hit becomes known much later. So the noise 
 once.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from limslam_agent.slam.consistent.beam_model import GRAZING, Expected, Readings, by_range_errors, expected_ranges
+from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_of
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors, RangeErrors, SeparateBias
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
@@ -26,12 +27,6 @@ LINE_PRIOR = (10.0**2, 3.0**2)
 
 EQUALITY_NOISE = (1e-4**2, 1e-5**2)
 """Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
-
-FEWEST_TO_COMPARE = 4
-"""Least number of readings that are compared with a line."""
-
-LEAST_RESIDUAL = 1e-9
-"""Least residual that the Huber weight divides by, m."""
 
 
 class Disagreement(NamedTuple):
@@ -92,6 +87,11 @@ class CloneEKF(LineEKF):
         return len(self._anchors)
 
     @property
+    def clones_from(self) -> int:
+        """Index in the state at which the clones begin."""
+        return self._first + 2 * self.num_lines
+
+    @property
     def num_clones(self) -> int:
         """How many clones the state holds."""
         return len(self._clones)
@@ -104,7 +104,7 @@ class CloneEKF(LineEKF):
     @property
     def anchored(self) -> FloatArray:
         """The lines (N, 2) as (d, theta) about their anchors, a copy."""
-        return np.array(self.x[self._first : self._clones_from].reshape(-1, 2))
+        return np.array(self.x[self._first : self.clones_from].reshape(-1, 2))
 
     @property
     def anchors(self) -> FloatArray:
@@ -173,20 +173,21 @@ class CloneEKF(LineEKF):
         by_calibration
             Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
         """
+        from limslam_agent.kernels.updates import move_pose
+
         moved = slice(POSE * robot, POSE * robot + POSE)
-        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+        if by_calibration is not None and self._bias is None:
+            by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+            F = np.hstack((by_pose, by_increment @ by_calibration))
+            columns = np.r_[moved, self._calibration_part(robot)]
+            self._move(moved, increment, F, by_increment @ covariance @ by_increment.T, columns)
+        else:
+            by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+            move_pose(self.x, self.P, moved.start, increment, covariance, by_pose, by_increment)
         for bias in self._biases:
             bias.predict(moved, by_pose)
-        if by_calibration is None:
-            super().predict(increment, covariance, robot)
-            return
-        by_errors, Q = by_increment @ by_calibration, by_increment @ covariance @ by_increment.T
-        if self._bias is None:
-            F, columns = np.hstack((by_pose, by_errors)), np.r_[moved, self._calibration_part(robot)]
-            self._move(moved, increment, F, Q, columns)
-            return
-        self._move(moved, increment, by_pose, Q, moved)
-        self._bias.drive(moved, by_errors)
+        if by_calibration is not None and self._bias is not None:
+            self._bias.drive(moved, by_increment @ by_calibration)
 
     def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
@@ -214,9 +215,32 @@ class CloneEKF(LineEKF):
         kept = [place for place, number in enumerate(self._clones) if number in wanted]
         if len(kept) == len(self._clones):
             return
-        places = (self._clones_from + POSE * np.array(kept, dtype=int)[:, None] + np.arange(POSE)).ravel()
-        self._keep(np.concatenate((np.arange(self._clones_from), places)))
+        places = (self.clones_from + POSE * np.array(kept, dtype=int)[:, None] + np.arange(POSE)).ravel()
+        self._keep(np.concatenate((np.arange(self.clones_from), places)))
         self._clones = [self._clones[place] for place in kept]
+
+    def places(self, clones: IntArray) -> IntArray:
+        """Places (n,) of clones (n,) among those in the state."""
+        # Numbers of clones only grow, so the last one and the number of clones tell whether any has come or gone.
+        key = len(self._clones), self._next_clone
+        if self._clone_numbers[0] != key:
+            self._clone_numbers = key, np.array(self._clones, dtype=np.int64)
+        return self._clone_numbers[1].searchsorted(clones)
+
+    def points(self, places: IntArray, readings: FloatArray, theta: float = math.nan) -> FloatArray:
+        """Estimated end points (n, 2), m, of readings.
+
+        Parameters
+        ----------
+        places, readings
+            Places of the clones that they were taken from (n,), and ``Readings.rows`` (n, 5).
+        theta
+            Direction, rad, of the normal of the wall that they show. Without it, the points are on the middle of each
+            beam.
+        """
+        from limslam_agent.kernels.measurement import ends_of_beams
+
+        return ends_of_beams(self.x, self.clones_from, places, readings, theta)
 
     def clone_poses(self, clones: IntArray) -> FloatArray:
         """Estimated poses (n, 3) of clones (n,), m, m, rad."""
@@ -227,7 +251,7 @@ class CloneEKF(LineEKF):
 
         It goes through ``anchor`` (2,), m, with its normal at ``theta``, rad.
         """
-        at, old = self._clones_from, len(self.x)
+        at, old = self.clones_from, len(self.x)
         places = np.concatenate((np.arange(at), np.arange(at + 2, old + 2)))
         x, P = np.zeros(old + 2), self._spare(old + 2)
         P[at : at + 2] = P[:, at : at + 2] = 0.0
@@ -269,33 +293,23 @@ class CloneEKF(LineEKF):
             Residuals larger than so many standard deviations are down-weighted (P. Huber, "Robust estimation of a
             location parameter", 1964); 0 for no weights.
         """
-        readings = readings.select(self._clear(readings, index))
-        if not len(readings.ranges):
+        from limslam_agent.kernels.updates import update_by_readings
+
+        left, right, moved, moved_again, expected, H, columns, factor, W, innovation = update_by_readings(
+            self.x, self.P, self._parts, self._anchors, index, self.places(readings.clones), readings.rows,
+            readings.variances(std), iterations, float(huber),
+        )  # fmt: skip
+        if not len(left):
             return
-        columns, places = self._involved(readings, index)
-        variances = readings.variances(std)
-        start, transport, moved = self.x.copy(), self._error_transport(), np.zeros((len(self.x), POSE))
-        change, weights = np.zeros_like(start), np.ones(len(readings.ranges))
-        for _ in range(iterations):
-            self.x += change
-            # The covariance is transported to the state at which the Jacobian is taken.
-            moved = self._error_transport() - transport
-            expected = self._expected(self.x[columns], places, readings, index)
-            H, off = self._jacobian(expected, places, len(columns)), readings.ranges - expected.ranges
-            HP, so_far = H @ self._transported_rows(columns, moved), self.x - start
-            S = HP[:, columns] @ H.T + np.diag(variances / weights)
-            change = np.linalg.solve(S, off + H @ so_far[columns]) @ HP - so_far
-            if huber:
-                weights = np.minimum(1.0, huber * np.sqrt(variances) / np.maximum(np.abs(off), LEAST_RESIDUAL))
-        factor = np.linalg.cholesky(S)
-        self._transport(moved)
-        self._subtract_square(np.ascontiguousarray(solve_lower(factor, HP)))
-        innovation = off + H @ so_far[columns]
-        if self._bias is not None:
-            self._bias.update(H, columns, innovation, S, HP)
-        if self._range_errors is not None:
-            self._range_errors.update(H, columns, innovation, S, HP, by_range_errors(expected))
-        self._correct(change)
+        if not factor[-1, -1] > 0.0:
+            raise np.linalg.LinAlgError("the innovation's covariance is not positive")
+        self._add_product(left, right)
+        for bias in self._biases:
+            bias.transport(moved)
+            direct = by_range_errors(expected_of(expected)) if bias is self._range_errors else None
+            bias.update(H, columns, innovation, factor, W, direct)
+            bias.transport(moved_again)
+        self._restore_angles()
 
     def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
         """How badly readings fit a line; None if too few of them meet it at a sufficient angle.
@@ -303,19 +317,13 @@ class CloneEKF(LineEKF):
         This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
         line", both with the joint uncertainty of poses and line, and the chi-square that "another line" leaves.
         """
-        readings = readings.select(self._clear(readings, index))
-        if len(readings.ranges) < FEWEST_TO_COMPARE:
-            return None
-        columns, places = self._involved(readings, index)
-        expected = self._expected(self.x[columns], places, readings, index)
-        H = self._jacobian(expected, places, len(columns))
-        S = H @ self.P[np.ix_(columns, columns)] @ H.T + readings.variances(std) * np.eye(len(readings.ranges))
-        off, by_line = readings.ranges - expected.ranges, expected.by_line
-        solved = np.linalg.solve(S, np.column_stack((off, by_line)))
-        along, information = by_line.T @ solved[:, 0], by_line.T @ solved[:, 1:]
-        of_line, variance = float(along @ np.linalg.solve(information, along)), 1.0 / float(information[0, 0])
-        left = float(off @ solved[:, 0]) - of_line
-        return Disagreement(of_line, left, len(readings.ranges), float(along[0]) * variance, variance)
+        from limslam_agent.kernels.updates import compare_readings
+
+        told = compare_readings(
+            self.x, self.P, self.clones_from, self.places(readings.clones), readings.rows, self._part(index).start,
+            (self._anchors[index, 0], self._anchors[index, 1]), readings.variances(std),
+        )  # fmt: skip
+        return Disagreement(*told) if told[2] else None
 
     def side(self, readings: Readings, index: int) -> int:
         """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
@@ -334,7 +342,7 @@ class CloneEKF(LineEKF):
 
     def marginal(self) -> FloatArray:
         """Joint covariance of the poses and all lines, without the calibration of the odometry and without clones."""
-        kept = np.r_[: self._poses_end, self._first : self._clones_from]
+        kept = np.r_[: self._poses_end, self._first : self.clones_from]
         return np.array(self.P[np.ix_(kept, kept)])
 
     def restart(self, poses: FloatArray, lines: FloatArray, anchors: FloatArray, covariance: FloatArray) -> None:
@@ -368,11 +376,12 @@ class CloneEKF(LineEKF):
             HP, so_far = H @ self._transported_rows(columns, moved), self.x - start
             S = HP[:, columns] @ H.T + np.diag(EQUALITY_NOISE)
             change = (H @ so_far[columns] - off) @ np.linalg.solve(S, HP) - so_far
-        factor = np.linalg.cholesky(S)
+        factor = np.asarray(np.linalg.cholesky(S), dtype=float)
         self._transport(moved)
-        self._subtract_square(solve_lower(factor, HP))
+        W = np.ascontiguousarray(solve_lower(factor, HP))
+        self._subtract_square(W)
         for bias in self._biases:
-            bias.update(H, columns, H @ so_far[columns] - off, S, HP)
+            bias.update(H, columns, H @ so_far[columns] - off, factor, W)
         self._correct(change)
         part = self._part(younger)
         self._keep(np.delete(np.arange(len(self.x)), np.arange(part.start, part.stop)))
@@ -396,8 +405,9 @@ class CloneEKF(LineEKF):
         return [bias for bias in (self._bias, self._range_errors) if bias is not None]
 
     @property
-    def _clones_from(self) -> int:
-        return self._first + 2 * self.num_lines
+    def _parts(self) -> tuple[int, int, int]:
+        """Where the poses end in the state, and where lines and clones begin."""
+        return self._poses_end, self._first, self.clones_from
 
     def _correct(self, change: FloatArray) -> None:
         """Add the correction (n,) of an update to the state, and transport the error of P to the new state.
@@ -417,7 +427,7 @@ class CloneEKF(LineEKF):
         """Derivative (n, 3) of the state by the first robot's pose when robot and world move together rigidly."""
         from limslam_agent.kernels.measurement import error_transport
 
-        return error_transport(self.x, self._poses_end, self._first, self._clones_from, self._anchors)
+        return error_transport(self.x, self._parts, self._anchors)
 
     def _transport(self, moved: FloatArray) -> None:
         """Transform P, in place, when the derivative of :meth:`_error_transport` has changed by ``moved`` (n, 3)."""
@@ -463,36 +473,7 @@ class CloneEKF(LineEKF):
 
     def _columns(self, clones: IntArray) -> IntArray:
         """Indices (n, 3) of clones (n,) in the state."""
-        # Numbers of clones only grow, so the last one and the number of clones tell whether any has come or gone.
-        key = len(self._clones), self._next_clone
-        if self._clone_numbers[0] != key:
-            self._clone_numbers = key, np.array(self._clones, dtype=np.int64)
-        places = self._clone_numbers[1].searchsorted(clones)
-        return np.asarray(self._clones_from + POSE * places[:, None] + np.arange(POSE))
-
-    def _involved(self, readings: Readings, index: int) -> tuple[IntArray, IntArray]:
-        """Indices in the state of all that readings of a line depend on, and the place of each reading's clone (n,)."""
-        clones, places = np.unique(readings.clones, return_inverse=True)
-        part = self._part(index)
-        return np.append(self._columns(clones).ravel(), [part.start, part.start + 1]), places
-
-    def _expected(self, state: FloatArray, places: IntArray, readings: Readings, index: int) -> Expected:
-        poses = state[:-2].reshape(-1, POSE)[places]
-        return expected_ranges(poses, readings, state[-2:], self._anchors[index])
-
-    def _clear(self, readings: Readings, index: int) -> IntArray:
-        """Indices of the readings that meet a line ahead of the beam and do not graze it."""
-        line = self.x[self._part(index)]
-        expected = expected_ranges(self.clone_poses(readings.clones), readings, line, self._anchors[index])
-        return np.nonzero((np.abs(expected.cosines) > GRAZING) & (expected.ranges > 0.0))[0]
-
-    @staticmethod
-    def _jacobian(expected: Expected, places: IntArray, size: int) -> FloatArray:
-        H, rows = np.zeros((len(places), size)), np.arange(len(places))
-        for number in range(POSE):
-            H[rows, POSE * places + number] = expected.by_pose[:, number]
-        H[:, -2:] = expected.by_line
-        return H
+        return np.asarray(self.clones_from + POSE * self.places(clones)[:, None] + np.arange(POSE))
 
     def _equality(self, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
         first, second = self._part(older), self._part(younger)

@@ -13,13 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
-from limslam_agent.slam.consistent.beam_model import Readings, hit_points
+from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
-from limslam_agent.slam.consistent.segmentation import FEWEST, WallSegment, wall_segments
+from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
 from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
@@ -31,8 +32,7 @@ from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibra
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import direction, distance, normal, to_frame
-from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry.line import direction, distance, normal
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
 
@@ -242,17 +242,20 @@ class ConsistentEstimator(Estimator):
 
         Where the wall is not known, they are on the middle of each beam.
         """
-        poses = self._filter.clone_poses(readings.clones)
-        return hit_points(poses, readings if theta is None else readings.towards(theta, poses[:, 2]))
+        places = self._filter.places(readings.clones)
+        return self._filter.points(places, readings.rows, math.nan if theta is None else theta)
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""
         from limslam_agent.kernels.nearness import aim_beams
 
+        if not len(self._map):
+            return
         rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
-        count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
+        at = POSE * number
+        count = aim_beams(self._filter.x[at : at + POSE], front.ranges, front.measured, self.robot.beam_table, *rays)
         origins, towards, ranges = (each[:count] for each in rays)
-        x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
+        x, y, heading = self._filter.P.diagonal()[at : at + POSE].tolist()
         stds = np.sqrt(self.sensor.variances(ranges) + (x + y) + heading * ranges**2)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 
@@ -267,7 +270,10 @@ class ConsistentEstimator(Estimator):
             replace(settings.hough, max_gap=settings.segmentation.gap_ahead) if side == SIDES[AHEAD] else settings.hough
         )
         lines = extract_lines(points, hough, self._usual_std)
-        self._show(number, side, step, points, lines)
+        fits = tuple(line.fit for line in lines)
+        self.last_extraction = Extraction(
+            number, side, step, self._filter.poses[number], points, fits, is_in_world=True
+        )  # fmt: skip
         consumed = np.zeros(len(points), dtype=bool)
         driven = np.array([reading.driven for reading in pending.by_side[side]])
         for line, members in self._uncontested(points, lines):
@@ -508,13 +514,3 @@ class ConsistentEstimator(Estimator):
         if is_face:
             wall.behind, other.behind = max(wall.behind, opposite.max()), max(other.behind, opposite.max())
         return is_board
-
-    def _show(self, number: int, side: Side, step: int, points: FloatArray, lines: list[ExtractedLine]) -> None:
-        """Store the lines that were found, in the robot's frame, as diagnostics."""
-        pose = self._filter.poses[number]
-        back = inverse(pose)
-        found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
-        ends = np.array([transform_points(back, line.fit.ends) for line in lines]).reshape(-1, 2, 2)
-        self.last_extraction = Extraction(
-            number, side, step, pose, transform_points(back, points), to_frame(found, pose), ends
-        )  # fmt: skip

@@ -7,36 +7,22 @@ obstacle are not taken for one wall.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.consistent import SegmentationConfig
-from limslam_agent.slam.consistent.beam_model import GRAZING, Readings, expected_ranges, hit_points
+from limslam_agent.kernels.tables import FEWEST
+from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import direction, normal
-
-FEWEST = 6
-"""Least number of readings of a wall segment."""
-
-FEWEST_FOR_SHAPE = 10
-"""Least number of readings that are tested for a kink or a curve."""
+from limslam_env.geometry.line import direction
 
 DEEPEST = 4
 """A line is split at most this many times in a row."""
 
-KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
-"""Quantiles of the readings' positions at which a kink is tested for."""
-
 AROUND_KINK = 0.02
 """Readings within this distance of a kink are in neither half, m."""
-
-LEAST_SPREAD = 1e-6
-"""Least root of the summed squared distances of readings from their middle, m, that the angle's error is based on."""
-
-LEAST_GAIN = 1e-9
-"""Least squared norm of a shape that is divided by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +65,26 @@ class WallSegment:
         return float(np.diff(along).max())
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
+    """A fitted segment, where its readings are along it, and what splits it."""
+
     segment: WallSegment
     along: FloatArray
+    r: float
     is_bent: bool
     bend_at: float
     loose: BoolArray
+
+
+class _Source(NamedTuple):
+    """All readings near a line: as compiled functions take them, their end points, and the variances of the ranges."""
+
+    belief: CloneEKF
+    places: IntArray
+    readings: FloatArray
+    points: FloatArray
+    variances: FloatArray
+    std: float
 
 
 def wall_segments(
@@ -111,19 +110,18 @@ def wall_segments(
     segments
         The straight wall segments, in order along the wall.
     """
-    poses = belief.clone_poses(readings.clones)
-    points = hit_points(poses, readings.towards(line[1], poses[:, 2]))
-    return _segments(readings, points, members, line, belief, std, config, DEEPEST)
+    places, rows = belief.places(readings.clones), readings.rows
+    source = _Source(belief, places, rows, belief.points(places, rows, float(line[1])), readings.variances(std), std)
+    return _segments(source, members, (float(line[0]), float(line[1])), config, DEEPEST)
 
 
 def _segments(
-    readings: Readings, points: FloatArray, members: IntArray, line: FloatArray, belief: CloneEKF, std: float,
-    config: SegmentationConfig, depth: int,
-) -> list[WallSegment]:  # fmt: skip
-    """The segments of some readings with their end points, which are split at most ``depth`` times."""
+    source: _Source, members: IntArray, line: tuple[float, float], config: SegmentationConfig, depth: int
+) -> list[WallSegment]:
+    """The segments of some readings, which are split at most ``depth`` times."""
     if len(members) < FEWEST:
         return []
-    fit = _fit(readings, points[members], members, line, belief, std, config)
+    fit = _fit(source, members, line, config)
     if fit is None:
         return []
     if depth and fit.is_bent:
@@ -133,127 +131,38 @@ def _segments(
             for half in halves
             if np.count_nonzero(half) >= FEWEST
             for segment in _segments(
-                readings,
-                points,
-                members[half],
-                _principal_line(fit.segment.points[half]),
-                belief,
-                std,
-                config,
-                depth - 1,
+                source, members[half], _principal_line(fit.segment.points[half]), config, depth - 1
             )
-        ]
+        ]  # fmt: skip
     if depth and fit.loose.any():
-        again = np.array([fit.segment.middle @ normal(np.array([0.0, fit.segment.theta])), fit.segment.theta])
-        return _segments(readings, points, members[~fit.loose], again, belief, std, config, depth - 1)
+        return _segments(source, members[~fit.loose], (fit.r, fit.segment.theta), config, depth - 1)
     return [fit.segment]
 
 
 def _fit(
-    readings: Readings, points: FloatArray, members: IntArray, line: FloatArray, belief: CloneEKF, std: float,
-    config: SegmentationConfig,
+    source: _Source, members: IntArray, line: tuple[float, float], config: SegmentationConfig
 ) -> _Fit | None:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight; None if too few."""
-    own = readings.select(members)
-    poses = belief.clone_poses(own.clones)
-    anchor = line[0] * normal(line) + float((points @ direction(line)).mean()) * direction(line)
-    state = np.array([0.0, line[1]])
-    first = expected_ranges(poses, own, state, anchor)
-    clear = np.abs(first.cosines) > GRAZING
-    if np.count_nonzero(clear) < FEWEST - 1:
-        return None
-    factor = _factor(first.by_pose[clear], own.select(np.flatnonzero(clear)), belief, std)
-    for _ in range(2):
-        expected = expected_ranges(poses, own, state, anchor)
-        whitened = solve_lower(factor, np.column_stack((own.ranges - expected.ranges, expected.by_line))[clear])
-        basis, triangle = np.linalg.qr(whitened[:, 1:])
-        step = np.linalg.solve(triangle, basis.T @ whitened[:, 0])
-        state = state + step
-    left = whitened[:, 0] - basis @ (basis.T @ whitened[:, 0])
-    tangent = direction(state)
-    # The error of a slanted beam's range moves its end point along the wall. Positions from end points would therefore
-    # show a bend at the end of every noisy wall; positions where the beams meet the line do not contain that error.
-    met = own.towards(state[1], poses[:, 2])._replace(ranges=np.where(clear, expected.ranges, own.ranges))
-    along = (hit_points(poses, met) - anchor) @ tangent
-    spread = along[clear] - along[clear].mean()
-    segment = WallSegment(
-        members, float(state[1]), anchor, points, _extent(along),
-        std / max(float(np.sqrt(spread @ spread)), LEAST_SPREAD), left, own.ranges[clear],
+    from limslam_agent.kernels.segments import fit_readings
+
+    limits = config.kink_gate, config.min_kink, config.curve_gate, config.end_zone, config.end_gate
+    belief, variances = source.belief, source.variances[members]
+    row, along, loose, residuals, clear = fit_readings(
+        belief.x, belief.P, belief.clones_from, source.places, source.readings, source.points, members, line,
+        source.std, variances, limits,
     )  # fmt: skip
-    is_bent, bend_at = _bend(along[clear], expected.cosines[clear], left, basis, factor, config)
-    loose = np.zeros(len(members), dtype=bool)
-    loose[clear] = _loose_ends(along[clear], expected.cosines[clear], left, basis, factor, config)
-    return _Fit(segment, along, is_bent, bend_at, loose)
+    if not len(clear):
+        return None
+    if not math.isfinite(residuals[-1]):
+        raise np.linalg.LinAlgError("the covariance of the readings is not positive")
+    theta, x, y, length, angle_std, r, is_bent, bend_at = row.tolist()
+    points, ranges = source.points[members], source.readings[members[clear], 3]
+    segment = WallSegment(members, theta, np.array([x, y]), points, length, angle_std, residuals, ranges)
+    return _Fit(segment, along, r, is_bent > 0.0, bend_at, loose)
 
 
-def _bend(
-    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    config: SegmentationConfig,
-) -> tuple[bool, float]:  # fmt: skip
-    """Whether a kinked or curved line explains readings much better, and the position of the best kink, m."""
-    if len(along) < FEWEST_FOR_SHAPE or np.ptp(along) <= 0.0:
-        return False, 0.0
-    places = _quantiles(np.sort(along), np.array(KINKS_AT))
-    scaled = 2.0 * (along - along.min()) / np.ptp(along) - 1.0
-    shapes = np.column_stack((np.maximum(along[:, None] - places, 0.0), scaled[:, None] ** np.array([2, 3, 4])))
-    shapes = solve_lower(factor, shapes / cosines[:, None])
-    shapes -= basis @ (basis.T @ shapes)
-    kinks, curves = shapes[:, : len(places)], shapes[:, len(places) :]
-    squares = np.maximum(np.sum(kinks**2, axis=0), LEAST_GAIN)
-    angles = left @ kinks / squares
-    gains = angles**2 * squares
-    best = int(np.argmax(gains))
-    curved, _ = np.linalg.qr(curves)
-    is_kinked = gains[best] > config.kink_gate and abs(angles[best]) > config.min_kink
-    return bool(is_kinked or np.sum((left @ curved) ** 2) > config.curve_gate), float(places[best])
-
-
-def _quantiles(ordered: FloatArray, shares: FloatArray) -> FloatArray:
-    """What ``np.quantile`` gives for sorted numbers (n,), in a fifth of its time."""
-    places = shares * (len(ordered) - 1)
-    low = places.astype(np.int64)
-    first, second, part = ordered[low], ordered[np.minimum(low + 1, len(ordered) - 1)], places - low
-    step = second - first
-    return np.where(part >= 0.5, second - step * (1.0 - part), first + step * part)
-
-
-def _loose_ends(
-    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    config: SegmentationConfig,
-) -> BoolArray:  # fmt: skip
-    """Readings (n,) at either end that all lie on one side of the line: they belong to another object."""
-    loose = np.zeros(len(along), dtype=bool)
-    for end in (along.min(), along.max()):
-        zone = np.abs(along - end) < config.end_zone
-        shape = solve_lower(factor, zone / cosines)
-        shape -= basis @ (basis.T @ shape)
-        square = float(shape @ shape)
-        if not zone.all() and square > LEAST_GAIN and float(left @ shape) ** 2 > config.end_gate * square:
-            loose |= zone
-    return loose
-
-
-def _factor(by_pose: FloatArray, readings: Readings, belief: CloneEKF, std: float) -> FloatArray:
-    """Cholesky factor of the covariance (n, n) of the readings, the uncertainty of the poses included."""
-    own, places = np.unique(readings.clones, return_inverse=True)
-    by_poses, rows = np.zeros((len(places), 3 * len(own))), np.arange(len(places))
-    for number in range(3):
-        by_poses[rows, 3 * places + number] = by_pose[:, number]
-    return np.asarray(
-        np.linalg.cholesky(
-            by_poses @ belief.clone_covariance(own) @ by_poses.T + readings.variances(std) * np.eye(len(places))
-        )
-    )
-
-
-def _extent(along: FloatArray) -> float:
-    """Length of the range of positions (n,), m, without the outermost at either end."""
-    ordered = np.sort(along)[1:-1]
-    return float(ordered[-1] - ordered[0])
-
-
-def _principal_line(points: FloatArray) -> FloatArray:
+def _principal_line(points: FloatArray) -> tuple[float, float]:
     """(r, theta), not normalised, of the line through points (n, 2), m, by total least squares."""
     middle = points.mean(axis=0)
     across = np.linalg.svd(points - middle, full_matrices=False)[2][1]
-    return np.array([middle @ across, math.atan2(across[1], across[0])])
+    return float(middle @ across), math.atan2(across[1], across[0])

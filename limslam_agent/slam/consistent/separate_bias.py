@@ -12,6 +12,7 @@ nothing.
 import numpy as np
 
 from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
 
 
@@ -75,8 +76,8 @@ class SeparateBias:
         jacobian: FloatArray,
         columns: IntArray,
         innovation: FloatArray,
-        covariance: FloatArray,
-        unscaled: FloatArray,
+        factor: FloatArray,
+        whitened: FloatArray,
         direct: FloatArray | None = None,
     ) -> None:
         """The filter was updated by m measurements.
@@ -85,20 +86,20 @@ class SeparateBias:
         ----------
         jacobian, columns
             Their derivative (m, n) by these states (n,).
-        innovation, covariance
-            The innovation (m,) and its covariance (m, m).
-        unscaled
-            The gain, transposed and before its division by ``covariance``: the product (m, size) of the derivative by
-            all states and the state's covariance before the update.
+        innovation, factor
+            The innovation (m,), and the Cholesky factor L (m, m) of its covariance.
+        whitened
+            L^-1 H P (m, size), where H is the derivative by all states, and P the state's covariance before the update.
         direct
             Derivative (m, k) of the measurements by the errors at a given state, if there is one.
         """
         by_errors = jacobian @ self._by_errors[columns]
         by_errors = by_errors if direct is None else by_errors + direct
-        solved = np.linalg.solve(covariance, np.column_stack((by_errors, innovation)))
-        self._information += by_errors.T @ solved[:, :-1]
-        self._score += by_errors.T @ solved[:, -1]
-        self._by_errors -= unscaled.T @ solved[:, :-1]
+        scaled = solve_lower(factor, np.column_stack((by_errors, innovation)))
+        by_errors, innovation = scaled[:, :-1], scaled[:, -1]
+        self._information += by_errors.T @ by_errors
+        self._score += by_errors.T @ innovation
+        self._by_errors -= whitened.T @ by_errors
 
     def evidence_of(self, part: slice) -> float:
         """Twice the logarithm of the Bayes factor for some of the errors against no errors."""
@@ -139,12 +140,12 @@ class OdometryErrors(SeparateBias):
         jacobian: FloatArray,
         columns: IntArray,
         innovation: FloatArray,
-        covariance: FloatArray,
-        unscaled: FloatArray,
+        factor: FloatArray,
+        whitened: FloatArray,
         direct: FloatArray | None = None,
     ) -> None:
         """The filter was updated; see the base class."""
-        super().update(jacobian, columns, innovation, covariance, unscaled, direct)
+        super().update(jacobian, columns, innovation, factor, whitened, direct)
         self.evidence = max(self.evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
 
 
@@ -169,5 +170,7 @@ class RangeErrors(SeparateBias):
 
         So a bias is not taken for an opening angle, nor the other way round.
         """
-        alone = np.array([self.evidence_of(slice(each, each + 1)) for each in range(2)])
+        variances = self._prior.diagonal()
+        narrowed = 1.0 + self._information.diagonal() * variances
+        alone = self._score**2 * variances / narrowed - np.log(narrowed)
         return np.asarray(self.evidence_of(slice(None)) - alone[::-1])

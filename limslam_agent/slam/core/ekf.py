@@ -214,7 +214,11 @@ class LineEKF(ExtendedKalmanFilter):
         self.P[:, moved] = rows.T
 
     def _subtract_square(self, W: FloatArray) -> None:
-        """P -= W^T W, in place.
+        """P -= W^T W, in place."""
+        self._add_product(W, W, -1.0)
+
+    def _add_product(self, left: FloatArray, right: FloatArray, scale: float = 1.0) -> None:
+        """P += scale left^T right, in place, by a product that leaves P symmetric.
 
         P is symmetric and stored by rows, so the transpose of some of its rows is in the column order that BLAS can
         change in place. Blocks are smaller than the size from which BLAS uses threads, because starting the threads
@@ -223,7 +227,7 @@ class LineEKF(ExtendedKalmanFilter):
         rows = max(1, _BLOCK // self.P.shape[0])
         for first in range(0, self.P.shape[0], rows):
             part = slice(first, first + rows)
-            dgemm(-1.0, W.T, W[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
+            dgemm(scale, right.T, left[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
 
     def _part(self, index: int) -> slice:
         first = self._first + 2 * index

@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 from support.batch_stages import cached
 
+from limslam_agent.kernels import algebra as small
 from limslam_agent.slam.batch import algebra
 from limslam_env.geometry import FloatArray
 
-factorise, whiten, solve_factored = (
-    cached(each) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
-)
+factorise, whiten, solve_factored = (cached(each) for each in (small.factorise, small.whiten, small.solve_factored))
 add_products, block_of, gather_rows = (
     cached(each) for each in (algebra.add_products, algebra.block_of, algebra.gather_rows)
 )
 quantile, sort_with, squared_distance = (
-    cached(each) for each in (algebra.quantile, algebra.sort_with, algebra.squared_distance)
+    cached(each) for each in (small.quantile, small.sort_with, algebra.squared_distance)
 )
-orthonormalise = cached(algebra.orthonormalise)
+orthonormalise = cached(small.orthonormalise)
 GENERATOR = np.random.default_rng(0)
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from support.batch_stages import NOISE, cached, estimator_after, estimator_config, spec, state_from
 
-from limslam_agent.slam.batch import beam_model, segmentation
+from limslam_agent.kernels import measurement
+from limslam_agent.slam.batch import segmentation
 from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
 from limslam_agent.slam.batch.state import CLONES, LINES
 from limslam_agent.slam.consistent.beam_model import Readings, expected_ranges, hit_points
@@ -15,8 +16,8 @@ from limslam_agent.slam.core.line_fit import fit_line
 from limslam_env.geometry import FloatArray, IntArray
 
 split, predicted, ends, turned = (
-    cached(segmentation.wall_segments), cached(beam_model.expected_ranges), cached(beam_model.hit_points),
-    cached(beam_model.towards),
+    cached(segmentation.wall_segments), cached(measurement.predict_ranges), cached(measurement.hit_points),
+    cached(measurement.towards),
 )  # fmt: skip
 CONFIG = estimator_config().segmentation
 

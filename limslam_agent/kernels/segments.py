@@ -1,0 +1,259 @@
+"""Tests whether readings show one straight piece of wall, with the covariance of the poses that they were taken from.
+
+``slam.consistent.segmentation`` explains the tests. Readings, ``places`` and the state are those of
+:mod:`~limslam_agent.kernels.measurement`.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonormalise, quantile, sort_with, whiten
+from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
+from limslam_agent.kernels.tables import (
+    FEWEST,
+    FEWEST_FOR_SHAPE,
+    GRAZING,
+    KINKS_AT,
+    LEAST_GAIN,
+    LEAST_SPREAD,
+    POSE,
+)
+from limslam_agent.kernels.updates import covariance_of, dense_block, involved
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, R, BENT, BEND_AT = range(8)
+"""Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
+splits it: r about the world's origin, whether it is bent, and where."""
+
+
+@algebra
+def fit_segment(
+    x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
+    points: FloatArray, members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
+    limits: tuple[float, float, float, float, float], segment: FloatArray, along: FloatArray, loose: BoolArray,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    """Fit a line to readings by generalised least squares, and test whether they are straight.
+
+    Parameters
+    ----------
+    x, start, places, readings
+        All readings, as of :mod:`~limslam_agent.kernels.measurement`.
+    block, begins
+        Covariance of the clones that the members were taken from, and where each member's clone begins in it (n,).
+    points, members
+        End points of all readings, m, and the indices (n,) of those that are fitted.
+    line
+        (r, theta) that the fit begins at.
+    std, variances
+        Standard deviation of a short range, m, and the variances of the members' ranges (n,), m^2.
+    limits
+        ``kink_gate``, ``min_kink``, ``curve_gate``, ``end_zone`` and ``end_gate`` of the settings.
+    segment, along, loose
+        Filled: the segment (8,), the position of each member along it (n,), m, and which of them are loose ends (n,).
+
+    Returns
+    -------
+    residuals, clear
+        Residuals (k,), in standard deviations, and which members (k,) they belong to: those that do not graze the line.
+        If there are too few, none, and nothing is filled.
+    """
+    count, clear, chosen = 0, np.empty(len(members), dtype=np.int64), np.empty(len(members), dtype=np.int64)
+    firsts, own_variances = np.empty(len(members), dtype=np.int64), np.empty(len(members))
+    d, theta = 0.0, line[1]
+    foot, expected = foot_of(points, members, line[0], theta), np.empty((len(members), 7))
+    predict_ranges(x, start, places, readings, members, (d, theta), foot, expected)
+    for i in range(len(members)):
+        if abs(expected[i, 6]) > GRAZING:
+            clear[count], chosen[count], firsts[count], own_variances[count] = i, members[i], begins[i], variances[i]
+            for k in range(7):
+                expected[count, k] = expected[i, k]
+            count += 1
+    if count < FEWEST - 1:
+        return np.empty(0), clear[:0]
+    factor = covariance_of(block, firsts[:count], expected, own_variances)
+    factorise(factor, count)
+    values, basis, left = np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
+    for iteration in range(2):
+        if iteration:
+            predict_ranges(x, start, places, readings, chosen[:count], (d, theta), foot, expected)
+        for i in range(count):
+            values[i, 0] = readings[chosen[i], 3] - expected[i, 0]
+            values[i, 1], values[i, 2] = expected[i, 4], expected[i, 5]
+        whiten(factor, values, count, 3)
+        step, turn = solve_line(values, basis, count)
+        d, theta = d + step, theta + turn
+    leave_beside(values, 0, 1, basis, count)
+    for i in range(count):
+        left[i] = values[i, 0]
+    place_along(x, start, places, readings, members, theta, foot, expected, clear[:count], along)
+    own, ordered = np.empty(count), np.empty(count)
+    for i in range(count):
+        own[i] = ordered[i] = along[clear[i]]
+    sort_with(ordered, chosen, count)
+    describe(along, len(members), own, foot, theta, std, segment)
+    segment[BENT] = bend(own, ordered, expected, left, basis, factor, limits, segment)
+    mark_loose_ends(own, ordered, expected, left, basis, factor, limits, clear, len(members), loose)
+    return left, clear[:count]
+
+
+@algebra
+def place_along(
+    x: FloatArray, start: int, places: IntArray, readings: FloatArray, members: IntArray, theta: float,
+    foot: tuple[float, float], expected: FloatArray, clear: IntArray, along: FloatArray,
+) -> None:  # fmt: skip
+    """Positions (n,) of readings along a line with its normal at ``theta``, rad, from its foot, m.
+
+    The error of a slanted beam's range moves its end point along the wall. Positions from end points would therefore
+    show a bend at the end of every noisy wall; positions where the beams meet the line do not contain that error.
+    """
+    cos, sin, done = math.cos(theta), math.sin(theta), 0
+    for i in range(len(members)):
+        read = members[i]
+        at, reach = start + POSE * places[read], readings[read, 3]
+        if done < len(clear) and clear[done] == i:
+            reach, done = expected[done, 0], done + 1
+        hit_x, hit_y = end_of_beam(x, at, readings[read], ray_angle(readings[read], x[at + 2], theta), reach)
+        along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
+
+
+@algebra
+def describe(
+    along: FloatArray, number: int, own: FloatArray, foot: tuple[float, float], theta: float, std: float,
+    segment: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the first columns of a segment from the positions of all its readings, and of those that do not graze it."""
+    middle, spread = 0.0, 0.0
+    for i in range(len(own)):
+        middle += own[i]
+    middle /= len(own)
+    for i in range(len(own)):
+        spread += (own[i] - middle) * (own[i] - middle)
+    # The length leaves out the outermost reading at either end.
+    least, low, high, most = math.inf, math.inf, -math.inf, -math.inf
+    for i in range(number):
+        low, high = min(low, max(least, along[i])), max(high, min(most, along[i]))
+        least, most = min(least, along[i]), max(most, along[i])
+    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = theta, foot[0], foot[1], high - low
+    segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_SPREAD)
+    segment[R] = foot[0] * math.cos(theta) + foot[1] * math.sin(theta)
+
+
+@algebra
+def foot_of(points: FloatArray, members: IntArray, r: float, theta: float) -> tuple[float, float]:
+    """Projection, m, of the points' mean on a line."""
+    cos, sin, along = math.cos(theta), math.sin(theta), 0.0
+    for i in range(len(members)):
+        along += -sin * points[members[i], 0] + cos * points[members[i], 1]
+    along /= len(members)
+    return r * cos - along * sin, r * sin + along * cos
+
+
+@algebra
+def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float, float]:
+    """Least-squares solution of the first of three columns by the other two, which are made orthonormal: ``basis``."""
+    for i in range(count):
+        basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
+    orthonormalise(values, 1, 3, count)
+    a, b, c = 0.0, 0.0, 0.0
+    for i in range(count):
+        a += values[i, 1] * basis[i, 0]
+        b += values[i, 1] * basis[i, 1]
+        c += values[i, 2] * basis[i, 1]
+        basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
+    second = dot(values, 2, 0, count) / c
+    return (dot(values, 1, 0, count) - b * second) / a, second
+
+
+@algebra
+def bend(
+    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
+    factor: FloatArray, limits: tuple[float, float, float, float, float], segment: FloatArray,
+) -> float:  # fmt: skip
+    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
+    count = len(along)
+    reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
+    if count < FEWEST_FOR_SHAPE or reach <= 0.0:
+        return 0.0
+    shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
+    for k in range(kinks):
+        places[k] = quantile(ordered, count, KINKS_AT[k])
+    for i in range(count):
+        for k in range(kinks):
+            shapes[i, k] = max(along[i] - places[k], 0.0) / expected[i, 6]
+        scaled = 2.0 * (along[i] - ordered[0]) / reach - 1.0
+        for k in range(3):
+            shapes[i, kinks + k] = scaled ** (2 + k) / expected[i, 6]
+    whiten(factor, shapes, count, kinks + 3)
+    leave_beside(shapes, 0, kinks + 3, basis, count)
+    most, best, angle = strongest_kink(shapes, left, kinks)
+    orthonormalise(shapes, kinks, kinks + 3, count)
+    curved = 0.0
+    for k in range(3):
+        product = 0.0
+        for i in range(count):
+            product += left[i] * shapes[i, kinks + k]
+        curved += product * product
+    segment[BEND_AT] = places[best]
+    is_kinked = most > limits[0] and abs(angle) > limits[1]
+    return 1.0 if is_kinked or curved > limits[2] else 0.0
+
+
+@algebra
+def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
+    """Largest chi-square that a kink gains, the index of that kink, and its angle, rad."""
+    most, best, angle = -1.0, 0, 0.0
+    for k in range(kinks):
+        square, product = 0.0, 0.0
+        for i in range(len(left)):
+            square += shapes[i, k] * shapes[i, k]
+            product += left[i] * shapes[i, k]
+        square = max(square, LEAST_GAIN)
+        gain = (product / square) ** 2 * square
+        if gain > most:
+            most, best, angle = gain, k, product / square
+    return most, best, angle
+
+
+@algebra
+def mark_loose_ends(
+    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
+    factor: FloatArray, limits: tuple[float, float, float, float, float], clear: IntArray, number: int,
+    loose: BoolArray,
+) -> None:  # fmt: skip
+    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
+    count, shape, zone = len(along), np.empty((len(along), 1)), limits[3]
+    for i in range(number):
+        loose[i] = False
+    for end in (ordered[0], ordered[count - 1]):
+        inside = 0
+        for i in range(count):
+            is_in = abs(along[i] - end) < zone
+            inside += is_in
+            shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
+        whiten(factor, shape, count, 1)
+        leave_beside(shape, 0, 1, basis, count)
+        square, product = dot(shape, 0, 0, count), 0.0
+        for i in range(count):
+            product += left[i] * shape[i, 0]
+        if inside < count and square > LEAST_GAIN and product * product > limits[4] * square:
+            for i in range(count):
+                if abs(along[i] - end) < zone:
+                    loose[clear[i]] = True
+
+
+@entry
+def fit_readings(
+    x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
+    members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
+    limits: tuple[float, float, float, float, float],
+) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:  # fmt: skip
+    """:func:`fit_segment` with a whole covariance P, as Python calls it; what that fills, and what it returns."""
+    columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
+    segment, along, loose = np.empty(8), np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
+    left, clear = fit_segment(
+        x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances, limits,
+        segment, along, loose,
+    )  # fmt: skip
+    return segment, along, loose, left, clear
