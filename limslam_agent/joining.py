@@ -247,7 +247,7 @@ class JoiningMapper(Mapper):
         The robots share one kind of sensor. If each of them has found another one, the mean of both is assumed.
         """
         is_calibrated = any(mapper.slam.odometry_calibration is not None for mapper in apart)
-        specified = LineSlam(self.robot, self.config).sensor
+        specified = RangeSensor(self.config.range_std, cone=self.robot.cone)
         others = [mapper.slam.sensor for mapper in apart if mapper.slam.sensor not in (None, specified)]
         mean = RangeSensor(*np.mean(others, axis=0).tolist()) if others else None
         return self_calibrating(self.config) if is_calibrated else self.config, mean
