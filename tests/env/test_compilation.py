@@ -136,8 +136,8 @@ linking._executable = fail
 
 @pytest.mark.parametrize(
     "before",
-    ["", "import numba; numba.__version__ = '0.1.0'", BROKEN],
-    ids=["this numba", "an unknown numba", "linking fails"],
+    ["", "import numba; numba.__version__ = '0.1.0'", "sys.modules['limslam_env.linking'] = None", BROKEN],
+    ids=["this numba", "an unknown numba", "a numba that lacks parts", "linking fails"],
 )
 def test_functions_inside_a_kernel_can_be_called_by_themselves(tmp_path, before):
     statements = f"""{before}
