@@ -47,11 +47,12 @@ def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
     """Compile by way of ``limslam_env.linking``, if this version of numba allows it."""
     if not numba.__version__.startswith(_TRIED):
         return njit(**options)(kernel)
-    from limslam_env import linking
-
-    pipeline = linking.KernelPipeline if is_kernel else linking.InnerPipeline
-    function = njit(pipeline_class=pipeline, **options)(kernel)
-    linking.retry_as_usual(function)
+    try:
+        from limslam_env.linking import InnerPipeline, KernelPipeline, retry_as_usual
+    except (ImportError, AttributeError):
+        return njit(**options)(kernel)
+    function = njit(pipeline_class=KernelPipeline if is_kernel else InnerPipeline, **options)(kernel)
+    retry_as_usual(function)
     return function
 
 

@@ -128,6 +128,10 @@ sys.path.insert(0, {str(folder)!r})
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout.splitlines()
 
 
+LACKING = """
+from numba.core import compiler, environment
+del environment.lookup_environment
+"""
 BROKEN = """
 from limslam_env import linking
 def fail(*arguments):
@@ -138,8 +142,8 @@ linking._executable = fail
 
 @pytest.mark.parametrize(
     "before",
-    ["", "import numba; numba.__version__ = '0.1.0'", BROKEN],
-    ids=["this numba", "an unknown numba", "linking fails"],
+    ["", "import numba; numba.__version__ = '0.1.0'", LACKING, BROKEN],
+    ids=["this numba", "an unknown numba", "a numba that lacks parts", "linking fails"],
 )
 def test_functions_inside_a_kernel_can_be_called_by_themselves(tmp_path, before):
     statements = f"""{before}
