@@ -169,6 +169,11 @@ class Localisation:
         return not self.refusal
 
     @property
+    def likeness(self) -> float:
+        """The evidence of the best other place, as a share of the largest evidence."""
+        return 1.0 if self.fit is None or self.fit.evidence <= 0.0 else self.runner_up / self.fit.evidence
+
+    @property
     def record(self) -> dict[str, Any]:
         """The place as it stands in ``result.json``."""
         fit = self.fit

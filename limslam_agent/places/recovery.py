@@ -28,6 +28,7 @@ from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec
 
 _LATEST = 2  # the latest readings are those since the copy of the estimate with this number from the end
+_CARRIED = 1.0, math.radians(30.0)  # m, rad: a robot whose pose is wrong by less has drifted, and was not carried away
 _FEWEST = 3  # number of readings that must contradict the map, so that other places are searched
 
 ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
@@ -72,8 +73,8 @@ class Absence:
         Distance since the robot was lost, m, the same with turns, and the latter at the latest search.
     gone
         Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
-    is_dated
-        Whether the readings have said in which step the robot was carried away.
+    is_dated, is_carried
+        Whether the readings have said in which step the robot was carried away, and that it was.
     place
         The map of the known frame; None if the place was found in the map of an earlier run.
     decisions
@@ -93,6 +94,7 @@ class Absence:
     sought: float = 0.0
     gone: list[FloatArray] = field(default_factory=list)
     is_dated: bool = False
+    is_carried: bool = False
     decisions: list[tuple[int, Localisation]] = field(default_factory=list)
     placed: float | None = None
     rays: FloatArray | None = None
@@ -161,7 +163,7 @@ class Recovery:
         self.breaks: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._arrival: Absence | None = None
-        self._rechecked = 0.0
+        self._rechecked, self._doubted = 0.0, 0
 
     @property
     def is_lost(self) -> bool:
@@ -191,7 +193,7 @@ class Recovery:
             return np.zeros((3, 3))
         limits, driven = self._agent.status.recovery, self.absence.driven
         position = self.absence.jump + min(limits.position_growth * driven, limits.position_limit)
-        heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
+        heading = UNIFORM_HEADING if self.absence.is_carried else min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
@@ -221,8 +223,8 @@ class Recovery:
         if own.status.level == "lost":
             status, first, is_dated = own.status, self.log.end - 1 - own.doubted, own.carried is not None
         else:
-            status, first, is_dated = ELSEWHERE, self._copies[-_LATEST].step, False
-        jump = math.sqrt(own.added_covariance[0, 0])
+            status, first, is_dated = ELSEWHERE, self._doubted, False
+        jump, is_carried = math.sqrt(own.added_covariance[0, 0]), is_dated or status is ELSEWHERE
         before, self._arrival = self.absence, None
         if before is None:
             margin = 1 if is_dated else self._config.margin
@@ -232,37 +234,46 @@ class Recovery:
                 known, first, status.reason, jump, self._places(known.slam.segments, known.grid.view)
             )
             self.log.forget_before(known.step)
+            if is_carried:
+                # It may be anywhere in its map: the standard deviation of a uniform distribution.
+                self.absence.jump = max(
+                    jump, max(known.grid.view.values.shape) * known.grid.view.cell / math.sqrt(12.0)
+                )
         else:
             if before.is_placed:
                 self.breaks.pop()
             self.absence = replace(before, first=first, placed=None, rays=None, gone=[])
         self.absence.first = max(self.absence.first, self.log.begin + 1)
-        self.absence.is_dated = is_dated
+        self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies = []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
-    def is_elsewhere(self) -> bool:
+    def is_elsewhere(self, own: Status) -> bool:
         """Whether the latest readings contradict the map of a while ago, and fit into it at another place only.
 
         A robot may be carried to a place that looks at first like the one before. If it then draws its own walls, no
-        reading contradicts its present map.
+        reading contradicts its present map. The robot's own status says for how long this is looked for.
         """
         if self._rechecked < self._config.recheck or len(self._copies) <= _LATEST or self.absence is not None:
             return False
         self._rechecked = 0.0
-        known, rays = self._copies[0], rays_of(self.log.since(self._copies[-_LATEST].step), self._robot)
-        place = self._places(known.slam.segments, known.grid.view)
-        (here,) = place.weigh(np.zeros((1, 3)), rays)
-        is_moved = self.log.largest_correction > self._config.apart
-        if here.contradictions < _FEWEST or here.is_on_map >= 0.0 or is_moved:
-            return False  # a closed loop moves robot and map alike
-        found = localise(place, rays, self._config, [np.zeros(3)])
-        return (
-            found.is_accepted
-            and found.fit is not None
-            and are_apart(found.fit.pose, np.zeros(3), found.middle, self._config)
-        )
+        if self.log.largest_correction > self._config.apart:
+            return False  # a closed loop has moved robot and map alike
+        place = self._places(self._copies[0].slam.segments, self._copies[0].grid.view)
+        for copy in self._copies[1:] if own.level == "unsure" else self._copies[-_LATEST:][:1]:
+            if self._fits_elsewhere(place, rays_of(self.log.since(copy.step), self._robot), own):
+                self._doubted = copy.step
+                return True
+        return False
+
+    def _fits_elsewhere(self, place: KnownPlaces, rays: FloatArray, own: Status) -> bool:
+        here, far = np.zeros(3), replace(self._config, apart=_CARRIED[0], apart_turn=_CARRIED[1])
+        (fit,) = place.weigh(here[None], rays)
+        if own.level == "ok" and (fit.contradictions < _FEWEST or fit.is_on_map >= 0.0):
+            return False
+        found = localise(place, rays, self._config, [here])
+        return found.is_accepted and found.fit is not None and are_apart(found.fit.pose, here, found.middle, far)
 
     def is_due(self) -> bool:
         """Whether the known map is to be searched now, or a place to be confirmed."""
@@ -307,7 +318,10 @@ class Recovery:
         if own.level != "ok" or driven < config.confirmed or not is_closed:
             return
         assert absence.rays is not None  # noqa: S101 (the robot has found its place)
-        if localise(self._places(segments, grid), absence.rays, config, [np.zeros(3)]).is_accepted:
+        rays = rays_of(self.log.since(max(absence.first, self.log.begin)), self._robot)
+        rays = np.concatenate((absence.rays, rays))
+        found = localise(self._places(segments, grid), rays, config, [np.zeros(3)])
+        if found.is_accepted and found.likeness <= config.runner_up:
             self._note_event("confirmed", step=self.log.end - 1)
             self.absence = self._arrival = None
 
