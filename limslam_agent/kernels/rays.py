@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.algebra import wrapped
-from limslam_agent.kernels.compilation import compiled, entry, lean_entry
+from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.crossings import crossing, fill_table
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -198,26 +198,60 @@ def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[
     return normal_x, normal_y, offset
 
 
-@entry
-def refine_poses(poses: FloatArray, ends: FloatArray, segments: FloatArray) -> None:
-    """Move poses (m, 3), so that points (n, 2), m, lie on walls (k, 4), m: least squares of their distances."""
-    walls = np.empty((len(segments), 5))
+@compiled
+def solve(matrix: FloatArray, vector: FloatArray) -> None:
+    """Replace a vector (3,) by the solution of a positive definite system (3, 3), whose upper triangle counts."""
+    for i in range(3):
+        for j in range(i + 1, 3):
+            share = matrix[i, j] / matrix[i, i]
+            for k in range(j, 3):
+                matrix[j, k] -= share * matrix[i, k]
+            vector[j] -= share * vector[i]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 3):
+            vector[i] -= matrix[i, k] * vector[k]
+        vector[i] /= matrix[i, i]
+
+
+@compiled
+def add_residuals(
+    pose: FloatArray, ends: FloatArray, walls: FloatArray, most: float, matrix: FloatArray, vector: FloatArray
+) -> None:
+    """Add the distances of points (n, 2) from walls within ``most`` (m) to the normal equations of a pose (3,)."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for point in range(len(ends)):
+        x = cos * ends[point, 0] - sin * ends[point, 1]
+        y = sin * ends[point, 0] + cos * ends[point, 1]
+        normal_x, normal_y, offset = nearest_offset(pose[0] + x, pose[1] + y, walls, most)
+        row = normal_x, normal_y, normal_y * x - normal_x * y
+        for i in range(3):
+            vector[i] += row[i] * offset
+            for j in range(i, 3):
+                matrix[i, j] += row[i] * row[j]
+
+
+@lean_entry
+def refine_poses(
+    poses: FloatArray, ends: FloatArray, segments: FloatArray, walls: FloatArray, matrix: FloatArray, vector: FloatArray
+) -> None:
+    """Move poses (m, 3), so that points (n, 2), m, lie on walls (k, 4), m: least squares of their distances.
+
+    The last three arguments, (k, 5), (3, 3) and (3,), are scratch.
+    """
     fill_table(segments, walls)
     for number in range(len(poses)):
-        pose = poses[number]
         for turn in range(_ROUNDS):
+            for i in range(3):
+                vector[i] = 0.0
+                for j in range(3):
+                    # The small weights keep directions without walls where they are.
+                    matrix[i, j] = _PRIOR if i == j else 0.0
             most = _FAR + (_NEAR - _FAR) * turn / (_ROUNDS - 1)
-            cos, sin = math.cos(pose[2]), math.sin(pose[2])
-            # The small weights keep directions without walls where they are.
-            matrix, vector = _PRIOR * np.eye(3), np.zeros(3)
-            for i in range(len(ends)):
-                x, y = cos * ends[i, 0] - sin * ends[i, 1], sin * ends[i, 0] + cos * ends[i, 1]
-                normal_x, normal_y, offset = nearest_offset(pose[0] + x, pose[1] + y, walls, most)
-                row = np.array([normal_x, normal_y, normal_y * x - normal_x * y])
-                matrix += np.outer(row, row)
-                vector += row * offset
-            pose += np.linalg.solve(matrix, vector)
-        pose[2] = wrapped(pose[2])
+            add_residuals(poses[number], ends, walls, most, matrix, vector)
+            solve(matrix, vector)
+            for i in range(3):
+                poses[number, i] += vector[i]
+        poses[number, 2] = wrapped(poses[number, 2])
 
 
 @compiled

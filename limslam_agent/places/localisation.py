@@ -68,8 +68,9 @@ class KnownPlaces:
         """Poses (m, 3), moved so that the ends of the rays (n, 6) lie on walls."""
         from limslam_agent.kernels.rays import refine_poses
 
-        poses = np.ascontiguousarray(poses)
-        refine_poses(poses, np.ascontiguousarray(ends_of(rays)[have_ended(rays)]), self.segments)
+        poses = np.array(poses)
+        ends, walls = np.ascontiguousarray(ends_of(rays)[have_ended(rays)]), np.empty((len(self.segments), 5))
+        refine_poses(poses, ends, self.segments, walls, np.empty((3, 3)), np.empty(3))
         return poses
 
     def likely(self, rays: FloatArray) -> FloatArray:
