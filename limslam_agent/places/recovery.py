@@ -28,7 +28,7 @@ from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec
 
 _LATEST = 2  # the latest readings are those since the copy of the estimate with this number from the end
-_CARRIED = 1.0, math.radians(30.0)  # m, rad: a robot whose pose is wrong by less has drifted, and was not carried away
+_APART, _APART_TURN = 1.0, math.radians(30.0)  # m, rad: a robot that is off by less has drifted, and was not carried
 _FEWEST = 3  # number of readings that must contradict the map, so that other places are searched
 
 ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
@@ -249,30 +249,29 @@ class Recovery:
         self._copies = []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
-    def is_elsewhere(self, own: Status) -> bool:
+    def is_elsewhere(self, own: StatusMonitor) -> bool:
         """Whether the latest readings contradict the map of a while ago, and fit into it at another place only.
 
         A robot may be carried to a place that looks at first like the one before. If it then draws its own walls, no
-        reading contradicts its present map. The robot's own status says for how long this is looked for.
+        reading contradicts its present map. If its monitor suspects that it was carried away, no reading need
+        contradict the earlier map either.
         """
         if self._rechecked < self._config.recheck or len(self._copies) <= _LATEST or self.absence is not None:
             return False
         self._rechecked = 0.0
+        ago = own.suspected
+        self._doubted = self._copies[-_LATEST].step if ago is None else max(self.log.end - 1 - ago, self.log.begin + 1)
+        known, rays = self._copies[0], rays_of(self.log.since(self._doubted), self._robot)
+        place, here = self._places(known.slam.segments, known.grid.view), np.zeros(3)
+        (fit,) = place.weigh(here[None], rays)
+        if ago is None and (fit.contradictions < _FEWEST or fit.is_on_map >= 0.0):
+            return False
         if self.log.largest_correction > self._config.apart:
             return False  # a closed loop has moved robot and map alike
-        place = self._places(self._copies[0].slam.segments, self._copies[0].grid.view)
-        for copy in self._copies[1:] if own.level == "unsure" else self._copies[-_LATEST:][:1]:
-            if self._fits_elsewhere(place, rays_of(self.log.since(copy.step), self._robot), own):
-                self._doubted = copy.step
-                return True
-        return False
-
-    def _fits_elsewhere(self, place: KnownPlaces, rays: FloatArray, own: Status) -> bool:
-        here, far = np.zeros(3), replace(self._config, apart=_CARRIED[0], apart_turn=_CARRIED[1])
-        (fit,) = place.weigh(here[None], rays)
-        if own.level == "ok" and (fit.contradictions < _FEWEST or fit.is_on_map >= 0.0):
-            return False
-        found = localise(place, rays, self._config, [here])
+        found, far = (
+            localise(place, rays, self._config, [here]),
+            replace(self._config, apart=_APART, apart_turn=_APART_TURN),
+        )
         return found.is_accepted and found.fit is not None and are_apart(found.fit.pose, here, found.middle, far)
 
     def is_due(self) -> bool:

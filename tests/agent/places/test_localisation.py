@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from limslam_agent import preset
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.status import ContradictionConfig
@@ -13,6 +15,7 @@ from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.localisation import KnownPlaces, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
+from limslam_agent.places.recovery import KnownFrame, Recovery
 from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
@@ -125,6 +128,28 @@ def test_readings_that_say_nothing_have_no_ray():
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()
+
+
+@pytest.mark.parametrize("suspected", [None, 20])
+def test_a_robot_whose_readings_fit_another_place_only_is_elsewhere(whole, suspected):
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    earlier = SimpleNamespace(segments=whole.segments), SimpleNamespace(view=whole.grid)
+    steps = drive(PART, HALL)
+    begin = len(steps) - 60
+
+    def is_elsewhere(poses):
+        recovery.log.steps = [replace(step, pose=pose) for step, pose in zip(steps, poses, strict=True)]
+        recovery._copies = [KnownFrame(step, *earlier) for step in (0, begin, begin + 30)]
+        recovery._rechecked = CONFIG.recheck
+        ago = None if suspected is None else 60
+        return recovery.is_elsewhere(SimpleNamespace(suspected=ago))
+
+    right = np.array([step.pose for step in steps])
+    wrong = compose(np.array([3.5, -1.0, -0.4]), right)
+    assert not is_elsewhere(right)
+    assert is_elsewhere(wrong)
+    assert not is_elsewhere(np.concatenate((wrong[:-5], right[-5:])))
+    assert not recovery.is_elsewhere(SimpleNamespace(suspected=suspected)), "the robot has not driven since then"
 
 
 def test_the_largest_correction_of_a_log_is_that_of_the_estimator():
