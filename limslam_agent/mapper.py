@@ -1,6 +1,5 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -381,23 +380,22 @@ class Mapper:
         if places is None or len(self._starts) != 1:
             raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
         OccupancyGrid.of(self._prior_map.grid, self.config.grid)
-        return Lookup(self._prior_map, places)
+        return Lookup(self._prior_map, self.robot, places, self.config.range_std)
 
     def _look_up(self, lookup: Lookup) -> None:
-        """Match the map with the earlier map, and go on in the earlier map if the place is clear."""
+        """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
         if self.frame:
             lookup.end("the robot was lost before its place was found")
             return
-        found = lookup.seek(self._starts[0], self.slam.segments, self._grid.view)
+        found = lookup.seek(self._starts[0])
         if found is None:
             return
-        self.prior_frame, start, covariance = found
-        segments, grid = self.slam.segments, self.grid
+        self.prior_frame = found.frame
         if self.on_restart is not None:
             self.on_restart(0)
-        slam = self._slam_at(start)
+        slam = self._slam_at(found.start)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
-        slam.relocate(start, covariance)
+        slam.relocate(found.start, found.covariance)
         slam.on_association = self.slam.on_association
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._recovery = self._new_recovery()
@@ -406,7 +404,7 @@ class Mapper:
             if self._recovery is not None:
                 self._recovery.note(replace(step, pose=self.slam.pose), self.slam, self._grid)
         if self._recovery is not None:
-            self._recovery.arrive(segments, grid)
+            self._recovery.arrive(found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)
 
@@ -414,11 +412,10 @@ class Mapper:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
         recovery.note(self._logged(observation, motion), self.slam, self._grid)
         own = self._monitors[0]
-        if own.status.level == "lost":
-            jump = math.sqrt(own.added_covariance[0, 0])
+        if own.status.level == "lost" or recovery.is_elsewhere(own):
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
-            recovery.lose(own.status, own.doubted, jump, self.slam, self._grid, is_dated=own.carried is not None)
+            recovery.lose(own, self.slam, self._grid)
             self._go_on_locally(recovery)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
@@ -448,8 +445,8 @@ class Mapper:
         self._play(recovery, second)
 
     def _seek(self, recovery: Recovery) -> None:
-        """Match the local map with the map that the robot was lost from, and go on there if the place is clear."""
-        found = recovery.seek(self.slam.segments, self._grid.view, self.slam.range_sensor)
+        """Search the map that the robot was lost from, and go on there if the place is clear."""
+        found = recovery.seek(self.slam.range_sensor)
         if found is None:
             return
         absence, log = recovery.absence, recovery.log

@@ -73,7 +73,8 @@ AGENT = {
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels", "slam.core")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "slam.core", "grid", "status", "safe_files"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam", "slam.core", "grid", "kernels", "status", "safe_files"),
     },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,

@@ -43,6 +43,15 @@ class PlaceConfig(Bounded):
         Two matches in succession must agree.
     lost_first, lost_spacing, turn_length
         The same for a lost robot, m, whose turn by one radian counts like ``turn_length``, m.
+    lead, likeness
+        Least difference between the evidence of a place and that of every other place, and largest share that another
+        place has of it.
+    on_map
+        Least logarithm of the likelihood ratio of the contradictions at a place: of the right place, and of ground that
+        the map does not have.
+    recheck
+        A robot that is not lost compares the latest readings with the map of a while ago each time that it has driven
+        so far, m.
     checkpoint, checkpoints, margin
         Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by
         which a copy must be older than the first doubt about the estimate.
@@ -74,6 +83,10 @@ class PlaceConfig(Bounded):
     lost_first: NonNegative = 0.8
     lost_spacing: Positive = 0.35
     turn_length: NonNegative = 0.1
+    lead: NonNegative = 25.0
+    likeness: Share = 0.85
+    on_map: NonNegative = 6.0
+    recheck: Positive = 1.0
     checkpoint: Count = 50
     checkpoints: Count = 6
     margin: Count = 100

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -52,55 +52,14 @@ class Decision:
         }
 
 
-class CleanMatch(NamedTuple):
-    """Limits of a match that nothing contradicts: other limits may then be wider.
-
-    Attributes
-    ----------
-    walls, across, known, runner_up
-        As ``least_walls``, ``least_across``, ``known`` and ``runner_up`` of the settings.
-    lead
-        Least difference between the score and that of the best other place, in points.
-    """
-
-    walls: float
-    across: float
-    known: float
-    runner_up: float
-    lead: float = 0.0
-
-    def counts(self, best: Fit, runner_up: float) -> bool:
-        """Whether a match meets the limits; ``runner_up`` is the score of the best other place as a share."""
-        return (
-            min(best.forward, best.backward) >= _CLEAN
-            and best.walls >= self.walls
-            and best.across >= self.across
-            and best.known >= self.known
-            and runner_up <= self.runner_up
-            and best.score * (1.0 - runner_up) >= self.lead
-        )
-
-
-_CLEAN = 0.98  # least share of confirmed points of both maps
-
-CLEAN_MATCHES = (
-    CleanMatch(walls=3.0, across=0.9, known=0.70, runner_up=0.60),
-    CleanMatch(walls=5.0, across=0.9, known=0.30, runner_up=0.80, lead=28.0),
-    CleanMatch(walls=5.0, across=1.5, known=0.22, runner_up=0.60),
-)
-"""Matches that count for a lost robot although they miss the usual limits: few walls, another place that has many walls
-in common, or a robot that has seen much of what its map does not have."""
-
-
-def find_place(known: PlaceMap, local: PlaceMap, config: PlaceConfig, clean: Sequence[CleanMatch] = ()) -> Decision:
-    """Match a local map with a known map, and decide whether the match counts: by the settings, or by other limits."""
+def find_place(known: PlaceMap, local: PlaceMap, config: PlaceConfig) -> Decision:
+    """Match a local map with a known map, and decide whether the match counts."""
     fits = best_fits(known, local, config)
     if not fits:
         return Decision(None, 0.0, "one of the maps has no walls")
     best = fits[0]
     share = runner_up(fits, config)
-    is_clean = any(limits.counts(best, share) for limits in clean)
-    return Decision(best, share, "" if is_clean else _refusal(best, share, config))
+    return Decision(best, share, _refusal(best, share, config))
 
 
 def runner_up(fits: Sequence[Fit], config: PlaceConfig) -> float:

@@ -71,6 +71,13 @@ class StepLog:
         self.steps, self.begin = self.steps[len(gone) :], self.begin + len(gone)
         return gone
 
+    @property
+    def largest_correction(self) -> float:
+        """By how much the estimator has moved a pose in one step beyond the reported motion, at most, m."""
+        poses, motions = (np.array([getattr(step, name) for step in self.steps]) for name in ("pose", "motion"))
+        off = poses[1:, :2] - compose(poses[:-1], motions[1:])[:, :2]
+        return float(np.hypot(*off.T).max(initial=0.0))
+
     def driven_back(self, pose: FloatArray, number: int) -> FloatArray:
         """Poses (m, 3) after each step from the first one kept to the one before ``number``, by the odometry alone.
 

@@ -1,17 +1,38 @@
 """The search for a robot's place in the map of an earlier run."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from limslam_agent.config.places import PlaceConfig
-from limslam_agent.grid.occupancy import GridView
-from limslam_agent.places.decision import Decision, agree, find_place, placed_covariance
+from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.place_map import place_map
+from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
+from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.interface import RobotSpec
+
+
+class Arrival(NamedTuple):
+    """The place of a robot in a saved map.
+
+    Attributes
+    ----------
+    frame
+        Pose (3,) of the robot's frame in the saved map.
+    start, covariance
+        Start pose (3,) in the saved map, and its covariance (3, 3).
+    rays
+        The rays (n, 6) in the saved map by which it was found.
+    """
+
+    frame: FloatArray
+    start: FloatArray
+    covariance: FloatArray
+    rays: FloatArray
+
 
 NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
 """The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
@@ -24,8 +45,10 @@ class Lookup:
     ----------
     saved
         The saved map.
-    config
-        Settings of the search.
+    robot, config
+        Body and beams, and settings of the search.
+    range_std
+        Standard deviation of a range, m.
 
     Attributes
     ----------
@@ -37,14 +60,14 @@ class Lookup:
         How the search ended, for ``result.json``.
     """
 
-    def __init__(self, saved: SavedMap, config: PlaceConfig) -> None:
-        self.saved, self._config = saved, config
-        self._place = place_map(saved.segments, saved.grid)
+    def __init__(self, saved: SavedMap, robot: RobotSpec, config: PlaceConfig, range_std: float) -> None:
+        self.saved, self._robot, self._config = saved, robot, config
+        self._place = KnownPlaces(saved.segments, saved.grid, range_std)
         self.steps: list[LoggedStep] = []
         self.is_open = True
         self.records: list[dict[str, Any]] = []
         self._driven, self._sought, self._refused = 0.0, config.first - config.spacing, 0
-        self._latest: Decision | None = None
+        self._latest: Localisation | None = None
 
     def note(self, step: LoggedStep) -> None:
         """Keep a step of the robot."""
@@ -55,29 +78,25 @@ class Lookup:
 
     @property
     def is_due(self) -> bool:
-        """Whether the robot's map is to be matched now."""
+        """Whether the saved map is to be searched now."""
         return self._driven - self._sought >= self._config.spacing
 
-    def seek(
-        self, start: FloatArray, segments: FloatArray, grid: GridView
-    ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Match the robot's map with the saved map.
+    def seek(self, start: FloatArray) -> Arrival | None:
+        """Search the saved map for the place; it is found if two searches in succession find the same place.
 
-        Returns
-        -------
-        found
-            If two matches in succession find the same place: the pose (3,) of the robot's frame in the saved map, and
-            the pose (3,) there of the start pose (3,), with its covariance (3, 3). None otherwise.
+        ``start`` is the start pose (3,) in the robot's own frame.
         """
         self._sought = self._driven
-        local, before = place_map(segments, grid), self._latest
-        decision = self._latest = find_place(self._place, local, self._config)
+        rays, before = rays_of(self.steps, self._robot), self._latest
+        likely = [] if before is None or before.fit is None else [before.fit.pose]
+        decision = self._latest = localise(self._place, rays, self._config, likely)
         self._refused += not decision.is_accepted
-        if before is None or decision.fit is None or not agree(before, decision, local, self._config):
+        if before is None or decision.fit is None or not agree(before, decision, self._config):
             return None
-        placed = compose(decision.fit.pose, start)
+        frame = decision.fit.pose
+        placed, middle = compose(frame, start), transform_points(frame, decision.middle[None])[0]
         self._close("found in the saved map")
-        return decision.fit.pose, placed, placed_covariance(local, decision, placed, self._config)
+        return Arrival(frame, placed, match_covariance(middle, placed, self._config), moved(rays, frame))
 
     def end(self, reason: str) -> None:
         """End a search that found nothing."""

@@ -2,7 +2,7 @@
 place.
 
 A robot that is lost goes on in a new local frame, with a map of its own. The earlier map is kept as it was before the
-first doubt about the estimate. The local map is matched with the earlier map again and again, until two matches in
+first doubt about the estimate. The readings since then are compared with it again and again, until two searches in
 succession find the same place.
 """
 
@@ -16,20 +16,25 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.decision import CLEAN_MATCHES, Decision, agree, find_place, placed_covariance, runner_up
+from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
-from limslam_agent.places.matching import best_fits
-from limslam_agent.places.place_map import PlaceMap, place_map
+from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, are_apart, localise
+from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.monitor import UNIFORM_HEADING
+from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec
 
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
+_LATEST = 2  # the latest readings are those since the copy of the estimate with this number from the end
+_APART, _APART_TURN = 1.0, math.radians(30.0)  # m, rad: a robot that is off by less has drifted, and was not carried
+_FEWEST = 3  # number of readings that must contradict the map, so that other places are searched
+
+ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,32 +73,34 @@ class Absence:
     jump
         Standard deviation of the position at the beginning, m.
     driven, moved, sought
-        Distance since the robot was lost, m, the same with turns, and the latter at the latest match.
+        Distance since the robot was lost, m, the same with turns, and the latter at the latest search.
     gone
         Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
-    is_dated
-        Whether the readings have said in which step the robot was carried away.
+    is_dated, is_carried
+        Whether the readings have said in which step the robot was carried away, and that it was.
     place
-        The map of the known frame.
+        The map of the known frame; None if the place was found in the map of an earlier run.
     decisions
-        All matches so far.
-    placed, local
-        Distance at which the robot found its place, m, and the local map at that time; None while it is lost.
+        All searches so far, with their steps.
+    placed, rays
+        Distance at which the robot found its place, m, and the rays (n, 6) in the known frame by which it did so; None
+        while it is lost.
     """
 
     known: KnownFrame | None
     first: int
     reason: str
     jump: float
-    place: PlaceMap
+    place: KnownPlaces | None
     driven: float = 0.0
     moved: float = 0.0
     sought: float = 0.0
     gone: list[FloatArray] = field(default_factory=list)
     is_dated: bool = False
-    decisions: list[tuple[int, Decision]] = field(default_factory=list)
+    is_carried: bool = False
+    decisions: list[tuple[int, Localisation]] = field(default_factory=list)
     placed: float | None = None
-    local: PlaceMap | None = None
+    rays: FloatArray | None = None
 
     @property
     def is_placed(self) -> bool:
@@ -110,8 +117,8 @@ class Placement(NamedTuple):
         First step after the robot was carried away, of the steps that are kept.
     pose, covariance
         Its pose (3,) before that step, in the known frame, and the covariance (3, 3).
-    local
-        The local map that was matched.
+    rays
+        The rays (n, 6) in the known frame by which it was placed.
     gone
         Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
         away, if it was lost for so long that the first of these steps are no longer kept; empty otherwise.
@@ -123,7 +130,7 @@ class Placement(NamedTuple):
     step: int
     pose: FloatArray
     covariance: FloatArray
-    local: PlaceMap
+    rays: FloatArray
     gone: list[tuple[FloatArray, FloatArray]]
     frame: FloatArray
     before: KnownFrame | None
@@ -173,6 +180,7 @@ class Recovery:
         self.breaks: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._arrival: Absence | None = None
+        self._rechecked, self._doubted = 0.0, 0
 
     @property
     def is_lost(self) -> bool:
@@ -202,7 +210,7 @@ class Recovery:
             return np.zeros((3, 3))
         limits, driven = self._agent.status.recovery, self.absence.driven
         position = self.absence.jump + min(limits.position_growth * driven, limits.position_limit)
-        heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
+        heading = UNIFORM_HEADING if self.absence.is_carried else min(limits.heading_growth * driven, UNIFORM_HEADING)
         return np.diag([position**2, position**2, heading**2])
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
@@ -220,68 +228,104 @@ class Recovery:
             if self.is_lost and self.log.end % max(self._config.longest // _LOCAL_COPIES, 1) == 0:
                 kept = [copy for copy in self._local_copies if copy.step > self.log.begin]
                 self._local_copies = [*kept, self._copy(slam, grid)]
-        elif not self._copies or self.log.end % self._config.checkpoint == 0:
+            return
+        self._rechecked += math.hypot(*step.motion[:2].tolist())
+        if not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
-    def lose(
-        self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid, *, is_dated: bool = False
-    ) -> None:
-        """The robot is lost, and its estimate was doubtful for some steps.
+    def lose(self, own: StatusMonitor, slam: LineSlam, grid: OccupancyGrid) -> None:
+        """The robot is lost: its monitor says so, or :meth:`is_elsewhere`.
 
         A robot that had found its place without being sure of it goes back to the frame as it was before. If the
         readings have said in which step the robot was carried away, the map until then is good.
         """
-        first = self.log.end - 1 - doubted
+        if own.status.level == "lost":
+            status, first, is_dated = own.status, self.log.end - 1 - own.doubted, own.carried is not None
+        else:
+            status, first, is_dated = ELSEWHERE, self._doubted, False
+        jump, is_carried = math.sqrt(own.added_covariance[0, 0]), is_dated or status is ELSEWHERE
         before, self._arrival = self.absence, None
         if before is None:
             margin = 1 if is_dated else self._config.margin
             old = [copy for copy in self._copies if copy.step <= first - margin]
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
-            view = known.grid.view
-            self.absence = Absence(known, first, status.reason, jump, place_map(known.slam.segments, view))
+            self.absence = Absence(
+                known, first, status.reason, jump, self._places(known.slam.segments, known.grid.view)
+            )
             self.log.forget_before(known.step)
+            if is_carried:
+                # It may be anywhere in its map: the standard deviation of a uniform distribution.
+                self.absence.jump = max(
+                    jump, max(known.grid.view.values.shape) * known.grid.view.cell / math.sqrt(12.0)
+                )
         else:
             if before.is_placed:
                 self.breaks.pop()
-            self.absence = replace(before, first=first, placed=None, local=None, gone=[])
+            self.absence = replace(before, first=first, placed=None, rays=None, gone=[])
         self.absence.first = max(self.absence.first, self.log.begin + 1)
-        self.absence.is_dated = is_dated
+        self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies, self._local_copies = [], []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
+    def is_elsewhere(self, own: StatusMonitor) -> bool:
+        """Whether the latest readings contradict the map of a while ago, and fit into it at another place only.
+
+        A robot may be carried to a place that looks at first like the one before. If it then draws its own walls, no
+        reading contradicts its present map. If its monitor suspects that it was carried away, no reading need
+        contradict the earlier map either.
+        """
+        if self._rechecked < self._config.recheck or len(self._copies) <= _LATEST or self.absence is not None:
+            return False
+        self._rechecked = 0.0
+        ago = own.suspected
+        self._doubted = self._copies[-_LATEST].step if ago is None else max(self.log.end - 1 - ago, self.log.begin + 1)
+        known, rays = self._copies[0], rays_of(self.log.since(self._doubted), self._robot)
+        place, here = self._places(known.slam.segments, known.grid.view), np.zeros(3)
+        (fit,) = place.weigh(here[None], rays)
+        if ago is None and (fit.contradictions < _FEWEST or fit.is_on_map >= 0.0):
+            return False
+        if self.log.largest_correction > self._config.apart:
+            return False  # a closed loop has moved robot and map alike
+        found, far = (
+            localise(place, rays, self._config, [here]),
+            replace(self._config, apart=_APART, apart_turn=_APART_TURN),
+        )
+        return found.is_accepted and found.fit is not None and are_apart(found.fit.pose, here, found.middle, far)
+
     def is_due(self) -> bool:
-        """Whether the local map is to be matched now, or a place to be confirmed."""
+        """Whether the known map is to be searched now, or a place to be confirmed."""
         absence = self.absence or self._arrival
         spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
         return absence is not None and absence.moved - absence.sought >= spacing
 
-    def seek(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> Placement | None:
-        """Match the local map with the known map. The placement if two matches in succession find the same place."""
+    def seek(self, sensor: RangeSensor) -> Placement | None:
+        """Search the known map for the place. The placement if two searches in succession find the same place."""
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
+        assert absence.place is not None  # noqa: S101 (it was lost from a frame)
         absence.sought = absence.moved
-        local = place_map(segments, grid)
-        decision = find_place(absence.place, local, self._config, CLEAN_MATCHES)
+        rays = rays_of(self.log.since(absence.first), self._robot)
+        earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
+        likely = [found.fit.pose for found in earlier if found.fit is not None]
+        decision = localise(absence.place, rays, self._config, likely)
         absence.decisions.append((self.log.end - 1, decision))
-        earlier = [found for step, found in absence.decisions[:-1] if step >= absence.first]
-        if not earlier or not agree(earlier[-1], decision, local, self._config):
+        if not earlier or not agree(earlier[-1], decision, self._config):
             return None
-        return self._placement(absence, local, decision, sensor)
+        return self._placement(absence, rays, decision, sensor)
 
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
         assert self.absence is not None  # noqa: S101
         self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
-        self.absence.local = placement.local
+        self.absence.rays = placement.rays
         self.breaks.append(placement.carried_at)
         self._note_event("found", step=self.log.end - 1, carried_at=placement.carried_at)
 
-    def arrive(self, segments: FloatArray, grid: GridView) -> None:
-        """The robot's place in the map of an earlier run was found by a local map, and has to be confirmed."""
-        local = place_map(segments, grid)
-        self._arrival = Absence(None, 0, "", 0.0, local, placed=0.0, local=local)
+    def arrive(self, rays: FloatArray) -> None:
+        """The robot's place in the map of an earlier run was found by rays (n, 6), and has to be confirmed."""
+        self._arrival = Absence(None, 0, "", 0.0, None, placed=0.0, rays=rays)
 
     def confirm(self, own: Status, segments: FloatArray, grid: GridView) -> None:
         """End an absence if nothing speaks against the place any more."""
@@ -292,10 +336,11 @@ class Recovery:
         is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
         if own.level != "ok" or driven < config.confirmed or not is_closed:
             return
-        whole = place_map(segments, grid)
-        assert absence.local is not None  # noqa: S101 (the robot has found its place)
-        fits = best_fits(whole, absence.local, config)
-        if fits and runner_up(fits, config) <= config.runner_up:
+        assert absence.rays is not None  # noqa: S101 (the robot has found its place)
+        rays = rays_of(self.log.since(max(absence.first, self.log.begin)), self._robot)
+        rays = np.concatenate((absence.rays, rays))
+        found = localise(self._places(segments, grid), rays, config, [np.zeros(3)])
+        if found.is_accepted and found.likeness <= config.runner_up:
             self._note_event("confirmed", step=self.log.end - 1)
             self.absence = self._arrival = None
 
@@ -303,12 +348,16 @@ class Recovery:
         """The run is over, and the robot is still lost."""
         self._note_event("not found", step=self.log.end - 1)
 
+    def _places(self, segments: FloatArray, grid: GridView) -> KnownPlaces:
+        return KnownPlaces(segments, grid, self._agent.range_std)
+
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
-    def _placement(self, absence: Absence, local: PlaceMap, decision: Decision, sensor: RangeSensor) -> Placement:
+    def _placement(self, absence: Absence, rays: FloatArray, decision: Localisation, sensor: RangeSensor) -> Placement:
         """Where the robot was before it was carried away, as far as its steps are kept."""
         assert decision.fit is not None  # noqa: S101 (an accepted decision has a fit)
+        assert absence.place is not None  # noqa: S101 (it was lost from a frame)
         log, frame = self.log, decision.fit.pose
         last = max(absence.first - 1, log.begin)
         placed = log.driven_back(compose(frame, log[last].pose), last + 1)
@@ -324,9 +373,10 @@ class Recovery:
         # If the first steps are gone, there is none before the robot was carried away.
         lost = [*absence.gone, *(each.pose for each in log.steps[: step - log.begin])] if absence.gone else []
         poses = [pose, *(compose(frame, each) for each in lost)]
-        covariances = [placed_covariance(local, decision, each, self._config) for each in poses]
+        middle = transform_points(frame, decision.middle[None])[0]
+        covariances = [match_covariance(middle, each, self._config) for each in poses]
         gone = list(zip(poses[1:], covariances[1:], strict=True))
-        return Placement(step, pose, covariances[0], local, gone, frame, before)
+        return Placement(step, pose, covariances[0], moved(rays, frame), gone, frame, before)
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

@@ -165,6 +165,13 @@ class StatusMonitor:
         changes = self._sudden_changes
         return changes.probable if self.status.level == "lost" else changes.certain
 
+    @property
+    def suspected(self) -> int | None:
+        """For how many steps it has been likely that the robot was carried away; None if there is little evidence."""
+        found = self._sudden_changes.strongest
+        is_likely = found is not None and found.evidence >= self._config.sudden_changes.unsure
+        return self._step - found.step if is_likely and found is not None else None
+
     def _first_doubt(self) -> int:
         """The step of the first comparison in the last metres that contradicts the map, or the present step."""
         if self._jump:

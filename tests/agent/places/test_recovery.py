@@ -81,7 +81,7 @@ def test_the_folder_says_what_happened(episode, tmp_path):
     assert (lost["event"], found["event"]) == ("lost", "found")
     assert lost["reason"]
     assert found["match"]["accepted"]
-    assert {"forward", "backward", "runner_up", "contradictions", "score"} < set(found["match"])
+    assert {"evidence", "runner_up", "contradictions", "tested"} < set(found["match"])
     assert KIDNAPPED <= lost["time_s"] < found["time_s"] < KIDNAPPED + 40.0
     text = "\n".join(record_summary(result))
     assert f"place       lost at {lost['time_s']:.1f} s, found at {found['time_s']:.1f} s" in text

@@ -1,0 +1,330 @@
+"""How well the readings of a drive fit a map from many poses: the evidence of each reading, and the search for poses.
+
+The rays of a drive are the beams with their readings, in the frame of the drive. A pose of this frame in a map places
+all of them.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.crossings import crossing, fill_table
+from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+NOTHING = 0.45
+"""Likelihood that a beam sees nothing at a random place."""
+
+_WRONG = 0.02  # likelihood that a reading has nothing to do with the map, although it is known there
+_OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than they were drawn
+_BESIDE = 0.15  # m: a reading that differs by less than this and three standard deviations contradicts nothing
+_ROUGH = 0.08  # m: standard deviation of the place of a wall that is known by occupied cells only
+_UNSEEN = 0.2  # m: a wall may lie so far beyond the first cell that is not free
+_ROUNDS, _FAR, _NEAR, _PRIOR = 8, 0.30, 0.12, 1e-2  # of refinements: distances from walls, m, first and last
+_TRIED = -8.0  # a pose with less evidence than this by its first readings is not tried any further
+
+
+@compiled
+def wall_evidence(length: float, reach: float, wall: float, std: float) -> float:
+    """The evidence of a reading for a wall at a distance (m), against a random place."""
+    if length >= reach:
+        beyond = 0.5 * math.erfc((reach - wall) / (std * math.sqrt(2.0)))
+        return math.log(((1.0 - _WRONG) * beyond + _WRONG * NOTHING) / NOTHING)
+    density = math.exp(-0.5 * ((length - wall) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+    return math.log((1.0 - _WRONG) * density * reach / (1.0 - NOTHING) + _WRONG)
+
+
+@compiled
+def free_length(
+    ray: tuple[float, float, float, float], longest: float, values: NDArray[np.int16], low: FloatArray, cell: float
+) -> tuple[float, int]:
+    """How far along a ray all cells are free, up to a longest distance, m, and the value of the cell that ends it.
+
+    The value is that of a free cell if none ends it. Cells outside of the grid are unknown.
+    """
+    x, y, ux, uy = ray
+    for step in range(math.ceil(2.0 * longest / cell)):
+        along = 0.5 * step * cell
+        row, column = math.floor((y + along * uy - low[1]) / cell), math.floor((x + along * ux - low[0]) / cell)
+        if not (0 <= row < values.shape[0] and 0 <= column < values.shape[1]):
+            return along, 0
+        if values[row, column] <= 0:
+            return along, int(values[row, column])
+    return longest, 1
+
+
+@compiled
+def is_inside(x: float, y: float, values: NDArray[np.int16], low: FloatArray, cell: float) -> bool:
+    """Whether a point (m) lies in a free cell all of whose neighbours are free."""
+    row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
+    if not (1 <= row < values.shape[0] - 1 and 1 <= column < values.shape[1] - 1):
+        return False
+    for down in range(-1, 2):
+        for right in range(-1, 2):
+            if values[row + down, column + right] <= 0:
+                return False
+    return True
+
+
+@compiled
+def explain(
+    length: float, reach: float, wall: float, cosine: float, free: float, ends_at: int, std: float
+) -> tuple[float, bool, bool]:
+    """The evidence of a reading for a map against a random place, whether it contradicts the map, and whether it might.
+
+    Parameters
+    ----------
+    length, reach
+        Reading and longest reading, m.
+    wall, cosine
+        Distance to the first wall, m, and the cosine of the angle between the ray and its normal.
+    free, ends_at
+        How far all cells along the ray are free, m, and the value of the cell there.
+    std
+        Standard deviation of the distance to a wall, m.
+    """
+    if wall < reach and wall <= free + _UNSEEN:
+        spread = std / max(cosine, 0.25)
+        margin = _BESIDE + 3.0 * spread
+        contradicts = length > wall + margin or length < min(wall, free) - margin
+        return wall_evidence(length, reach, wall, spread), contradicts, True
+    if free >= reach - 0.05:
+        is_empty = length > reach - 0.1
+        return (math.log((1.0 - _WRONG) / NOTHING) if is_empty else math.log(_WRONG)), not is_empty, True
+    if free <= 0.0:
+        return 0.0, False, False
+    if length < free - _BESIDE - 3.0 * std:
+        return math.log(_WRONG), True, True
+    beyond = -math.log(NOTHING + (1.0 - NOTHING) * (1.0 - free / reach))
+    if ends_at < 0:
+        # Beams ended in this cell, but no wall was drawn.
+        return (
+            math.log(0.5 * math.exp(wall_evidence(length, reach, free, _ROUGH)) + 0.5 * math.exp(beyond)),
+            False,
+            False,
+        )
+    return beyond, False, False
+
+
+@compiled
+def weigh_ray(
+    ray: tuple[float, float, float, float], length: float, reach: float, walls: FloatArray, values: NDArray[np.int16],
+    low: FloatArray, cell: float, std: float,
+) -> tuple[float, bool, bool]:  # fmt: skip
+    """The evidence of a reading for a map, whether it contradicts the map, and whether it could have done so."""
+    longer, shorter, cosine_longer, cosine_shorter = math.inf, math.inf, 1.0, 1.0
+    for wall in range(len(walls)):
+        distance, beyond, cosine = crossing(ray, walls, wall)
+        if distance < 0.0:
+            continue
+        if distance < longer and beyond < _OVER:
+            longer, cosine_longer = distance, cosine
+        if distance < shorter and beyond < -_INSET:
+            shorter, cosine_shorter = distance, cosine
+    free, ends_at = free_length(ray, reach, values, low, cell)
+    evidence, contradicts, is_tested = explain(length, reach, longer, cosine_longer, free, ends_at, std)
+    if shorter != longer:
+        other, contradicts_other, _ = explain(length, reach, shorter, cosine_shorter, free, ends_at, std)
+        evidence, contradicts = max(evidence, other), contradicts and contradicts_other
+    if contradicts and length < min(reach, shorter - _BESIDE):
+        # It ended before the wall, if there is one. A wall that was not drawn yet may be near.
+        contradicts = is_inside(ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell)
+        evidence = evidence if contradicts else max(evidence, 0.0)
+    return evidence, contradicts, is_tested
+
+
+@compiled
+def placed_ray(pose: FloatArray, rays: FloatArray, number: int) -> tuple[float, float, float, float]:
+    """Origin, m, and direction of a ray, moved by a pose (3,)."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y, ux, uy = rays[number, RAY_X], rays[number, RAY_Y], rays[number, RAY_TO_X], rays[number, RAY_TO_Y]
+    return pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
+
+
+@lean_entry
+def weigh_poses(
+    poses: FloatArray, rays: FloatArray, segments: FloatArray, walls: FloatArray, values: NDArray[np.int16],
+    low: FloatArray, cell: float, std: float, evidence: FloatArray, counts: IntArray,
+) -> None:  # fmt: skip
+    """Find the evidence of rays for poses of their frame in a map.
+
+    Parameters
+    ----------
+    poses, rays
+        Poses (m, 3), m and rad, and rays (n, 6).
+    segments, walls
+        Walls (k, 4), m, and scratch (k, 5).
+    values, low, cell
+        Values of the cells (rows, columns), positive if free, the lower left corner (2,), m, and the side, m.
+    std
+        Standard deviation of the distance to a wall, m.
+    evidence
+        Set to the logarithm of the likelihood ratio (m,) of each pose and of a random place.
+    counts
+        Set to the numbers of rays (m, 2) that contradict the map, and that could have done so.
+    """
+    fill_table(segments, walls)
+    for number in range(len(poses)):
+        total, against, tested = 0.0, 0, 0
+        for i in range(len(rays)):
+            found, contradicts, is_tested = weigh_ray(
+                placed_ray(poses[number], rays, i), rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell,
+                std,
+            )  # fmt: skip
+            total += found
+            against += contradicts
+            tested += is_tested
+        evidence[number], counts[number, 0], counts[number, 1] = total, against, tested
+
+
+@compiled
+def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[float, float, float]:
+    """Normal of the nearest wall within a distance (m) of a point, and the way along it to the wall, m.
+
+    The normal is zero if there is no such wall.
+    """
+    normal_x, normal_y, offset = 0.0, 0.0, 0.0
+    for wall in range(len(walls)):
+        away_x, away_y = x - walls[wall, 0], y - walls[wall, 1]
+        tangent_x, tangent_y, length = walls[wall, 2], walls[wall, 3], walls[wall, 4]
+        along = min(max(away_x * tangent_x + away_y * tangent_y, 0.0), length)
+        distance = math.hypot(away_x - along * tangent_x, away_y - along * tangent_y)
+        if distance < most:
+            most, normal_x, normal_y = distance, -tangent_y, tangent_x
+            offset = -(normal_x * away_x + normal_y * away_y)
+    return normal_x, normal_y, offset
+
+
+@compiled
+def solve(matrix: FloatArray, vector: FloatArray) -> None:
+    """Replace a vector (3,) by the solution of a positive definite system (3, 3), whose upper triangle counts."""
+    for i in range(3):
+        for j in range(i + 1, 3):
+            share = matrix[i, j] / matrix[i, i]
+            for k in range(j, 3):
+                matrix[j, k] -= share * matrix[i, k]
+            vector[j] -= share * vector[i]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 3):
+            vector[i] -= matrix[i, k] * vector[k]
+        vector[i] /= matrix[i, i]
+
+
+@compiled
+def add_residuals(
+    pose: FloatArray, ends: FloatArray, walls: FloatArray, most: float, matrix: FloatArray, vector: FloatArray
+) -> None:
+    """Add the distances of points (n, 2) from walls within ``most`` (m) to the normal equations of a pose (3,)."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for point in range(len(ends)):
+        x = cos * ends[point, 0] - sin * ends[point, 1]
+        y = sin * ends[point, 0] + cos * ends[point, 1]
+        normal_x, normal_y, offset = nearest_offset(pose[0] + x, pose[1] + y, walls, most)
+        row = normal_x, normal_y, normal_y * x - normal_x * y
+        for i in range(3):
+            vector[i] += row[i] * offset
+            for j in range(i, 3):
+                matrix[i, j] += row[i] * row[j]
+
+
+@lean_entry
+def refine_poses(
+    poses: FloatArray, ends: FloatArray, segments: FloatArray, walls: FloatArray, matrix: FloatArray, vector: FloatArray
+) -> None:
+    """Move poses (m, 3), so that points (n, 2), m, lie on walls (k, 4), m: least squares of their distances.
+
+    The last three arguments, (k, 5), (3, 3) and (3,), are scratch.
+    """
+    fill_table(segments, walls)
+    for number in range(len(poses)):
+        for turn in range(_ROUNDS):
+            for i in range(3):
+                vector[i] = 0.0
+                for j in range(3):
+                    # The small weights keep directions without walls where they are.
+                    matrix[i, j] = _PRIOR if i == j else 0.0
+            most = _FAR + (_NEAR - _FAR) * turn / (_ROUNDS - 1)
+            add_residuals(poses[number], ends, walls, most, matrix, vector)
+            solve(matrix, vector)
+            for i in range(3):
+                poses[number, i] += vector[i]
+        poses[number, 2] = wrapped(poses[number, 2])
+
+
+@compiled
+def fill_offsets(turn: float, rays: FloatArray, middle: FloatArray, cell: float, offsets: IntArray) -> None:
+    """Set offsets (n, 6) to the rows and columns of the end of each ray, turned about a point, and of its way there."""
+    cos, sin = math.cos(turn), math.sin(turn)
+    for i in range(len(rays)):
+        length = rays[i, RAY_LENGTH]
+        inner = length if length >= rays[i, RAY_REACH] else max(length - _UNSEEN, 0.0)
+        for point, along in ((0, length), (2, inner), (4, 0.5 * inner)):
+            x = rays[i, RAY_X] - middle[0] + along * rays[i, RAY_TO_X]
+            y = rays[i, RAY_Y] - middle[1] + along * rays[i, RAY_TO_Y]
+            offsets[i, point] = math.floor((sin * x + cos * y) / cell + 0.5)
+            offsets[i, point + 1] = math.floor((cos * x - sin * y) / cell + 0.5)
+
+
+@compiled
+def rough_evidence(
+    row: int, column: int, rays: FloatArray, offsets: IntArray, ends: NDArray[np.float32], ways: NDArray[np.float32]
+) -> float:
+    """The evidence of rays whose middle is in a cell, or what it was when it fell below a limit."""
+    rows, columns, total = ends.shape[0], ends.shape[1], 0.0
+    for i in range(len(rays)):
+        for point in range(0, 6, 2):
+            down, right = row + offsets[i, point], column + offsets[i, point + 1]
+            if not (0 <= down < rows and 0 <= right < columns):
+                continue
+            if point > 0:
+                total += ways[down, right]
+            elif rays[i, RAY_LENGTH] < rays[i, RAY_REACH]:
+                total += ends[down, right]
+        if total < _TRIED:
+            break
+    return total
+
+
+@lean_entry
+def scan_poses(
+    places: IntArray, turns: FloatArray, rays: FloatArray, middle: FloatArray, ends: NDArray[np.float32],
+    ways: NDArray[np.float32], cell: float, offsets: IntArray, scores: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Roughly weigh poses on a grid: a ray counts by the cell of its end, and by two cells on its way.
+
+    Parameters
+    ----------
+    places, turns
+        Rows and columns (m, 2) of the cells in whose middle the middle of the rays is placed, and the turns (t,), rad.
+    rays, middle
+        Rays (n, 6) in an order in which the first ones are spread over the drive, and the point (2,), m.
+    ends, ways
+        Evidence of an end of a ray in each cell (rows, columns), and of a ray on its way there.
+    cell
+        Side of these cells, m.
+    offsets
+        Scratch (n, 6).
+    scores
+        Set to the evidence (t, m), or to what it was when it fell below a limit.
+    """
+    for turn in range(len(turns)):
+        fill_offsets(turns[turn], rays, middle, cell, offsets)
+        for place in range(len(places)):
+            scores[turn, place] = rough_evidence(places[place, 0], places[place, 1], rays, offsets, ends, ways)
+
+
+@lean_entry
+def choose_apart(poses: FloatArray, shift: float, turn: float, chosen: BoolArray, most: int) -> None:
+    """Mark poses (m, 3), the best ones first, of which no two differ by less than a shift (m) and a turn (rad)."""
+    count = 0
+    for i in range(len(poses)):
+        chosen[i] = count < most
+        for j in range(i):
+            if not chosen[i]:
+                break
+            if chosen[j] and math.hypot(poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]) < shift:
+                chosen[i] = abs(wrapped(poses[i, 2] - poses[j, 2])) >= turn
+        count += chosen[i]

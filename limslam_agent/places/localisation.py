@@ -1,0 +1,233 @@
+"""The place of a drive in a map, by the likelihood of its readings.
+
+Each ray of the drive (:mod:`~limslam_agent.places.rays`) is compared with what the map predicts for it: a wall at a
+distance, free ground, or unknown ground, of which a reading says nothing. The evidence of a pose of the drive is the
+logarithm of the likelihood of all readings there, less that at a random place. Poses on a grid are weighed roughly, the
+best of them are refined, and these are weighed exactly.
+
+A place counts by two likelihood ratios. Against all other places of the map, its evidence must lead. Against ground
+that the map does not have, and that may look alike, hardly a ray may contradict the map: a sequential test of their
+rate (A. Wald, "Sequential tests of statistical hypotheses", 1945). Rays on unknown ground take part in neither.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.places.rays import ends_of, have_ended
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
+from limslam_env.geometry.segment import sample
+
+_CELL = 0.05  # m: of the rough search
+_EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number of turns
+_MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
+_RAYS, _POSES = 90, 2000  # largest number of rays in the rough search, and of its best poses
+_REFINED, _SPREAD = 60, (0.25, math.radians(12.0))  # number of poses that are refined, and how far they are apart
+_WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
+_CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground
+_MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
+
+
+class KnownPlaces:
+    """A map as it is searched for the place of a drive.
+
+    Parameters
+    ----------
+    segments, grid
+        Walls (k, 4), m, and occupancy grid, which must not change any more.
+    range_std
+        Standard deviation of a range, m.
+    """
+
+    def __init__(self, segments: FloatArray, grid: GridView, range_std: float) -> None:
+        self.segments, self.grid = np.ascontiguousarray(segments), grid
+        self._std = math.hypot(_MAP_STD, range_std)
+
+    def weigh(self, poses: FloatArray, rays: FloatArray) -> list["PlaceFit"]:
+        """How well rays (n, 6) fit the map, for poses (m, 3) of their frame."""
+        from limslam_agent.kernels.rays import weigh_poses
+
+        evidence, counts = np.empty(len(poses)), np.empty((len(poses), 2), dtype=np.int64)
+        weigh_poses(
+            np.ascontiguousarray(poses), rays, self.segments, np.empty((len(self.segments), 5)), self.grid.values,
+            np.asarray(self.grid.low), self.grid.cell, self._std, evidence, counts,
+        )  # fmt: skip
+        return [PlaceFit(*each) for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)]
+
+    def refined(self, poses: FloatArray, rays: FloatArray) -> FloatArray:
+        """Poses (m, 3), moved so that the ends of the rays (n, 6) lie on walls."""
+        from limslam_agent.kernels.rays import refine_poses
+
+        poses = np.array(poses)
+        ends, walls = np.ascontiguousarray(ends_of(rays)[have_ended(rays)]), np.empty((len(self.segments), 5))
+        refine_poses(poses, ends, self.segments, walls, np.empty((3, 3)), np.empty(3))
+        return poses
+
+    def likely(self, rays: FloatArray) -> FloatArray:
+        """Poses (m, 3) at which the latest rays (n, 6) may fit, by a rough search of the whole map."""
+        from limslam_agent.kernels.rays import choose_apart, scan_poses
+
+        low, ends, ways, places = self._rough
+        latest = rays[-_RAYS:]
+        latest = np.ascontiguousarray(latest[np.random.default_rng(0).permutation(len(latest))])
+        middle, turns = latest[:, :2].mean(axis=0), np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
+        scores = np.empty((len(turns), len(places)), dtype=np.float32)
+        scan_poses(places, turns, latest, middle, ends, ways, _CELL, np.empty(latest.shape, dtype=np.int64), scores)
+        count = min(_POSES, scores.size)
+        best = np.argpartition(scores, scores.size - count, axis=None)[scores.size - count :]
+        best = best[np.argsort(-scores.ravel()[best], kind="stable")]
+        turn, place = np.divmod(best[scores.ravel()[best] > 0.0], len(places))
+        centred = np.column_stack((low + (places[place][:, ::-1] + 0.5) * _CELL, turns[turn]))
+        chosen = np.zeros(len(centred), dtype=bool)
+        choose_apart(centred, *_SPREAD, chosen, _REFINED)
+        return np.asarray(compose(centred[chosen], np.array([*-middle, 0.0])))
+
+    @cached_property
+    def _rough(self) -> tuple[FloatArray, NDArray[np.float32], NDArray[np.float32], IntArray]:
+        """The map of the rough search: its corner, the evidence of ends and ways in each cell, and cells to try."""
+        low: FloatArray = np.asarray(self.grid.low - _MARGIN, dtype=np.float64)
+        rows, columns = np.ceil((np.array(self.grid.values.shape) * self.grid.cell + 2.0 * _MARGIN) / _CELL).astype(int)
+        cells = np.indices((rows, columns)).reshape(2, -1).T
+        centres = low + (cells[:, ::-1] + 0.5) * _CELL
+        values, known = np.zeros(len(cells), dtype=np.int16), self.grid.cells(centres)
+        inside = np.all((known >= 0) & (known < self.grid.values.shape), axis=1)
+        values[inside] = self.grid.values[known[inside, 0], known[inside, 1]]
+        free: BoolArray = (values > 0).reshape(rows, columns)
+        is_open = np.ones(free.shape, dtype=bool)
+        walls = np.floor((sample(self.segments, 0.7 * _CELL)[0] - low) / _CELL).astype(np.int64)[:, ::-1]
+        walls = walls[np.all((walls >= 0) & (walls < free.shape), axis=1)]
+        is_open[walls[:, 0], walls[:, 1]] = False
+        away = distance_transform_edt(is_open) * _CELL
+        at_wall = _HIT[0] - (_HIT[0] - _HIT[1]) * (away / _WALL) ** 2
+        ends = np.where(away < _WALL, at_wall, np.where(free & (away > 0.25), _MISS, 0.0))
+        ways = np.where(away < 0.8 * _CELL, _CROSSED, np.where(free, _FREE, 0.0))
+        is_tried = np.zeros_like(free)
+        is_tried[::_EVERY, ::_EVERY] = distance_transform_edt(~free)[::_EVERY, ::_EVERY] * _CELL < _MARGIN
+        return low, ends.astype(np.float32), ways.astype(np.float32), np.argwhere(is_tried)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceFit:
+    """A pose of a drive's frame in a map, and how well its rays agree with the map there.
+
+    Attributes
+    ----------
+    pose
+        The pose (3,), m and rad.
+    evidence
+        Logarithm of the likelihood of the readings, less that at a random place.
+    contradictions, tested
+        Number of rays that contradict the map, and of those that could have done so.
+    """
+
+    pose: FloatArray
+    evidence: float
+    contradictions: int
+    tested: int
+
+    @property
+    def is_on_map(self) -> float:
+        """Logarithm of the likelihood ratio of the contradictions: of the right place, and of ground like it."""
+        right, wrong = _RATES
+        fitting = self.tested - self.contradictions
+        return self.contradictions * math.log(right / wrong) + fitting * math.log((1.0 - right) / (1.0 - wrong))
+
+
+@dataclass(frozen=True, eq=False)
+class Localisation:
+    """The best place of a drive in a map, and whether it counts.
+
+    Attributes
+    ----------
+    fit
+        The best place; None if there is none.
+    runner_up
+        The largest evidence of another place, at least 0, which is that of a random place.
+    middle
+        Middle (2,) of the drive, m, in its own frame.
+    refusal
+        Why the place does not count, in words. Empty if it counts.
+    """
+
+    fit: PlaceFit | None
+    runner_up: float
+    middle: FloatArray
+    refusal: str
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the place counts."""
+        return not self.refusal
+
+    @property
+    def likeness(self) -> float:
+        """The evidence of the best other place, as a share of the largest evidence."""
+        return 1.0 if self.fit is None or self.fit.evidence <= 0.0 else self.runner_up / self.fit.evidence
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The place as it stands in ``result.json``."""
+        fit = self.fit
+        figures = {} if fit is None else {
+            "pose": fit.pose.tolist(), "evidence": fit.evidence, "runner_up": self.runner_up,
+            "contradictions": fit.contradictions, "tested": fit.tested,
+        }  # fmt: skip
+        return {**figures, "accepted": self.is_accepted, "reason": self.refusal or "the readings fit in one place only"}
+
+
+def localise(
+    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = ()
+) -> Localisation:
+    """Search a map for the place of a drive, and decide whether it counts.
+
+    Parameters
+    ----------
+    rays
+        Rays (n, 6) of the drive.
+    before
+        Poses (3,) that were likely before.
+    """
+    if not len(rays) or not len(known.segments):
+        return Localisation(None, 0.0, np.zeros(2), "there is nothing to compare")
+    middle = rays[:, :2].mean(axis=0)
+    likely = np.concatenate((known.likely(rays), np.array(before).reshape(-1, 3)))
+    fits = sorted(known.weigh(known.refined(likely, rays), rays), key=lambda fit: -fit.evidence)
+    if not fits:
+        return Localisation(None, 0.0, middle, "the readings fit nowhere")
+    best = fits[0]
+    others = (fit.evidence for fit in fits if are_apart(fit.pose, best.pose, middle, config))
+    runner_up = max(next(others, 0.0), 0.0)
+    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config))
+
+
+def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config: PlaceConfig) -> bool:
+    """Whether two poses (3,) of a drive place its middle (2,), or turn it, differently."""
+    shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
+    turn = abs(wrap_angle(float(first[2] - second[2])))
+    return float(np.hypot(*shift[0])) > config.apart or turn > config.apart_turn
+
+
+def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> bool:
+    """Whether two searches accept the same place."""
+    if first.fit is None or second.fit is None or not (first.is_accepted and second.is_accepted):
+        return False
+    return not are_apart(first.fit.pose, second.fit.pose, second.middle, config)
+
+
+def _refusal(best: PlaceFit, runner_up: float, config: PlaceConfig) -> str:
+    """Why a place does not count, in words; empty if it counts."""
+    if best.is_on_map < config.on_map:
+        return f"{best.contradictions} of {best.tested} readings contradict the map there"
+    if runner_up > min(best.evidence - config.lead, config.likeness * best.evidence):
+        return f"ambiguous: another place has an evidence of {runner_up:.0f}, and the best one {best.evidence:.0f}"
+    return ""

@@ -1,0 +1,64 @@
+"""The readings of a drive as rays in its own frame: what is compared with a map to find the place of the drive."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.places.history import LoggedStep
+from limslam_agent.status.sudden_changes import dropouts
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec
+
+_APART = 0.10, 0.25
+"""Of two rays that end in the same square, the later one is kept: side of the squares for rays that saw something, and
+for the others, m. What is seen twice is no news."""
+
+_STEPS, _RAYS = 1500, 600  # largest number of latest steps and rays: the frame of a longer drive is bent
+
+
+def rays_of(steps: Sequence[LoggedStep], robot: RobotSpec) -> FloatArray:
+    """The latest rays (n, 6) of steps, in the order of time: origin, direction, reading and longest reading, m.
+
+    A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
+    or perhaps missed by the sensor, has no ray.
+    """
+    steps = steps[-_STEPS:]
+    poses, ranges = np.array([step.pose for step in steps]), np.array([step.ranges for step in steps])
+    seen_nothing = ranges >= robot.too_far
+    usable = (ranges > robot.too_near) & ~dropouts(seen_nothing)
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    turns = np.stack((np.stack((cos, -sin), -1), np.stack((sin, cos), -1)), 1)
+    origins = np.einsum("tij,bj->tbi", turns, robot.beam_origins) + poses[:, None, :2]
+    directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions)
+    reaches = np.broadcast_to(robot.max_ranges, ranges.shape)
+    lengths = np.where(seen_nothing, reaches, np.minimum(ranges, reaches - 1e-6))
+    rays = np.concatenate((origins, directions, lengths[..., None], reaches[..., None]), axis=2)[usable]
+    return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
+
+
+def moved(rays: FloatArray, pose: FloatArray) -> FloatArray:
+    """The rays (n, 6) with their frame at a pose (3,)."""
+    result = rays.copy()
+    result[:, RAY_X:RAY_TO_X] = transform_points(pose, rays[:, RAY_X:RAY_TO_X])
+    result[:, RAY_TO_X:RAY_LENGTH] = transform_points(np.array([0.0, 0.0, pose[2]]), rays[:, RAY_TO_X:RAY_LENGTH])
+    return result
+
+
+def ends_of(rays: FloatArray) -> FloatArray:
+    """Where the rays (n, 6) end (n, 2), m."""
+    return rays[:, RAY_X:RAY_TO_X] + rays[:, RAY_LENGTH, None] * rays[:, RAY_TO_X:RAY_LENGTH]
+
+
+def have_ended(rays: FloatArray) -> BoolArray:
+    """Which rays (n,) have seen something."""
+    return np.asarray(rays[:, RAY_LENGTH] < rays[:, RAY_REACH])
+
+
+def _latest(rays: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """The numbers of the latest ray in each square, in the order of time."""
+    ended = have_ended(rays)
+    squares = np.floor(ends_of(rays) / np.where(ended, *_APART)[:, None]).astype(np.int64)
+    _, first = np.unique(np.column_stack((ended, squares))[::-1], axis=0, return_index=True)
+    return np.sort(len(rays) - 1 - first)
