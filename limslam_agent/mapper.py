@@ -21,6 +21,7 @@ from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.motion import check_travel
 from limslam_agent.slam.slam import Extraction, LineSlam, RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
 from limslam_agent.status.monitor import StatusMonitor
@@ -121,7 +122,7 @@ class Mapper:
         valid. The SLAM is then another object.
     frame
         Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
-        found its place, and then in the earlier frame again.
+        found its place, and then in the earlier frame again. A renewal that moves the path far counts as well.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -294,19 +295,7 @@ class Mapper:
     def check(self, observation: Observation, front: FrontEnd | None = None) -> None:
         """Refuse an observation that :meth:`step` cannot process, of the first robot or of another one's front end."""
         (front or self.slam.robots[0]).check(observation)
-        self._check_travel(observation)
-
-    def _check_travel(self, observation: Observation) -> None:
-        """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
-        if "wheels" not in observation:
-            return
-        farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
-        if math.isfinite(farthest) and farthest > self.longest_travel:
-            limit = f"{self.robot.max_wheel_speed:g} m/s for {self.robot.control_period:g} s"
-            raise ValueError(
-                f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
-                "metres since the last observation, not ticks or millimetres"
-            )
+        check_travel(observation, self.robot, self.longest_travel)
 
     def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
         """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
@@ -323,14 +312,23 @@ class Mapper:
         return motions
 
     def _renew(self, observation: Observation) -> None:
-        """Smooth the last minutes and renew the estimate, if that is due and possible."""
+        """Smooth the last minutes, if that is due. A lost robot that goes on in a local frame counts as ok."""
         if not self._renewal.is_possible or "wheels" not in observation:
             return
         begin = time.perf_counter()
         self._renewal.note(observation)
-        # A lost robot goes on in a local frame, where there is a search for its place.
-        self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level)
+        if self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level):
+            self._use_renewed()
         self._count_time(begin)
+
+    def _use_renewed(self) -> None:
+        """Go on with the grid of a renewal. If it has moved the path far, plans, doubts and copies mean nothing now."""
+        self._grid = self._renewal.grid
+        if self._renewal.has_jumped:
+            self.frame += 1
+            self._monitors = self._new_monitors()
+            if self._recovery is not None:
+                self._recovery.forget_copies()
 
     def _count_time(self, begin: float) -> None:
         """Add the time since ``begin`` to that of the SLAM in this step."""
@@ -390,7 +388,7 @@ class Mapper:
 
     def _look_up(self, lookup: Lookup) -> None:
         """Match the map with the earlier map, and go on in the earlier map if the place is clear."""
-        if self.frame:
+        if self._recovery is not None and self._recovery.records:
             lookup.end("the robot was lost before its place was found")
             return
         found = lookup.seek(self._starts[0], self.slam.segments, self._grid.view)
@@ -508,9 +506,11 @@ class Mapper:
 
     def _begin_anew(self) -> None:
         """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
-        self._monitors = [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
-        self._extraction = None
-        self._renewal = Renewal(self.slam, self.config)
+        self._monitors, self._extraction = self._new_monitors(), None
+        self._renewal: Renewal = Renewal(self.slam, self.config, self._grid)
+
+    def _new_monitors(self) -> list[StatusMonitor]:
+        return [StatusMonitor(self.robot, self.config.status, self.config.range_std) for _ in self._starts]
 
     def _watch(self, number: int, pose: FloatArray, motion: FloatArray, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""

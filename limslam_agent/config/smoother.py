@@ -239,7 +239,10 @@ class RenewalConfig(Bounded):
     period
         Longest time between two renewals, s.
     least
-        Least time between two renewals, s, if the robot is lost and does not go on in a local frame.
+        Least time between two renewals, s, if the robot is lost and does not go on in a local frame, or if a loop has
+        closed.
+    unsure_place
+        A loop has closed if the position's standard deviation has fallen to half, from more than this, m.
     end_noise
         By how much the position of each end of a known wall becomes less certain at each renewal, in standard
         deviations of a range. It stands for errors that a wall has in each stretch again.
@@ -247,4 +250,5 @@ class RenewalConfig(Bounded):
 
     period: NonNegative = 900.0
     least: NonNegative = 30.0
+    unsure_place: NonNegative = 0.5
     end_noise: NonNegative = 1.0

@@ -203,6 +203,10 @@ class Recovery:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
+    def forget_copies(self) -> None:
+        """The estimate was renewed, and its earlier copies are worse."""
+        self._copies = []
+
     def lose(
         self, status: Status, doubted: int, jump: float, slam: LineSlam, grid: OccupancyGrid, *, is_dated: bool = False
     ) -> None:
