@@ -156,7 +156,7 @@ class MendingConfig(Bounded):
     max_offset: NonNegative = 0.8
     max_angle: Angle = 0.4
     min_overlap: NonNegative = 0.10
-    most_lines: Count = 400
+    most_lines: Count = 600
     dropped_share: Share = 0.2
     dropped_least: CountOrNone = 5
     unexplained: NonNegative = 4.0
