@@ -202,7 +202,7 @@ class JoiningMapper(Mapper):
 
     def _seek_other(self, apart: list[Mapper]) -> bool:
         """Match both maps, and go on as a team if they fit together in one place only. Whether they are a team now."""
-        if self.frame:
+        if self.parted is not None or any(mapper.places.records for mapper in apart):
             self._meeting.end("a robot was lost before")
             return False
         first, second = (place_map(mapper.slam.segments, mapper.grid) for mapper in apart)

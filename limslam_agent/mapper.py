@@ -117,7 +117,7 @@ class Mapper:
         valid. The SLAM is then another object.
     frame
         Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
-        found its place, and then in the earlier frame again.
+        found its place, and then in the earlier frame again. A renewal that moves the path far counts as well.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -312,14 +312,23 @@ class Mapper:
         return motions
 
     def _renew(self, observation: Observation) -> None:
-        """Smooth the last minutes and renew the estimate, if that is due and possible."""
+        """Smooth the last minutes, if that is due. A lost robot that goes on in a local frame counts as ok."""
         if not self._renewal.is_possible or "wheels" not in observation:
             return
         begin = time.perf_counter()
         self._renewal.note(observation)
-        # A lost robot goes on in a local frame, where there is a search for its place.
-        self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level)
+        if self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level):
+            self._use_renewed()
         self._count_time(begin)
+
+    def _use_renewed(self) -> None:
+        """Go on with the grid of a renewal. If it has moved the path far, plans, doubts and copies mean nothing now."""
+        self._grid = self._renewal.grid
+        if self._renewal.has_jumped:
+            self.frame += 1
+            self._monitors = self._new_monitors()
+            if self._recovery is not None:
+                self._recovery.forget_copies()
 
     def _count_time(self, begin: float) -> None:
         """Add the time since ``begin`` to that of the SLAM in this step."""
@@ -384,7 +393,7 @@ class Mapper:
 
     def _look_up(self, lookup: Lookup) -> None:
         """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
-        if self.frame:
+        if self._recovery is not None and self._recovery.records:
             lookup.end("the robot was lost before its place was found")
             return
         found = lookup.seek(self._starts[0])
@@ -504,9 +513,11 @@ class Mapper:
 
     def _begin_anew(self) -> None:
         """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
-        self._monitors = [StatusMonitor(self.robot, self.config.status, self.slam.range_sensor) for _ in self._starts]
-        self._extraction = None
-        self._renewal = Renewal(self.slam, self.config)
+        self._monitors, self._extraction = self._new_monitors(), None
+        self._renewal: Renewal = Renewal(self.slam, self.config, self._grid)
+
+    def _new_monitors(self) -> list[StatusMonitor]:
+        return [StatusMonitor(self.robot, self.config.status, self.slam.range_sensor) for _ in self._starts]
 
     def _watch(self, number: int, pose: FloatArray, motion: FloatArray, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""

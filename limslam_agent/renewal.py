@@ -1,19 +1,25 @@
 """Renewal of the online estimate in long drives: the last minutes are smoothed while the robot drives on."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation
 
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
+
+FAR = 0.3
+"""A renewal that moves the path by more than this somewhere, m, begins a new frame: plans made before mean nothing."""
 
 
 class Renewal:
@@ -24,21 +30,31 @@ class Renewal:
     a local frame. Then only the map remains of the stretch, so that memory and time do not grow with the length of a
     drive.
 
+    It is also smoothed when a loop closes after the robot was unsure of its place. The filter's correction of poses
+    and walls is linearised, and the occupancy grid stays where it was drawn. The renewal draws the grid again.
+
     Parameters
     ----------
     slam
         The SLAM, after the first observation.
     config
         Its settings, with those of the renewal.
+    grid
+        The occupancy grid that the caller draws.
 
     Attributes
     ----------
+    grid
+        The occupancy grid, in which the readings of a renewed stretch are drawn at the smoothed poses.
+    has_jumped
+        Whether the last renewal has moved the path far.
     is_possible
         Whether estimates of this SLAM can be renewed at all.
     """
 
-    def __init__(self, slam: LineSlam, config: AgentConfig) -> None:
-        self._slam, self._config = slam, config
+    def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
+        self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
+        self._first_grid, self._most_unsure = grid, 0.0
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
@@ -55,13 +71,15 @@ class Renewal:
         front = self._slam.robots[0]
         travel = np.asarray(observation["wheels"], dtype=float)
         self._rows.append((travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance))
+        self._most_unsure = max(self._most_unsure, self._place_std)
 
     def renew_if_due(self, level: Level) -> bool:
         """Renew the estimate if that is due, by the level of its status; whether it was renewed.
 
-        It is due after some minutes, and once when the robot gets lost. A robot that is only unsure gains nothing by a
-        short stretch that knows little. The pose of a robot that was lost at the beginning of a stretch is no place to
-        smooth from. A robot that is no longer lost may have been placed anew, and a new stretch begins.
+        It is due after some minutes, when a loop has closed, and once when the robot gets lost. A robot that is only
+        unsure gains nothing by a short stretch that knows little. The pose of a robot that was lost at the beginning of
+        a stretch is no place to smooth from. A robot that is no longer lost may have been placed anew, and a new
+        stretch begins.
         """
         settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
         if settings is None or not self._rows:
@@ -71,18 +89,34 @@ class Renewal:
         self._is_wanted, self._level = (self._is_wanted or is_worse) and level != "ok", level
         is_over = waited >= settings.period
         # A stretch that could not be smoothed is tried again when it is twice as long.
-        is_early = self._is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
-        is_renewed = False
-        if (is_over or is_early) and not (is_found or self._began_lost):
-            state, self._tried = self._smoothed(), len(self._rows)
-            is_renewed = state is not None
-            if state is not None:
-                self._slam.renew(state)
-                self._is_wanted = False
+        is_wanted = self._is_wanted or (settings.unsure_place < self._most_unsure > 2.0 * self._place_std)
+        is_early = is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
+        is_renewed = (is_over or is_early) and not (is_found or self._began_lost) and self._renew()
         if is_over or is_renewed or is_found:
             self._begin()
             self._rows = [self._rows[-1]]
         return is_renewed
+
+    @property
+    def _place_std(self) -> float:
+        """Standard deviation of the robot's position, m."""
+        return math.sqrt(max(float(np.trace(self._slam.covariance[:2, :2])), 0.0))
+
+    def _renew(self) -> bool:
+        """Renew the estimate and the grid, if the stretch can be smoothed; whether it could."""
+        found, self._tried = self._smoothed(), len(self._rows)
+        if found is None:
+            return False
+        state, poses = found
+        self._slam.renew(state)
+        # The joining with the map from before moves the stretch as a whole.
+        moved = compose(self._slam.pose, inverse(poses[-1]))
+        self._is_wanted, self.has_jumped, self.grid = False, False, self._first_grid
+        for pose, (_, ranges, measured, believed, _) in zip(poses[1:], self._rows[1:], strict=True):
+            new = compose(moved, pose)
+            self.has_jumped |= math.hypot(*(new - believed)[:2]) > FAR
+            self.grid.update(new, self._slam.robot, ranges, measured)
+        return True
 
     def _begin(self) -> None:
         """Begin a new stretch at the present estimate."""
@@ -90,9 +124,10 @@ class Renewal:
         self._slam.recent_associations = self._associations
         self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
         self._tried, self._began_lost = 0, self._level == "lost"
+        self._first_grid, self._most_unsure = self.grid.copied(), self._place_std
 
-    def _smoothed(self) -> MapState | None:
-        """The state by all readings of the stretch; None if the stretch cannot be smoothed."""
+    def _smoothed(self) -> tuple[MapState, FloatArray] | None:
+        """The state by all readings of the stretch, and its poses (t, 3); None if the stretch cannot be smoothed."""
         # The kernels of the smoother load numba, which takes time that short drives do not need.
         from limslam_agent.slam.line_graph.renewal import renewed
         from limslam_agent.slam.line_graph.smoother import FilteredRun

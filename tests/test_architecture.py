@@ -78,7 +78,7 @@ AGENT = {
     },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
+        *agent("config", "grid", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
     },
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,

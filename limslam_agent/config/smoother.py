@@ -156,7 +156,7 @@ class MendingConfig(Bounded):
     max_offset: NonNegative = 0.8
     max_angle: Angle = 0.4
     min_overlap: NonNegative = 0.10
-    most_lines: Count = 400
+    most_lines: Count = 600
     dropped_share: Share = 0.2
     dropped_least: CountOrNone = 5
     unexplained: NonNegative = 4.0
@@ -239,7 +239,10 @@ class RenewalConfig(Bounded):
     period
         Longest time between two renewals, s.
     least
-        Least time between two renewals, s, if the robot is lost and does not go on in a local frame.
+        Least time between two renewals, s, if the robot is lost and does not go on in a local frame, or if a loop has
+        closed.
+    unsure_place
+        A loop has closed if the position's standard deviation has fallen to half, from more than this, m.
     end_noise
         By how much the position of each end of a known wall becomes less certain at each renewal, in standard
         deviations of a range. It stands for errors that a wall has in each stretch again.
@@ -247,4 +250,5 @@ class RenewalConfig(Bounded):
 
     period: NonNegative = 900.0
     least: NonNegative = 30.0
+    unsure_place: NonNegative = 0.5
     end_noise: NonNegative = 1.0

@@ -234,6 +234,10 @@ class Recovery:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
+    def forget_copies(self) -> None:
+        """The estimate was renewed, and its earlier copies are worse."""
+        self._copies = []
+
     def lose(self, own: StatusMonitor, slam: LineSlam, grid: OccupancyGrid) -> None:
         """The robot is lost: its monitor says so, or :meth:`is_elsewhere`.
 

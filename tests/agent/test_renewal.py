@@ -10,6 +10,7 @@ from support.drives import along, drive, room
 
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -40,7 +41,7 @@ def rounds(count, seed=0):
 def driven(settings, told):
     """The SLAM after a drive, its poses (t, 3) and covariances (t, 3, 3), and the steps after which it was renewed."""
     slam = LineSlam(ROBOT, settings, START)
-    renewal, poses, covariances, renewed = Renewal(slam, settings), [], [], []
+    renewal, poses, covariances, renewed = Renewal(slam, settings, OccupancyGrid(settings.grid)), [], [], []
     for step, observation in enumerate(told):
         slam.step(observation)
         if renewal.is_possible:
@@ -120,13 +121,52 @@ def test_a_stretch_that_contradicts_itself_is_not_used():
 def renewed_at(settings, lost):
     """The steps of two rounds after which an estimate is renewed, if the robot is lost in some of the steps."""
     slam = LineSlam(ROBOT, settings, START)
-    renewal, steps = Renewal(slam, settings), []
+    renewal, steps = Renewal(slam, settings, OccupancyGrid(settings.grid)), []
     for step, observation in enumerate(rounds(2)[0]):
         slam.step(observation)
         renewal.note(observation)
         if renewal.renew_if_due("lost" if step in lost else "ok"):
             steps.append(step)
     return steps
+
+
+@pytest.mark.parametrize(("unsure_place", "is_renewed"), [(0.5, False), (0.025, True)])
+def test_a_robot_is_renewed_when_a_loop_closes_after_it_was_unsure_of_its_place(unsure_place, is_renewed):
+    settings = replace(NEVER, renewal=RenewalConfig(period=1000.0, least=5.0, unsure_place=unsure_place))
+    assert bool(renewed_at(settings, ())) == is_renewed
+
+
+def test_a_renewal_draws_the_grid_at_the_smoothed_poses():
+    settings = config(ROUND_S)
+    slam, grid = LineSlam(ROBOT, settings, START), OccupancyGrid(settings.grid)
+    renewal = Renewal(slam, settings, grid)
+    for number, observation in enumerate(rounds(2)[0]):
+        slam.step(observation)
+        front, wrong = slam.robots[0], np.array([5.0 if number else 0.0, 0.0, 0.0])
+        grid.update(slam.pose + wrong, ROBOT, front.ranges, front.measured)
+        renewal.note(observation)
+        if renewal.renew_if_due("ok"):
+            break
+    assert not renewal.has_jumped
+    view = renewal.grid.view
+    known = view.centres(np.argwhere(~view.unknown))
+    assert known.min() > -0.2
+    assert (known.max(axis=0) < [3.2, 2.6]).all()
+    assert np.count_nonzero(view.free) * view.cell**2 > 0.7 * 3.0 * 2.4
+
+
+def test_a_renewal_that_moves_the_path_far_begins_a_new_frame(monkeypatch):
+    told, _ = rounds(2)
+    frames = []
+    for far in (0.3, 0.0):
+        monkeypatch.setattr("limslam_agent.renewal.FAR", far)
+        mapper = Mapper(ROBOT, config(ROUND_S), START)
+        for observation in told:
+            mapper.step(observation)
+        frames.append(mapper.belief.frame)
+        assert mapper.belief.status.level == "ok"
+    assert frames[0] == 0
+    assert frames[1] >= 1
 
 
 def test_a_robot_that_gets_lost_is_renewed_once():
@@ -148,12 +188,12 @@ def test_a_robot_that_stands_still_is_not_renewed():
 @pytest.mark.parametrize("name", ["consistent", "paper"])
 def test_presets_without_a_smoother_are_never_renewed(name):
     settings = preset(name, NOISE)
-    assert not Renewal(LineSlam(ROBOT, settings, START), settings).is_possible
+    assert not Renewal(LineSlam(ROBOT, settings, START), settings, OccupancyGrid(settings.grid)).is_possible
 
 
 def test_a_team_is_never_renewed():
     slam = LineSlam(ROBOT, config(10.0), np.array([START, START + 1.0]))
-    assert not Renewal(slam, slam.config).is_possible
+    assert not Renewal(slam, slam.config, OccupancyGrid(slam.config.grid)).is_possible
     with pytest.raises(TypeError, match="single robot"):
         _ = slam.map_state
 

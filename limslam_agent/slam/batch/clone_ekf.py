@@ -16,9 +16,13 @@ from limslam_agent.slam.batch.algebra import add_products, block_of, gather_rows
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.batch.state import CLONES, LINES, NEXT_CLONE, Filter
 from limslam_agent.slam.consistent.clone_ekf import EQUALITY_NOISE, LINE_PRIOR
+from limslam_agent.slam.core import carried_anchors
+from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
+
+_by_carried_anchor = algebra(carried_anchors.by_carried_anchor)
 
 
 @algebra
@@ -185,7 +189,7 @@ def observe(
 
 @algebra
 def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Difference (2,) of two lines about the younger's anchor, m and rad, with H (2, 4), its columns, and H P H^T."""
+    """Difference (2,) of two lines about the younger's anchor, m and rad, with H (2, n), its columns, and H P H^T."""
     a, b = POSE + 2 * older, POSE + 2 * younger
     between_x = ekf.anchors[younger, 0] - ekf.anchors[older, 0]
     between_y = ekf.anchors[younger, 1] - ekf.anchors[older, 1]
@@ -198,6 +202,11 @@ def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, Float
     ])  # fmt: skip
     H = np.array([[sign, sign * (between_x * sin - between_y * cos), -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
     columns = np.array([a, a + 1, b, b + 1])
+    x, y = ekf.anchors[younger, 0] - ekf.x[0], ekf.anchors[younger, 1] - ekf.x[1]
+    by_pose = np.array(_by_carried_anchor(x, y, ekf.x[a + 1], ekf.x[b + 1], sign))
+    if by_pose @ np.ascontiguousarray(ekf.top[:POSE, :POSE]) @ by_pose >= KNOWN_PLACE:
+        H = np.concatenate((np.stack((by_pose, np.zeros(POSE))), H), axis=1)
+        columns = np.concatenate((np.arange(POSE), columns))
     S = H @ block_of(ekf.top, ekf.rest, columns) @ H.T
     return off, H, columns, S
 
@@ -209,7 +218,11 @@ def merge(ekf: Filter, younger: int, H: FloatArray, columns: IntArray, S: FloatA
     The other arguments are those that :func:`difference` returns.
     """
     size = size_of(ekf)
-    HP, change = H @ gather_rows(ekf.top, ekf.rest, columns, size), np.empty(size)
+    first_line = len(columns) - 4
+    HP = np.ascontiguousarray(H[:, first_line:]) @ gather_rows(ekf.top, ekf.rest, columns[first_line:], size)
+    if first_line:
+        HP += np.ascontiguousarray(H[:, :POSE]) @ np.ascontiguousarray(ekf.top[:, :size])
+    change = np.empty(size)
     # With S = L L^T and W = L^-1 H P, the gain's correction is W^T L^-1 y.
     first = math.sqrt(S[0, 0] + EQUALITY_NOISE[0])
     beside = S[1, 0] / first

@@ -15,6 +15,7 @@ from scipy.linalg.blas import dgemm
 
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_of
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors, RangeErrors, SeparateBias
+from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
@@ -487,7 +488,12 @@ class CloneEKF(LineEKF):
             wrap_angle(float(theta - other[1]) + (np.pi if turned else 0.0)),
         ])  # fmt: skip
         H = np.array([[sign, sign * (between[0] * sin - between[1] * cos), -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
-        return off, H, np.array([first.start, first.start + 1, second.start, second.start + 1])
+        columns = np.array([first.start, first.start + 1, second.start, second.start + 1])
+        x, y = (self._anchors[younger] - self.x[:2]).tolist()
+        by_pose = np.array(by_carried_anchor(x, y, float(theta), float(other[1]), sign))
+        if by_pose @ self.P[:POSE, :POSE] @ by_pose < KNOWN_PLACE:
+            return off, H, columns
+        return off, np.hstack((np.vstack((by_pose, np.zeros(POSE))), H)), np.concatenate((np.arange(POSE), columns))
 
     def _restore_angles(self) -> None:
         """Wrap the robots' headings. Angles of lines and clones only enter through sines and cosines."""

@@ -27,7 +27,9 @@ SHORTEST = 0.3
 """Least length of a wall, m, that the error of its direction is based on."""
 
 
-def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig, renewal: RenewalConfig) -> MapState | None:
+def renewed(
+    start: MapState, stretch: FilteredRun, config: SmootherConfig, renewal: RenewalConfig
+) -> tuple[MapState, FloatArray] | None:
     """The state at the end of a stretch of one robot's drive, by all readings since its beginning.
 
     Parameters
@@ -41,14 +43,15 @@ def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig, renew
 
     Returns
     -------
-    state
-        The map from before with the walls of the stretch, which have the number ``NEW``, and the last pose. None if
-        the stretch cannot be smoothed, or if its beams contradict the result.
+    state, poses
+        The map from before with the walls of the stretch, which have the number ``NEW``, and the last pose; and all
+        poses of the stretch (t, 3). None if the stretch cannot be smoothed, or if its beams contradict the result.
     """
     found = settle(stretch, config)
     if found is None or is_contradicted(found.problem, found.association, config):
         return None
-    return _joined(_aged(start, renewal.end_noise * found.problem.range_std), found, config)
+    aged = _aged(start, renewal.end_noise * found.problem.range_std)
+    return _joined(aged, found, config), found.association.state.poses[0]
 
 
 def _aged(state: MapState, end_std: float) -> MapState:

@@ -120,10 +120,17 @@ def test_gates(recorded: ConsistentEstimator, state: States, plain: CloneEKF) ->
     assert compared > 2
 
 
-def test_merged_lines(state: States, plain: CloneEKF) -> None:
-    ekf: Filter = state.filter
+@pytest.mark.parametrize("place_std", [0.0, 2.0])
+def test_merged_lines(recorded: ConsistentEstimator, place_std: float) -> None:
+    estimator = copy.deepcopy(recorded)
+    plain = estimator._filter
+    by_world = place_std * plain._error_transport()
+    plain.P += by_world @ by_world.T
+    plain.x[6] = plain.x[4] + 0.05  # the lines are not parallel
+    ekf: Filter = state_from(estimator).filter
     offset, covariance = plain.difference(0, 1)
     off, jacobian, columns, block = difference(ekf, 0, 1)
+    assert len(columns) == (7 if place_std else 4)
     np.testing.assert_allclose(off, offset, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(block, covariance, rtol=0.0, atol=1e-9)
     plain.merge(0, 1)

@@ -646,6 +646,20 @@ def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_tu
     assert gained[1] < 0.1 * gained[0]
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_robot_that_is_metres_unsure_learns_nothing_of_its_place_by_merging_two_lines(turned: bool) -> None:
+    ekf = seen_twice(0.3, turned, 2)
+    _, relative = ekf.difference(0, 2)
+    by_world = ekf._error_transport()
+    ekf.P += by_world @ np.diag([2.0**2, 2.0**2, 0.1**2]) @ by_world.T
+    # The lines are 0.02 rad from parallel: 2 m along them would change their offset by 4 cm.
+    np.testing.assert_allclose(ekf.difference(0, 2)[1], relative, rtol=0.01, atol=1e-6)
+    pose, covariance = ekf.pose, ekf.pose_covariance
+    ekf.merge(0, 2)
+    assert np.abs(ekf.pose - pose).max() < 0.05
+    assert np.trace(ekf.pose_covariance) > 0.99 * np.trace(covariance)
+
+
 def test_lines_that_are_made_one_meet_in_proportion_to_how_sure_they_are() -> None:
     # No correlations, no turn: the textbook's weighted mean.
     ekf = CloneEKF(np.zeros(3))
