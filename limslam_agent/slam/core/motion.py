@@ -19,19 +19,6 @@ LEAST_VARIANCE = 1e-12
 _SURE_TURN = 4.0
 
 
-def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> None:
-    """Refuse wheel travel beyond the ``longest``, m, in a step. Its shape is not checked, and NaN is not refused."""
-    if "wheels" not in observation:
-        return
-    farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
-    if math.isfinite(farthest) and farthest > longest:
-        limit = f"{robot.max_wheel_speed:g} m/s for {robot.control_period:g} s"
-        raise ValueError(
-            f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
-            "metres since the last observation, not ticks or millimetres"
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """One step's motion.

@@ -22,6 +22,7 @@ from limslam_agent.slam.line_graph.mending import is_contradicted
 from limslam_agent.slam.line_graph.reassociation import seen_ends
 from limslam_agent.slam.line_graph.smoothed_map import wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, settle
+from limslam_env.geometry import FloatArray
 
 SHORTEST = 0.3
 """Least length of a wall, m, that the error of its direction is based on."""
