@@ -292,10 +292,8 @@ class Recovery:
             return False
         if self.log.largest_correction > self._config.apart:
             return False  # a closed loop has moved robot and map alike
-        found, far = (
-            localise(place, rays, self._config, [here]),
-            replace(self._config, apart=_APART, apart_turn=_APART_TURN),
-        )
+        found = localise(place, rays, self._config, [here])
+        far = replace(self._config, apart=_APART, apart_turn=_APART_TURN)
         return found.is_accepted and found.fit is not None and are_apart(found.fit.pose, here, found.middle, far)
 
     def is_due(self) -> bool:
