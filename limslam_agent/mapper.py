@@ -194,7 +194,7 @@ class Mapper:
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
-            self._lookup.note(self._logged(observations[0], motions[0]))
+            self._lookup.note(LoggedStep.of(observations[0], self.slam, motions[0]))
         if may_restart:
             copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
             self._early.append(cast("tuple[Observation, ...]", tuple(copies)))
@@ -419,7 +419,7 @@ class Mapper:
 
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
-        recovery.note(self._logged(observation, motion), self.slam, self._grid)
+        recovery.note(LoggedStep.of(observation, self.slam, motion), self.slam, self._grid)
         own = self._monitors[0]
         if own.status.level == "lost" or recovery.is_elsewhere(own):
             if recovery.is_placed:
@@ -430,12 +430,6 @@ class Mapper:
             self._seek(recovery)
         elif recovery.is_due():
             recovery.confirm(own.status, self.slam.segments, self._grid.view)
-
-    def _logged(self, observation: Observation, motion: FloatArray) -> LoggedStep:
-        front = self.slam.robots[0]
-        ranges = np.where(front.measured, front.ranges, np.nan)
-        kept = cast("Observation", {name: np.array(value) for name, value in observation.items()})
-        return LoggedStep(kept, self.slam.pose, motion, ranges)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost."""
@@ -459,8 +453,7 @@ class Mapper:
         if found is None:
             return
         absence, log = recovery.absence, recovery.log
-        assert absence is not None  # noqa: S101 (the robot was lost until now)
-        assert absence.known is not None  # noqa: S101 (it was lost from a frame)
+        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         slam, grid = absence.known.copied()
         if self.on_restart is not None:
             self.on_restart(slam.associated)
@@ -480,8 +473,7 @@ class Mapper:
     def _give_up(self, recovery: Recovery) -> None:
         """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
         absence = recovery.absence
-        assert absence is not None  # noqa: S101 (the robot is lost)
-        assert absence.known is not None  # noqa: S101 (it was lost from a frame)
+        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
         pose, covariance = self.slam.pose, self.slam.covariance
         slam, grid = absence.known.copied()

@@ -1,11 +1,13 @@
 """The latest observations of a robot, and the step at which it was most likely carried away."""
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -33,6 +35,13 @@ class LoggedStep:
     pose: FloatArray
     motion: FloatArray
     ranges: FloatArray
+
+    @classmethod
+    def of(cls, observation: Observation, slam: LineSlam, motion: FloatArray) -> "LoggedStep":
+        """The step that a SLAM of one robot has just processed."""
+        front = slam.robots[0]
+        kept = cast("Observation", {name: np.array(value) for name, value in observation.items()})
+        return cls(kept, slam.pose, motion, np.where(front.measured, front.ranges, np.nan))
 
 
 @dataclass(eq=False)
