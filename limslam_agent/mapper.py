@@ -300,7 +300,7 @@ class Mapper:
         """Refuse wheel travel that the robot cannot drive in a step. The SLAM checks its shape and refuses NaN."""
         if "wheels" not in observation:
             return
-        farthest = float(np.abs(np.asarray(observation["wheels"], dtype=float)).max(initial=0.0))
+        farthest = max(map(abs, np.asarray(observation["wheels"], dtype=float).ravel().tolist()), default=0.0)
         if math.isfinite(farthest) and farthest > self.longest_travel:
             limit = f"{self.robot.max_wheel_speed:g} m/s for {self.robot.control_period:g} s"
             raise ValueError(

@@ -154,7 +154,12 @@ class LimSlamTeam:
             self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
-            checked_action(policy, replace(beliefs[number], other_goals=self._goals_of_others(number)))
+            checked_action(
+                policy,
+                replace(beliefs[number], other_goals=self._goals_of_others(number))
+                if self.num_robots > 1
+                else beliefs[number],
+            )
             for number, policy in enumerate(self.policies)
         ]
 

@@ -30,21 +30,26 @@ class Routes:
     cost
         Cost of the path to each cell (rows, columns), m, increased near walls; infinite for unreachable cells.
     predecessors
-        Flat index of the cell before each cell on its path (rows * columns,); negative for none.
+        Flat index of the cell before each cell on its path (k,), in the part of the grid that was searched; negative
+        for none.
+    corner, columns
+        First row and column of that part, and its number of columns.
     """
 
     cost: FloatArray
     predecessors: IntArray
+    corner: tuple[int, int]
+    columns: int
 
     def path_to(self, cell: tuple[int, int]) -> IntArray:
         """Cells (k, 2) as (row, column) from the robot to a reachable cell."""
-        columns = self.cost.shape[1]
-        index = cell[0] * columns + cell[1]
+        (top, left), columns = self.corner, self.columns
+        index = (cell[0] - top) * columns + cell[1] - left
         path = [index]
         while (index := int(self.predecessors[index])) >= 0:
             path.append(index)
         rows, cols = np.divmod(np.array(path[::-1]), columns)
-        return np.column_stack((rows, cols))
+        return np.column_stack((rows + top, cols + left))
 
 
 def routes(
@@ -87,7 +92,7 @@ def routes(
     open_cells = grid.free if closed is None else grid.free & ~closed
     rows, columns = open_cells.shape
     if not (0 <= row < rows and 0 <= column < columns):
-        return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1))
+        return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1), (0, 0), columns)
     open_cells[row, column] = True
     prices = np.empty(open_cells.shape)
     price_cells(wall_distance(grid), radius, comfort, coast, grid.cell, _TIGHT, _OPEN, prices)
@@ -137,15 +142,13 @@ def _within(open_cells: BoolArray, price: FloatArray, start: tuple[int, int], li
     ``price`` (rows, columns) is what a step of the length of a cell costs in each cell, m.
     """
     reach = int(min(limit / cell, sum(open_cells.shape))) + 2
-    low = [max(place - reach, 0) for place in start]
+    low = max(start[0] - reach, 0), max(start[1] - reach, 0)
     window = tuple(slice(first, place + reach + 1) for first, place in zip(low, start, strict=True))
     rows, columns = (part := open_cells[window]).shape
     begin = (start[0] - low[0]) * columns + start[1] - low[1]
     found, before = csgraph.dijkstra(
         _graph(part, price[window]), indices=np.array([begin]), return_predecessors=True, limit=limit
     )
-    cost, predecessors = np.full(open_cells.shape, np.inf), np.full(open_cells.shape, -1, dtype=np.int64)
+    cost = np.full(open_cells.shape, np.inf)
     cost[window] = found[0].reshape(rows, columns)
-    row, column = np.divmod(before[0].reshape(rows, columns), columns)
-    predecessors[window] = np.where(row < 0, -1, (row + low[0]) * open_cells.shape[1] + column + low[1])
-    return Routes(cost, predecessors.ravel())
+    return Routes(cost, before[0], low, columns)

@@ -32,16 +32,17 @@ def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
 @algebra
 def factorise(matrix: FloatArray, size: int) -> None:
     """Replace the lower triangle of the first ``size`` rows and columns by its Cholesky factor."""
-    for i in range(size):
-        for j in range(i):
+    # Column by column: the rows of a column do not wait for each other.
+    for j in range(size):
+        total = matrix[j, j]
+        for k in range(j):
+            total -= matrix[j, k] * matrix[j, k]
+        matrix[j, j] = math.sqrt(total)
+        for i in range(j + 1, size):
             total = matrix[i, j]
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = total / matrix[j, j]
-        total = matrix[i, i]
-        for k in range(i):
-            total -= matrix[i, k] * matrix[i, k]
-        matrix[i, i] = math.sqrt(total)
 
 
 @algebra

@@ -78,15 +78,21 @@ def predict_ranges(
 
 
 @algebra
+def end_of_beam(x: FloatArray, at: int, reading: FloatArray, angle: float, reach: float) -> tuple[float, float]:
+    """End point, m, of a ray at ``angle``, rad, with a range, m, from the pose that begins in the state at ``at``."""
+    cos, sin, heading = math.cos(x[at + 2]), math.sin(x[at + 2]), x[at + 2] + angle
+    return (
+        x[at] + (cos * reading[0] - sin * reading[1]) + reach * math.cos(heading),
+        x[at + 1] + (sin * reading[0] + cos * reading[1]) + reach * math.sin(heading),
+    )
+
+
+@algebra
 def hit_points(x: FloatArray, start: int, places: IntArray, readings: FloatArray, ranges: FloatArray) -> FloatArray:
     """End points (n, 2) in the world, m, of beams with given ranges (n,), m."""
     points = np.empty((len(places), 2))
     for i in range(len(places)):
-        at = start + POSE * places[i]
-        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
-        ux, uy = math.cos(x[at + 2] + readings[i, 2]), math.sin(x[at + 2] + readings[i, 2])
-        points[i, 0] = x[at] + (cos * readings[i, 0] - sin * readings[i, 1]) + ranges[i] * ux
-        points[i, 1] = x[at + 1] + (sin * readings[i, 0] + cos * readings[i, 1]) + ranges[i] * uy
+        points[i] = end_of_beam(x, start + POSE * places[i], readings[i], readings[i, 2], ranges[i])
     return points
 
 

@@ -50,9 +50,13 @@ def is_clear(
     pose: FloatArray, way_x: float, way_y: float, points: FloatArray, deepest: float, farthest: float
 ) -> bool:  # fmt: skip
     """Whether a body that moves by a way keeps its distance of points (n, k, 2), m, of which some may be NaN."""
+    # Points outside of this square, a little wider than it need be, are too far away in any case. Most points are.
+    reach = 1.001 * (farthest + abs(way_x) + abs(way_y))
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
             x, y = points[i, j, 0] - pose[0], points[i, j, 1] - pose[1]
+            if abs(x) > reach or abs(y) > reach:
+                continue
             before = math.hypot(x, y)
             # NaN is not more than any number.
             if before > deepest and math.hypot(x - way_x, y - way_y) < min(before, farthest):

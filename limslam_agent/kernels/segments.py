@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonormalise, quantile, whiten
+from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonormalise, quantile, sort_with, whiten
 from limslam_agent.kernels.compilation import algebra, entry
-from limslam_agent.kernels.measurement import hit_points, predict_ranges, towards
+from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
 from limslam_agent.kernels.tables import (
     FEWEST,
     FEWEST_FOR_SHAPE,
@@ -18,6 +18,7 @@ from limslam_agent.kernels.tables import (
     KINKS_AT,
     LEAST_GAIN,
     LEAST_SPREAD,
+    POSE,
 )
 from limslam_agent.kernels.updates import covariance_of, dense_block, involved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -58,41 +59,43 @@ def fit_segment(
         Residuals (k,), in standard deviations, and which members (k,) they belong to: those that do not graze the line.
         If there are too few, none, and nothing is filled.
     """
-    number, step = len(members), np.empty(2)
+    count, clear, chosen = 0, np.empty(len(members), dtype=np.int64), np.empty(len(members), dtype=np.int64)
+    firsts, own_variances = np.empty(len(members), dtype=np.int64), np.empty(len(members))
     d, theta = 0.0, line[1]
-    foot, expected = foot_of(points, members, line[0], theta), np.empty((number, 7))
+    foot, expected = foot_of(points, members, line[0], theta), np.empty((len(members), 7))
     predict_ranges(x, start, places, readings, members, (d, theta), foot, expected)
-    clear, count = np.empty(number, dtype=np.int64), 0
-    for i in range(number):
+    for i in range(len(members)):
         if abs(expected[i, 6]) > GRAZING:
-            clear[count] = i
+            clear[count], chosen[count], firsts[count], own_variances[count] = i, members[i], begins[i], variances[i]
+            for k in range(7):
+                expected[count, k] = expected[i, k]
             count += 1
     if count < FEWEST - 1:
         return np.empty(0), clear[:0]
-    clear = clear[:count]
-    factor = covariance_of(block, begins[clear], expected[clear], variances[clear])
+    factor = covariance_of(block, firsts[:count], expected, own_variances)
     factorise(factor, count)
-    values = np.empty((count, 3))
+    values, basis, left = np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
     for iteration in range(2):
         if iteration:
-            predict_ranges(x, start, places, readings, members, (d, theta), foot, expected)
+            predict_ranges(x, start, places, readings, chosen[:count], (d, theta), foot, expected)
         for i in range(count):
-            seen = expected[clear[i]]
-            values[i, 0] = readings[members[clear[i]], 3] - seen[0]
-            values[i, 1], values[i, 2] = seen[4], seen[5]
+            values[i, 0] = readings[chosen[i], 3] - expected[i, 0]
+            values[i, 1], values[i, 2] = expected[i, 4], expected[i, 5]
         whiten(factor, values, count, 3)
-        solve_line(values, count, step)
-        d, theta = d + step[0], theta + step[1]
-    basis = values[:, 1:3].copy()
+        step, turn = solve_line(values, basis, count)
+        d, theta = d + step, theta + turn
     leave_beside(values, 0, 1, basis, count)
-    left = values[:, 0].copy()
-    place_along(x, start, places, readings, members, theta, foot, expected, clear, along)
-    own, cosines = along[clear], expected[clear, 6]
-    describe(along[:number], own, foot, theta, std, segment)
-    segment[BENT] = bend(own, cosines, left, basis, factor, limits, segment)
-    loose[:number] = False
-    loose_ends(own, cosines, left, basis, factor, limits, clear, loose)
-    return left, clear
+    for i in range(count):
+        left[i] = values[i, 0]
+    place_along(x, start, places, readings, members, theta, foot, expected, clear[:count], along)
+    own, ordered = np.empty(count), np.empty(count)
+    for i in range(count):
+        own[i] = ordered[i] = along[clear[i]]
+    sort_with(ordered, chosen, count)
+    describe(along, len(members), own, foot, theta, std, segment)
+    segment[BENT] = bend(own, ordered, expected, left, basis, factor, limits, segment)
+    mark_loose_ends(own, ordered, expected, left, basis, factor, limits, clear, len(members), loose)
+    return left, clear[:count]
 
 
 @algebra
@@ -105,23 +108,35 @@ def place_along(
     The error of a slanted beam's range moves its end point along the wall. Positions from end points would therefore
     show a bend at the end of every noisy wall; positions where the beams meet the line do not contain that error.
     """
-    cos, sin, own = math.cos(theta), math.sin(theta), readings[members]
-    met = own[:, 3].copy()
-    met[clear] = expected[clear, 0]
-    where = hit_points(x, start, places[members], towards(x, start, places[members], own, theta), met)
+    cos, sin, done = math.cos(theta), math.sin(theta), 0
     for i in range(len(members)):
-        along[i] = (where[i, 0] - foot[0]) * -sin + (where[i, 1] - foot[1]) * cos
+        read = members[i]
+        at, reach = start + POSE * places[read], readings[read, 3]
+        if done < len(clear) and clear[done] == i:
+            reach, done = expected[done, 0], done + 1
+        hit_x, hit_y = end_of_beam(x, at, readings[read], ray_angle(readings[read], x[at + 2], theta), reach)
+        along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
 
 
 @algebra
 def describe(
-    along: FloatArray, own: FloatArray, foot: tuple[float, float], theta: float, std: float, segment: FloatArray
-) -> None:
+    along: FloatArray, number: int, own: FloatArray, foot: tuple[float, float], theta: float, std: float,
+    segment: FloatArray,
+) -> None:  # fmt: skip
     """Fill the first columns of a segment from the positions of all its readings, and of those that do not graze it."""
-    spread, ordered = own - own.mean(), np.sort(along)
-    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y] = theta, foot[0], foot[1]
-    segment[EXTENT] = ordered[len(along) - 2] - ordered[1]
-    segment[ANGLE_STD] = std / max(math.sqrt((spread * spread).sum()), LEAST_SPREAD)
+    middle, spread = 0.0, 0.0
+    for i in range(len(own)):
+        middle += own[i]
+    middle /= len(own)
+    for i in range(len(own)):
+        spread += (own[i] - middle) * (own[i] - middle)
+    # The length leaves out the outermost reading at either end.
+    least, low, high, most = math.inf, math.inf, -math.inf, -math.inf
+    for i in range(number):
+        low, high = min(low, max(least, along[i])), max(high, min(most, along[i]))
+        least, most = min(least, along[i]), max(most, along[i])
+    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = theta, foot[0], foot[1], high - low
+    segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_SPREAD)
     segment[R] = foot[0] * math.cos(theta) + foot[1] * math.sin(theta)
 
 
@@ -136,27 +151,28 @@ def foot_of(points: FloatArray, members: IntArray, r: float, theta: float) -> tu
 
 
 @algebra
-def solve_line(values: FloatArray, count: int, solution: FloatArray) -> None:
-    """Least-squares solution (2,) of the first of three columns by the other two, which are made orthonormal."""
-    before = values[:count, 1:3].copy()
+def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float, float]:
+    """Least-squares solution of the first of three columns by the other two, which are made orthonormal: ``basis``."""
+    for i in range(count):
+        basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
     orthonormalise(values, 1, 3, count)
     a, b, c = 0.0, 0.0, 0.0
     for i in range(count):
-        a += values[i, 1] * before[i, 0]
-        b += values[i, 1] * before[i, 1]
-        c += values[i, 2] * before[i, 1]
-    solution[1] = dot(values, 2, 0, count) / c
-    solution[0] = (dot(values, 1, 0, count) - b * solution[1]) / a
+        a += values[i, 1] * basis[i, 0]
+        b += values[i, 1] * basis[i, 1]
+        c += values[i, 2] * basis[i, 1]
+        basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
+    second = dot(values, 2, 0, count) / c
+    return (dot(values, 1, 0, count) - b * second) / a, second
 
 
 @algebra
 def bend(
-    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    limits: tuple[float, float, float, float, float], segment: FloatArray,
+    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
+    factor: FloatArray, limits: tuple[float, float, float, float, float], segment: FloatArray,
 ) -> float:  # fmt: skip
     """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
     count = len(along)
-    ordered = np.sort(along)
     reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
     if count < FEWEST_FOR_SHAPE or reach <= 0.0:
         return 0.0
@@ -165,10 +181,10 @@ def bend(
         places[k] = quantile(ordered, count, KINKS_AT[k])
     for i in range(count):
         for k in range(kinks):
-            shapes[i, k] = max(along[i] - places[k], 0.0) / cosines[i]
+            shapes[i, k] = max(along[i] - places[k], 0.0) / expected[i, 6]
         scaled = 2.0 * (along[i] - ordered[0]) / reach - 1.0
         for k in range(3):
-            shapes[i, kinks + k] = scaled ** (2 + k) / cosines[i]
+            shapes[i, kinks + k] = scaled ** (2 + k) / expected[i, 6]
     whiten(factor, shapes, count, kinks + 3)
     leave_beside(shapes, 0, kinks + 3, basis, count)
     most, best, angle = strongest_kink(shapes, left, kinks)
@@ -201,24 +217,27 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 
 
 @algebra
-def loose_ends(
-    along: FloatArray, cosines: FloatArray, left: FloatArray, basis: FloatArray, factor: FloatArray,
-    limits: tuple[float, float, float, float, float], clear: IntArray, loose: BoolArray,
+def mark_loose_ends(
+    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
+    factor: FloatArray, limits: tuple[float, float, float, float, float], clear: IntArray, number: int,
+    loose: BoolArray,
 ) -> None:  # fmt: skip
     """Mark readings at either end that all lie on one side of the line: they belong to another object."""
-    count, shape, (zone, gate) = len(along), np.empty((len(along), 1)), limits[3:]
-    for end in (along.min(), along.max()):
+    count, shape, zone = len(along), np.empty((len(along), 1)), limits[3]
+    for i in range(number):
+        loose[i] = False
+    for end in (ordered[0], ordered[count - 1]):
         inside = 0
         for i in range(count):
             is_in = abs(along[i] - end) < zone
             inside += is_in
-            shape[i, 0] = (1.0 if is_in else 0.0) / cosines[i]
+            shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
         whiten(factor, shape, count, 1)
         leave_beside(shape, 0, 1, basis, count)
         square, product = dot(shape, 0, 0, count), 0.0
         for i in range(count):
             product += left[i] * shape[i, 0]
-        if inside < count and square > LEAST_GAIN and product * product > gate * square:
+        if inside < count and square > LEAST_GAIN and product * product > limits[4] * square:
             for i in range(count):
                 if abs(along[i] - end) < zone:
                     loose[clear[i]] = True
@@ -231,7 +250,7 @@ def fit_readings(
     limits: tuple[float, float, float, float, float],
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:  # fmt: skip
     """:func:`fit_segment` with a whole covariance P, as Python calls it; what that fills, and what it returns."""
-    columns, begins = involved(places, members, (len(x) - start) // 3, start, -1)
+    columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     segment, along, loose = np.empty(8), np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
     left, clear = fit_segment(
         x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances, limits,

@@ -1,4 +1,4 @@
-"""Updates of the filter of poses, lines and clones by readings of one line.
+"""Motions of the filter of poses, lines and clones, and its updates by readings of one line.
 
 ``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the literature. Readings,
 ``places`` and the state are those of :mod:`~limslam_agent.kernels.measurement`. Rows of H are stored without zeros, as
@@ -6,13 +6,49 @@
 store P in different ways.
 """
 
+import math
+
 import numpy as np
 
-from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
-from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten, wrapped
+from limslam_agent.kernels.compilation import algebra, entry, lean_entry
 from limslam_agent.kernels.measurement import fill_transport, predict_ranges
 from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_RESIDUAL, POSE
 from limslam_env.geometry import FloatArray, IntArray
+
+
+@lean_entry
+def move_pose(
+    x: FloatArray, P: FloatArray, at: int, increment: FloatArray, covariance: FloatArray, by_pose: FloatArray,
+    by_increment: FloatArray,
+) -> None:  # fmt: skip
+    """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its frame, m, m, rad.
+
+    The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to
+    the derivatives of the new pose.
+    """
+    cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+    ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
+    for k in range(POSE):
+        by_pose[k, k] = 1.0
+    by_pose[0, 2], by_pose[1, 2] = -left, ahead
+    by_increment[0, 0], by_increment[0, 1], by_increment[1, 0], by_increment[1, 1] = cos, -sin, sin, cos
+    by_increment[2, 2] = 1.0
+    x[at], x[at + 1], x[at + 2] = x[at] + ahead, x[at + 1] + left, wrapped(x[at + 2] + increment[2])
+    for j in range(len(x)):
+        P[at, j] -= left * P[at + 2, j]
+        P[at + 1, j] += ahead * P[at + 2, j]
+    for i in range(POSE):
+        P[at + i, at] -= left * P[at + i, at + 2]
+        P[at + i, at + 1] += ahead * P[at + i, at + 2]
+    for i in range(POSE):
+        for j in range(POSE):
+            for k in range(POSE):
+                for m in range(POSE):
+                    P[at + i, at + j] += by_increment[i, k] * covariance[k, m] * by_increment[j, m]
+    for i in range(POSE):
+        for j in range(len(x)):
+            P[j, at + i] = P[at + i, j]
 
 
 @algebra
@@ -30,6 +66,15 @@ def clear_readings(
             chosen[size] = i
             size += 1
     return chosen[:size]
+
+
+@algebra
+def gathered(values: FloatArray, chosen: IntArray) -> FloatArray:
+    """Some of the values."""
+    found = np.empty(len(chosen))
+    for i in range(len(chosen)):
+        found[i] = values[chosen[i]]
+    return found
 
 
 @algebra
@@ -67,6 +112,16 @@ def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
 
 
 @algebra
+def dense_rows(P: FloatArray, columns: IntArray) -> FloatArray:
+    """Rows (k, n) of a covariance."""
+    rows = np.empty((len(columns), P.shape[1]))
+    for i in range(len(columns)):
+        for j in range(P.shape[1]):
+            rows[i, j] = P[columns[i], j]
+    return rows
+
+
+@algebra
 def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variances: FloatArray) -> FloatArray:
     """H P H^T + R of readings with variances (n,), the lower triangle; ``block`` is the part of P of ``involved``."""
     count, size = len(begins), len(block)
@@ -98,7 +153,7 @@ def compare(
     count = len(chosen)
     H, values = np.empty((count, 7)), np.empty((count, 3))
     predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, H)
-    S = covariance_of(block, begins, H, variances[chosen])
+    S = covariance_of(block, begins, H, gathered(variances, chosen))
     for i in range(count):
         values[i, 0] = readings[chosen[i], 3] - H[i, 0]
         values[i, 1], values[i, 2] = H[i, 4], H[i, 5]
@@ -153,19 +208,14 @@ def innovation(
 
 
 @algebra
-def off_from(
-    x: FloatArray, before: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, measured: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
-    """Residuals relative to the state ``before`` the update."""
-    line = columns[-2]
-    for i in range(len(begins)):
-        at = columns[begins[i]]
-        out[i] = measured[i] - H[i, 0]
-        for k in range(POSE):
-            out[i] += H[i, 1 + k] * (x[at + k] - before[at + k])
-        for k in range(2):
-            out[i] += H[i, 4 + k] * (x[line + k] - before[line + k])
+def since(x: FloatArray, before: FloatArray, columns: IntArray, begin: int, H: FloatArray) -> float:
+    """What the change of the state since ``before`` makes of a range, by its row of H."""
+    at, line, total = columns[begin], columns[-2], 0.0
+    for k in range(POSE):
+        total += H[1 + k] * (x[at + k] - before[at + k])
+    for k in range(2):
+        total += H[4 + k] * (x[line + k] - before[line + k])
+    return total
 
 
 @algebra
@@ -199,36 +249,63 @@ def iterate(
         What is still to be added to the state (size,).
     """
     count, first, start = len(chosen), begins_of[1] + 2 * index, begins_of[2]
-    anchor, measured, before = (anchors[index, 0], anchors[index, 1]), readings[chosen, 3], x[:size].copy()
+    anchor, before = (anchors[index, 0], anchors[index, 1]), np.empty(size)
     moved, at_first = np.zeros((size, POSE)), np.empty((size, POSE))
     fill_transport(x, size, begins_of, anchors, num_lines, at_first)
-    H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows.copy()
-    change, weights, S, now = np.zeros(size), np.ones(count), np.empty((count, count)), np.empty((POSE, size))
-    off, solution = np.empty(count), np.empty(count)
+    H, HP, shifted = np.empty((count, 7)), np.empty((count, size)), rows
+    change, scaled, S = np.zeros(size), np.empty(count), np.empty((count, count))
+    off, solution, now, further = np.empty(count), np.empty(count), np.empty((POSE, size)), np.empty(rows.shape)
+    for j in range(size):
+        before[j] = x[j]
+    for i in range(count):
+        scaled[i] = variances[i]
     for iteration in range(iterations):
         if iteration:
-            x[:size] += change
+            shifted = further
+            for j in range(size):
+                x[j] += change[j]
             fill_transport(x, size, begins_of, anchors, num_lines, moved)
-            moved -= at_first
+            subtract(moved, at_first)
             transport_top(top, moved, size, now)
             transport_rows(top, rows, columns, moved, now, shifted)
         predict_ranges(x, start, places, readings, chosen, (x[first], x[first + 1]), anchor, H)
         gained(shifted, begins, H, HP)
-        innovation(HP, columns, begins, H, variances / weights, S)
-        off_from(x, before, columns, begins, H, measured, off)
+        innovation(HP, columns, begins, H, scaled, S)
         for i in range(count):
-            solution[i] = off[i]
-            if huber > 0.0:
-                residual = abs(measured[i] - H[i, 0])
-                weights[i] = min(1.0, huber * np.sqrt(variances[i]) / max(residual, LEAST_RESIDUAL))
+            residual = readings[chosen[i], 3] - H[i, 0]
+            off[i] = solution[i] = residual + since(x, before, columns, begins[i], H[i])
+            scaled[i] = variances[i] / huber_weight(residual, variances[i], huber)
         factorise(S, count)
         solve_factored(S, solution, count)
-        change[:] = before - x[:size]
-        for i in range(count):
-            for j in range(size):
-                change[j] += solution[i] * HP[i, j]
+        set_change(before, x, solution, HP, change)
     whiten(S, HP, count, size)
     return moved, H, S, HP, off, change
+
+
+@algebra
+def huber_weight(residual: float, variance: float, huber: float) -> float:
+    """Weight of a range: less than 1 beyond ``huber`` standard deviations, unless that is 0."""
+    if huber <= 0.0:
+        return 1.0
+    return min(1.0, huber * math.sqrt(variance) / max(abs(residual), LEAST_RESIDUAL))
+
+
+@algebra
+def set_change(before: FloatArray, x: FloatArray, solution: FloatArray, HP: FloatArray, change: FloatArray) -> None:
+    """Set what has to be added to the state x, which was ``before`` when the update began."""
+    for j in range(len(change)):
+        change[j] = before[j] - x[j]
+    for i in range(len(solution)):
+        for j in range(len(change)):
+            change[j] += solution[i] * HP[i, j]
+
+
+@algebra
+def subtract(values: FloatArray, others: FloatArray) -> None:
+    """Subtract one matrix from another, in place."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            values[i, j] -= others[i, j]
 
 
 @algebra
@@ -267,34 +344,47 @@ def stack_changes(
     """Finish an update: transport the error of P to where W was found, subtract W^T W, and change the state.
 
     Then the error is transported to the changed state. With ``moved`` M (n, 3), the pose's rows A of P, and their
-    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. So all is one product of two matrices
-    (at least the number of rows of W + 12, size), which are filled: P becomes P + ``left``^T ``right``. The pose's own
-    rows, ``top``, become what they are after it.
+    first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. The two transports are one by the sum
+    of both M, if W is transported by the second M. So all is one product of two matrices (at least the number of rows
+    of W + 6, size), which are filled: P becomes P + ``left``^T ``right``. The pose's own rows, ``top``, become what
+    they are after it.
 
     Returns
     -------
     moved
         The last transport (size, 3).
     """
-    rank = len(W)
-    left[:], right[:] = 0.0, 0.0
-    left[:rank], right[:rank] = -W, W
-    stack_transport(top, moved, size, left, right, rank)
-    for k in range(POSE):
-        for j in range(size):
-            total = right[rank + k, j]
-            for r in range(rank):
-                total -= W[r, k] * W[r, j]
-            top[k, j] = total
-    before, after = np.empty((size, POSE)), np.empty((size, POSE))
-    fill_transport(x, size, begins_of, anchors, num_lines, before)
+    rank, after, both = len(W), np.empty((size, POSE)), np.empty((size, POSE))
+    fill_transport(x, size, begins_of, anchors, num_lines, both)
     for j in range(size):
         x[j] += change[j]
     fill_transport(x, size, begins_of, anchors, num_lines, after)
-    after -= before
-    stack_transport(top, after, size, left, right, rank + 2 * POSE)
-    top[:, :size] = right[rank + 2 * POSE : rank + 3 * POSE]
+    subtract(after, both)
+    for j in range(size):
+        for k in range(POSE):
+            both[j, k] = moved[j, k] + after[j, k]
+    stack_transport(top, both, size, left, right, rank)
+    for k in range(POSE):
+        for j in range(size):
+            top[k, j] = right[rank + k, j]
+    stack_square(top, after, W, left, right)
+    for r in range(rank + 2 * POSE, len(left)):
+        for j in range(size):
+            left[r, j] = right[r, j] = 0.0
     return after
+
+
+@algebra
+def stack_square(top: FloatArray, moved: FloatArray, W: FloatArray, left: FloatArray, right: FloatArray) -> None:
+    """Add -W^T W, where W (m, size) is transported, to two stacks and to the pose's rows of P."""
+    for r in range(len(W)):
+        a, b, c = W[r, 0], W[r, 1], W[r, 2]
+        for j in range(len(moved)):
+            right[r, j] = W[r, j] + a * moved[j, 0] + b * moved[j, 1] + c * moved[j, 2]
+            left[r, j] = -right[r, j]
+        for k in range(POSE):
+            for j in range(len(moved)):
+                top[k, j] += left[r, k] * right[r, j]
 
 
 @algebra
@@ -311,7 +401,7 @@ def stack_transport(
 
 
 @algebra
-def dense_rows(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
+def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
     """H (m, width) with its zeros."""
     dense = np.zeros((len(begins), width))
     for i in range(len(begins)):
@@ -346,14 +436,13 @@ def update_by_readings(
     chosen = clear_readings(x, start, places, readings, first, anchor)
     columns, begins = involved(places, chosen, (size - start) // POSE, start, first)
     moved, H, factor, W, off, change = iterate(
-        x, size, begins_of, anchors, len(anchors), P[:POSE], P[columns], columns, begins, places, readings, chosen,
-        index, variances[chosen], iterations if len(chosen) else 0, huber,
+        x, size, begins_of, anchors, len(anchors), P[:POSE], dense_rows(P, columns), columns, begins, places, readings,
+        chosen, index, gathered(variances, chosen), iterations if len(chosen) else 0, huber,
     )  # fmt: skip
-    height = len(chosen) + 4 * POSE if len(chosen) else 0
+    height = len(chosen) + 2 * POSE if len(chosen) else 0
     left, right = np.empty((height, size)), np.empty((height, size))
     again = moved
     if height:
-        again = stack_changes(
-            x, size, begins_of, anchors, len(anchors), P[:POSE].copy(), moved, W, change, left, right
-        )  # fmt: skip
-    return left, right, moved, again, H, dense_rows(H, begins, len(columns)), columns, factor, W, off
+        top = dense_rows(P, np.arange(POSE))
+        again = stack_changes(x, size, begins_of, anchors, len(anchors), top, moved, W, change, left, right)
+    return left, right, moved, again, H, with_zeros(H, begins, len(columns)), columns, factor, W, off

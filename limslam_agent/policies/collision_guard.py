@@ -57,10 +57,10 @@ class CollisionGuard:
         from limslam_agent.kernels.nearness import safe_share
 
         robot = self._robot
-        left, right = (wheels * robot.max_wheel_speed).tolist()
+        left, right = (each * robot.max_wheel_speed for each in wheels.tolist())
         speed, turn = 0.5 * (left + right), (right - left) / robot.axle
         heading = float(pose[2]) + 0.5 * turn * LOOK_AHEAD
         way = speed * LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
         nearest = robot.radius - GHOST, robot.radius + MARGIN
         share = safe_share(pose, way, self._seen, self._touched, *nearest, SHARES)
-        return np.asarray(wheels - (1.0 - share) * wheels.mean())
+        return np.asarray(wheels - (1.0 - share) * (0.5 * float(wheels[0] + wheels[1])))

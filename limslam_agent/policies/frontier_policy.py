@@ -211,7 +211,8 @@ class FrontierPolicy:
         return max(near, float(np.hypot(*np.diff(target.path[seen_from:], axis=0).T).sum()))
 
     def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
-        away = np.linalg.norm(self.plan - belief.pose[:2], axis=1)
+        off = self.plan - belief.pose[:2]
+        away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
         nearest, aim = point_ahead(self.plan, away, self._config.lookahead)

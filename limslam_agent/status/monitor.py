@@ -125,10 +125,10 @@ class StatusMonitor:
         present
             The map as it is now, without the latest readings in its grid.
         """
-        self._checked = self._place
+        self._checked, usable = self._place, self._usable()
         if self._reference is None:
-            self._look_for_sudden_changes(covariance, present)
-        self._compare(covariance, self._reference or present)
+            self._look_for_sudden_changes(covariance, present, usable)
+        self._compare(covariance, self._reference or present, usable)
         self._look_for_late_beams(covariance, present.segments)
         longest = max(self._config.window, self._config.recovery.window)
         while self._place - self._checks[0].place > longest:
@@ -166,12 +166,12 @@ class StatusMonitor:
             return self.carried.step
         return next(check.step for check in self._recent(self._config.window) if check.counts[1])
 
-    def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap) -> None:
+    def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap, usable: BoolArray) -> None:
         """Follow the suspicions that the robot was carried away, until it is lost."""
         if len(self._sights) == self._sights.maxlen:
             self._sudden_changes.forget()
         seen = [(check.step, check.points) for check in self._checks if len(check.points)]
-        moment = Moment(self._place, covariance, known, self._usable(), self._ignored(), seen)
+        moment = Moment(self._place, covariance, known, usable, self._ignored(), seen)
         self._sudden_changes.note(list(self._sights), moment)
 
     def _ignored(self) -> BoolArray:
@@ -188,14 +188,14 @@ class StatusMonitor:
         nothing = np.array([sight.ranges >= self._robot.too_far for _, sight in sights])
         return np.asarray(sights[-1][1].measured & ~(nothing[-1] & ~nothing.all(axis=0)) & ~self._ignored())
 
-    def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
+    def _compare(self, covariance: FloatArray, known: KnownMap, usable: BoolArray) -> None:
         """Compare the latest readings with a map, and note the outcome.
 
         Readings of neighbouring steps show nearly the same, so that only the latest ones count.
         """
         robot, last = self._robot, self._sights[-1][1]
         walls = self._config.contradictions
-        outcome, expected = compared(robot, last, self._usable(), known, covariance, self._std, walls)
+        outcome, expected = compared(robot, last, usable, known, covariance, self._std, walls)
         beams = np.flatnonzero(outcome.through | outcome.in_free)
         reached = np.where(outcome.through, np.minimum(expected.ranges[0], robot.max_ranges), last.ranges)[beams]
         points = transform_points(

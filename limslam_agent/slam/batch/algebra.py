@@ -24,14 +24,6 @@ def add_products(rest: FloatArray, left: FloatArray, right: FloatArray, rank: in
 
 
 @algebra
-def entry_of(top: FloatArray, rest: FloatArray, i: int, j: int) -> float:
-    """Entry (i, j) of a covariance."""
-    if i < j:
-        i, j = j, i
-    return top[j, i] if j < POSE else rest[i * (i + 1) // 2 + j]
-
-
-@algebra
 def gather_rows(top: FloatArray, rest: FloatArray, columns: IntArray, size: int) -> FloatArray:
     """Full rows (k, size) of a covariance, none of them among the first three."""
     rows = np.empty((len(columns), size))
@@ -54,9 +46,11 @@ def block_of(top: FloatArray, rest: FloatArray, columns: IntArray) -> FloatArray
     """Block (k, k) of a covariance: its rows and columns ``columns`` (k,)."""
     size = len(columns)
     part = np.empty((size, size))
+    # No function is called for an entry: the counting of references to its arrays would take most of the time.
     for i in range(size):
         for j in range(i + 1):
-            part[i, j] = part[j, i] = entry_of(top, rest, columns[i], columns[j])
+            low, high = min(columns[i], columns[j]), max(columns[i], columns[j])
+            part[i, j] = part[j, i] = top[low, high] if low < POSE else rest[high * (high + 1) // 2 + low]
     return part
 
 

@@ -241,7 +241,7 @@ def remove_line(ekf: Filter, index: int) -> None:
 def correct(ekf: Filter, moved: FloatArray, W: FloatArray, change: FloatArray) -> None:
     """Finish an update, as ``stack_changes`` describes it, in one pass over P."""
     size = size_of(ekf)
-    height = (len(W) + 4 * POSE + 3) // 4 * 4
+    height = (len(W) + 2 * POSE + 3) // 4 * 4
     left, right = np.empty((height, size)), np.empty((height, size))
     begins = (POSE, POSE, clones_from(ekf))
     stack_changes(ekf.x, size, begins, ekf.anchors, ekf.counts[LINES], ekf.top, moved, W, change, left, right)

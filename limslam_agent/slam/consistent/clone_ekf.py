@@ -163,20 +163,21 @@ class CloneEKF(LineEKF):
         by_calibration
             Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
         """
+        from limslam_agent.kernels.updates import move_pose
+
         moved = slice(POSE * robot, POSE * robot + POSE)
-        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+        if by_calibration is not None and self._bias is None:
+            by_pose, by_increment = compose_jacobians(self.x[moved], increment)
+            F = np.hstack((by_pose, by_increment @ by_calibration))
+            columns = np.r_[moved, self._calibration_part(robot)]
+            self._move(moved, increment, F, by_increment @ covariance @ by_increment.T, columns)
+        else:
+            by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+            move_pose(self.x, self.P, moved.start, increment, covariance, by_pose, by_increment)
         for bias in self._biases:
             bias.predict(moved, by_pose)
-        if by_calibration is None:
-            super().predict(increment, covariance, robot)
-            return
-        by_errors, Q = by_increment @ by_calibration, by_increment @ covariance @ by_increment.T
-        if self._bias is None:
-            F, columns = np.hstack((by_pose, by_errors)), np.r_[moved, self._calibration_part(robot)]
-            self._move(moved, increment, F, Q, columns)
-            return
-        self._move(moved, increment, by_pose, Q, moved)
-        self._bias.drive(moved, by_errors)
+        if by_calibration is not None and self._bias is not None:
+            self._bias.drive(moved, by_increment @ by_calibration)
 
     def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""

@@ -31,8 +31,7 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import direction, distance, normal, to_frame
-from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry.line import direction, distance, normal
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
 
@@ -244,10 +243,13 @@ class ConsistentEstimator(Estimator):
         """Count the places of landmarks that a robot's new beams have passed through."""
         from limslam_agent.kernels.nearness import aim_beams
 
+        if not len(self._map):
+            return
         rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
-        count = aim_beams(self._filter.poses[number], front.ranges, front.measured, self.robot.beam_table, *rays)
+        at = POSE * number
+        count = aim_beams(self._filter.x[at : at + POSE], front.ranges, front.measured, self.robot.beam_table, *rays)
         origins, towards, ranges = (each[:count] for each in rays)
-        x, y, heading = (self._filter.P[place, place] for place in range(POSE * number, POSE * number + POSE))
+        x, y, heading = self._filter.P.diagonal()[at : at + POSE].tolist()
         stds = np.sqrt(self.sensor.variances(ranges) + (x + y) + heading * ranges**2)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 
@@ -262,7 +264,10 @@ class ConsistentEstimator(Estimator):
             replace(settings.hough, max_gap=settings.segmentation.gap_ahead) if side == SIDES[AHEAD] else settings.hough
         )
         lines = extract_lines(points, hough, self._usual_std)
-        self._show(number, side, step, points, lines)
+        fits = tuple(line.fit for line in lines)
+        self.last_extraction = Extraction(
+            number, side, step, self._filter.poses[number], points, fits, is_in_world=True
+        )  # fmt: skip
         consumed = np.zeros(len(points), dtype=bool)
         driven = np.array([reading.driven for reading in pending.by_side[side]])
         for line, members in self._uncontested(points, lines):
@@ -503,13 +508,3 @@ class ConsistentEstimator(Estimator):
         if is_face:
             wall.behind, other.behind = max(wall.behind, opposite.max()), max(other.behind, opposite.max())
         return is_board
-
-    def _show(self, number: int, side: Side, step: int, points: FloatArray, lines: list[ExtractedLine]) -> None:
-        """Store the lines that were found, in the robot's frame, as diagnostics."""
-        pose = self._filter.poses[number]
-        back = inverse(pose)
-        found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
-        ends = np.array([transform_points(back, line.fit.ends) for line in lines]).reshape(-1, 2, 2)
-        self.last_extraction = Extraction(
-            number, side, step, pose, transform_points(back, points), to_frame(found, pose), ends
-        )  # fmt: skip

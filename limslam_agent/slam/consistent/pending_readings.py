@@ -5,6 +5,7 @@ from, so that it can correct that pose later.
 """
 
 import math
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,7 +103,8 @@ class PendingReadings:
 
     def readings(self, side: Side) -> Readings:
         """The pending readings of a side, as the filter takes them."""
-        rows = np.array(self.by_side[side], dtype=float).reshape(-1, len(PendingReading._fields))
+        numbers = chain.from_iterable(self.by_side[side])
+        rows = np.fromiter(numbers, dtype=float).reshape(-1, len(PendingReading._fields))
         clones, steps, beams = rows[:, :3].T.astype(int)
         return Readings(
             clones, self._robot.beam_origins[beams], self._robot.beam_angles[beams], rows[:, 3],

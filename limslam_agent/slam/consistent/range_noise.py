@@ -80,7 +80,7 @@ class RangeNoise:
         logs_as_assumed = logs[np.argmin(np.abs(np.log(_RATIOS)))]
         gains = logs[np.clip(rows, 0, len(_RATIOS) - 1)] - logs_as_assumed
         self._gains = gains.reshape(*self._ratios.shape[:2], -1)
-        self._least = math.log(least_ratio)
+        self._least, self._differences = math.log(least_ratio), np.abs(self._ratios)
         self._counts = np.zeros((NUM_RANGES, len(EDGES) - 1))
 
     def count(self, residuals: FloatArray, ranges: FloatArray) -> None:
@@ -96,7 +96,7 @@ class RangeNoise:
         """The likeliest noise that is not as assumed."""
         total = self._counts.sum()
         likelihoods = self._gains @ self._counts.ravel()
-        is_other = np.abs(self._ratios) @ self._counts.sum(axis=1) >= self._least * total
+        is_other = self._differences @ self._counts.sum(axis=1) >= self._least * total
         if not (total and is_other.any()):
             return NoiseEstimate(float(self._stds[0]), 0.0, 0.0)
         best = np.unravel_index(np.argmax(np.where(is_other, likelihoods, -np.inf)), likelihoods.shape)

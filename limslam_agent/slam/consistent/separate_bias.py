@@ -170,5 +170,7 @@ class RangeErrors(SeparateBias):
 
         So a bias is not taken for an opening angle, nor the other way round.
         """
-        alone = np.array([self.evidence_of(slice(each, each + 1)) for each in range(2)])
+        variances = self._prior.diagonal()
+        narrowed = 1.0 + self._information.diagonal() * variances
+        alone = self._score**2 * variances / narrowed - np.log(narrowed)
         return np.asarray(self.evidence_of(slice(None)) - alone[::-1])

@@ -1,7 +1,8 @@
 """Extent of a wall along its line: counts of beams that ended on it, and of beams that passed through it."""
 
+import copy
 import math
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -31,6 +32,13 @@ class WallExtent:
         self._most = np.zeros(0)
         self.ends = (math.inf, -math.inf)
         self._intervals: tuple[float, float, FloatArray] | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # A lost robot goes back to an earlier map, of which copies are made all the time. Intervals never change.
+        other = copy.copy(self)
+        for name in ("_hits", "_misses", "_least", "_most"):
+            setattr(other, name, getattr(self, name).copy())
+        return other
 
     @classmethod
     def counted(cls, low: int, counts: IntArray, reached: FloatArray) -> Self:

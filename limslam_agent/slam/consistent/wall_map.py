@@ -11,7 +11,7 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import at, direction, normal
+from limslam_env.geometry.line import at, direction
 from limslam_env.geometry.segment import lengths
 
 NEW = -1
@@ -78,8 +78,8 @@ class WallMap:
         self._belief, self._config = belief, config
         self.walls: list[Wall] = []
         self._numbers = 0
-        self._drawn: list[FloatArray] | None = None
-        self._shown: tuple[list[FloatArray], FloatArray, IntArray] | None = None
+        self._drawn: tuple[FloatArray, IntArray] | None = None
+        self._shown: tuple[tuple[FloatArray, IntArray], FloatArray, IntArray] | None = None
 
     def __len__(self) -> int:
         return len(self.walls)
@@ -165,12 +165,11 @@ class WallMap:
     @property
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
-        owners = self._shown_segments[1]
-        marked = zip(self.all_landmarks, self.walls, self._segments, strict=True)
+        owners, drawn = self._shown_segments[1], set(self._segments[1].tolist())
         return [
             replace(mark, segments=tuple(np.flatnonzero(owners == index).tolist()))
-            for index, (mark, wall, drawn) in enumerate(marked)
-            if self._is_shown(wall) and len(drawn)
+            for index, (mark, wall) in enumerate(zip(self.all_landmarks, self.walls, strict=True))
+            if self._is_shown(wall) and index in drawn
         ]
 
     @property
@@ -213,33 +212,32 @@ class WallMap:
         return wall.readings >= self._config.min_readings
 
     @property
-    def _segments(self) -> list[FloatArray]:
-        """Segments (k, 4), m, of each landmark; kept until a landmark changes, because every step asks for them."""
+    def _segments(self) -> tuple[FloatArray, IntArray]:
+        """Segments (n, 4), m, of all landmarks, and the index of the landmark that each lies on (n,).
+
+        They are kept until a landmark changes, because every step asks for them.
+        """
         if self._drawn is None:
             gap, tolerance = self._config.max_gap, self._config.through_tolerance
             pieces = [wall.extent.intervals(gap, tolerance) for wall in self.walls]
-            counts = [len(each) for each in pieces]
-            owners, along = np.repeat(np.arange(len(pieces)), counts), np.concatenate((np.zeros((0, 2)), *pieces))
-            lines, anchors = self._belief.anchored[owners, None], self._belief.anchors[owners, None]
-            points = anchors + (lines[..., :1] * normal(lines) + along[..., None] * direction(lines))
-            self._drawn = np.split(points.reshape(-1, 4), np.cumsum(counts, dtype=np.int64)[:-1])[: len(counts)]
+            owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
+            along, lines = np.concatenate((np.zeros((0, 2)), *pieces)), self._belief.anchored[owners]
+            anchors, (cos, sin) = self._belief.anchors[owners], (np.cos(lines[:, 1:]), np.sin(lines[:, 1:]))
+            points = np.empty((len(owners), 4))
+            points[:, ::2] = anchors[:, :1] + (lines[:, :1] * cos - along * sin)
+            points[:, 1::2] = anchors[:, 1:] + (lines[:, :1] * sin + along * cos)
+            self._drawn = points, owners
         return self._drawn
 
     @property
     def _shown_segments(self) -> tuple[FloatArray, IntArray]:
-        """The walls of the map (N, 4), m, and the index of the landmark that each of them lies on (N,).
-
-        They are kept as long as :attr:`_segments` are.
-        """
+        """Those of :attr:`_segments` that are walls of the map. They are kept as long as all segments are."""
         segments = self._segments
         if self._shown is None or self._shown[0] is not segments:
-            drawn = [
-                each if self._is_shown(wall) else each[:0] for wall, each in zip(self.walls, segments, strict=True)
-            ]
-            every = np.concatenate((np.zeros((0, 4)), *drawn))
-            is_long = lengths(every) >= self._config.min_length
-            owners = np.repeat(np.arange(len(drawn)), [len(each) for each in drawn])[is_long]
-            self._shown = segments, every[is_long], owners
+            points, owners = segments
+            is_shown = np.array([self._is_shown(wall) for wall in self.walls], dtype=bool)
+            is_shown = is_shown[owners] & (lengths(points) >= self._config.min_length)
+            self._shown = segments, points[is_shown], owners[is_shown]
         return self._shown[1:]
 
     def _points(self, index: int, along: FloatArray) -> FloatArray:

@@ -2,8 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
+
+from limslam_agent.slam.core.line_fit import LineFit
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import to_frame
+from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import Side
 
 
@@ -89,19 +95,38 @@ class Extraction:
         The robot, side and step of the scan.
     pose
         Estimated pose of the robot (3,), m, m, rad.
-    points
-        The scan (n, 2), m, in the robot's frame.
-    lines, ends
-        The lines (k, 2) as (r, theta) in the robot's frame, m and rad, and their end points (k, 2, 2), m.
+    scan, fits
+        The scan (n, 2), m, and its lines.
+    is_in_world
+        Whether scan and lines are in the world, and not in the robot's frame.
     """
 
     robot: int
     side: Side
     step: int
     pose: FloatArray
-    points: FloatArray
-    lines: FloatArray
-    ends: FloatArray
+    scan: FloatArray
+    fits: tuple[LineFit, ...]
+    is_in_world: bool = False
+
+    # Most extractions are never looked at, so that they are taken into the robot's frame only when they are.
+    @cached_property
+    def points(self) -> FloatArray:
+        """The scan (n, 2), m, in the robot's frame."""
+        return transform_points(inverse(self.pose), self.scan) if self.is_in_world else self.scan
+
+    @cached_property
+    def lines(self) -> FloatArray:
+        """The lines (k, 2) as (r, theta) in the robot's frame, m and rad."""
+        found = np.array([fit.line for fit in self.fits]).reshape(-1, 2)
+        return to_frame(found, self.pose) if self.is_in_world else found
+
+    @cached_property
+    def ends(self) -> FloatArray:
+        """The end points (k, 2, 2) of the lines in the robot's frame, m."""
+        ends = np.array([fit.ends for fit in self.fits]).reshape(-1, 2)
+        ends = transform_points(inverse(self.pose), ends) if self.is_in_world else ends
+        return ends.reshape(-1, 2, 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,219 @@
+"""Updates by readings, gates, motions and fits of wall segments: compiled as in plain numpy and LAPACK.
+
+The plain versions are those of textbooks. Both round differently. The condition of an update that determines a new line
+from its uninformative prior is 1e7, so that even exact formulas differ by 1e-10 there.
+"""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from support.batch_stages import NOISE, estimator_after, estimator_config
+
+from limslam_agent.kernels.tables import FEWEST, FEWEST_FOR_SHAPE, FEWEST_TO_COMPARE, GRAZING, KINKS_AT, LEAST_GAIN
+from limslam_agent.slam.consistent.beam_model import Expected, Readings, expected_ranges, hit_points
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.consistent import ConsistentEstimator
+from limslam_agent.slam.consistent.pending_readings import SIDES
+from limslam_agent.slam.consistent.segmentation import _fit, _Source
+from limslam_agent.slam.core.ekf import POSE
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.se2 import compose, compose_jacobians
+
+CONFIG = estimator_config().segmentation
+
+
+@pytest.fixture(scope="module")
+def recorded() -> ConsistentEstimator:
+    return estimator_after(120)
+
+
+def all_readings(estimator: ConsistentEstimator) -> list[Readings]:
+    sides = [estimator._pending[0].readings(side) for side in SIDES]
+    return [readings._replace(growth=growth) for readings in sides for growth in (0.0, 0.02) if len(readings.ranges)]
+
+
+def involved(ekf: CloneEKF, readings: Readings, index: int) -> tuple[Expected, FloatArray, IntArray]:
+    """Predicted ranges, H and its columns in the state."""
+    own, places = np.unique(readings.clones, return_inverse=True)
+    line = ekf._first + 2 * index
+    columns = np.append(ekf._columns(own).ravel(), [line, line + 1])
+    poses = ekf.x[columns[:-2]].reshape(-1, POSE)[places]
+    expected = expected_ranges(poses, readings, ekf.x[columns[-2:]], ekf.anchors[index])
+    jacobian, rows = np.zeros((len(places), len(columns))), np.arange(len(places))
+    for number in range(POSE):
+        jacobian[rows, POSE * places + number] = expected.by_pose[:, number]
+    jacobian[:, -2:] = expected.by_line
+    return expected, jacobian, columns
+
+
+def clear(ekf: CloneEKF, readings: Readings, index: int) -> Readings:
+    expected, _, _ = involved(ekf, readings, index)
+    return readings.select(np.flatnonzero((np.abs(expected.cosines) > GRAZING) & (expected.ranges > 0.0)))
+
+
+def transported(covariance: FloatArray, moved: FloatArray) -> FloatArray:
+    covariance = covariance + moved @ covariance[:POSE]
+    return np.asarray(covariance + covariance[:, :POSE] @ moved.T)
+
+
+def plain_update(
+    ekf: CloneEKF, readings: Readings, index: int, iterations: int, huber: float
+) -> tuple[FloatArray, FloatArray]:
+    """State and covariance after an iterated update."""
+    ekf, readings = copy.deepcopy(ekf), clear(ekf, readings, index)
+    if not len(readings.ranges):
+        return ekf.x, ekf.P
+    variances, begin, transport = readings.variances(NOISE), ekf.x.copy(), ekf._error_transport()
+    change, weights = np.zeros_like(begin), np.ones(len(readings.ranges))
+    for _ in range(iterations):
+        ekf.x = ekf.x + change
+        moved = ekf._error_transport() - transport
+        expected, jacobian, columns = involved(ekf, readings, index)
+        off, gained = readings.ranges - expected.ranges, jacobian @ transported(ekf.P, moved)[columns]
+        spread = gained[:, columns] @ jacobian.T + np.diag(variances / weights)
+        so_far = ekf.x - begin
+        change = np.linalg.solve(spread, off + jacobian @ so_far[columns]) @ gained - so_far
+        if huber:
+            weights = np.minimum(1.0, huber * np.sqrt(variances) / np.maximum(np.abs(off), 1e-9))
+    covariance = transported(ekf.P, moved) - gained.T @ np.linalg.solve(spread, gained)
+    before = ekf._error_transport()
+    ekf.x = ekf.x + change
+    return ekf.x, transported(covariance, ekf._error_transport() - before)
+
+
+@pytest.mark.parametrize(("iterations", "huber"), [(1, 0.0), (2, 1.5), (4, 1.5)])
+def test_updates(recorded: ConsistentEstimator, iterations: int, huber: float) -> None:
+    for readings in all_readings(recorded):
+        for index in range(recorded._filter.num_lines):
+            ekf = copy.deepcopy(recorded._filter)
+            state, covariance = plain_update(ekf, readings, index, iterations, huber)
+            ekf.observe(readings, index, NOISE, iterations, huber)
+            np.testing.assert_allclose(ekf.x, state, rtol=0.0, atol=1e-9)
+            np.testing.assert_allclose(ekf.P, covariance, rtol=0.0, atol=1e-10)
+
+
+def test_an_update_of_a_new_line(recorded: ConsistentEstimator) -> None:
+    ekf, readings = copy.deepcopy(recorded._filter), all_readings(recorded)[0]
+    points = hit_points(ekf.clone_poses(readings.clones), readings)
+    index = ekf.add_line(0.5 * math.pi, points.mean(axis=0))
+    state, covariance = plain_update(ekf, readings, index, 4, 1.5)
+    ekf.observe(readings, index, NOISE, 4, 1.5)
+    np.testing.assert_allclose(ekf.x, state, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(ekf.P, covariance, rtol=0.0, atol=1e-9)
+
+
+def test_gates(recorded: ConsistentEstimator) -> None:
+    ekf, compared = recorded._filter, 0
+    for readings in all_readings(recorded):
+        for index in range(ekf.num_lines):
+            found, own = ekf.disagreement(readings, index, NOISE), clear(ekf, readings, index)
+            assert (found is None) == (len(own.ranges) < FEWEST_TO_COMPARE)
+            if found is None:
+                continue
+            expected, jacobian, columns = involved(ekf, own, index)
+            spread = jacobian @ ekf.P[np.ix_(columns, columns)] @ jacobian.T + np.diag(own.variances(NOISE))
+            off, by_line = own.ranges - expected.ranges, expected.by_line
+            along, information = by_line.T @ np.linalg.solve(spread, off), by_line.T @ np.linalg.solve(spread, by_line)
+            of_line = along @ np.linalg.solve(information, along)
+            wanted = [of_line, off @ np.linalg.solve(spread, off) - of_line, len(off)]
+            wanted += [along[0] / information[0, 0], 1.0 / information[0, 0]]
+            np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9)
+            compared += 1
+    assert compared > 2
+
+
+def test_motions(recorded: ConsistentEstimator) -> None:
+    generator = np.random.default_rng(1)
+    ekf, part = copy.deepcopy(recorded._filter), slice(0, POSE)
+    for _ in range(5):
+        increment, root = generator.normal(0.0, 0.3, 3), generator.normal(0.0, 0.02, (3, 3))
+        by_pose, by_increment = compose_jacobians(ekf.x[part], increment)
+        state, full = ekf.x.copy(), np.eye(len(ekf.x))
+        state[part], full[part, part] = compose(ekf.x[part], increment), by_pose
+        covariance = full @ ekf.P @ full.T
+        covariance[part, part] += by_increment @ root @ root.T @ by_increment.T
+        ekf.predict(increment, root @ root.T)
+        np.testing.assert_allclose(ekf.x, state, rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(ekf.P, covariance, rtol=0.0, atol=1e-14)
+
+
+def drawn(ekf: CloneEKF, shape: str, seed: int) -> tuple[Readings, FloatArray]:
+    """Readings of a straight, bent or ending wall beside the clones, and a line through them."""
+    generator = np.random.default_rng(seed)
+    clones = np.sort(generator.choice(np.array(ekf._clones), 40))
+    poses, origins = ekf.clone_poses(clones), generator.normal(0.0, 0.05, (40, 2))
+    heading = float(poses[:, 2].mean()) + 0.5 * math.pi
+    anchor = poses[:, :2].mean(axis=0) + 0.8 * normal(np.array([0.0, heading]))
+    angles, sources = generator.uniform(0.7, 2.4, 40), np.zeros((40, 2), dtype=int)
+    flat = Readings(clones, origins, angles, np.ones(40), sources, growth=0.01)
+    ranges = expected_ranges(poses, flat, np.array([0.0, heading]), anchor).ranges
+    bent = {"straight": 0.0, "corner": -0.5 * (np.arange(40) > 20) * np.linspace(-0.4, 0.4, 40)}
+    ranges += bent.get(shape, 0.12 * (np.arange(40) > 34)) + NOISE * generator.standard_normal(40)
+    return flat._replace(ranges=ranges), np.array([anchor @ normal(np.array([0.0, heading])), heading])
+
+
+def beside(basis: FloatArray, shapes: FloatArray) -> FloatArray:
+    return np.asarray(shapes - basis @ (basis.T @ shapes))
+
+
+@pytest.mark.parametrize("shape", ["straight", "corner", "end"])
+@pytest.mark.parametrize("seed", range(4))
+def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
+    ekf = recorded._filter
+    readings, line = drawn(ekf, shape, seed)
+    places, rows = ekf.places(readings.clones), readings.rows
+    points = ekf.points(places, rows)
+    members = np.arange(40) if seed else np.arange(0, 40, 5)
+    own, state, poses = readings.select(members), np.array([0.0, line[1]]), ekf.clone_poses(readings.clones[members])
+    anchor = line[0] * normal(line) + (points[members] @ direction(line)).mean() * direction(line)
+    first = expected_ranges(poses, own, state, anchor)
+    clear = np.flatnonzero(np.abs(first.cosines) > GRAZING)
+    assert len(clear) >= FEWEST - 1
+    by_poses = np.zeros((len(members), len(ekf.x)))
+    for row, columns in enumerate(ekf._columns(own.clones)):
+        by_poses[row, columns] = first.by_pose[row]
+    spread = (by_poses @ ekf.P @ by_poses.T + np.diag(own.variances(NOISE)))[np.ix_(clear, clear)]
+    factor = np.linalg.cholesky(spread)
+    for _ in range(2):
+        expected = expected_ranges(poses, own, state, anchor)
+        off, by_line = (
+            np.linalg.solve(factor, each[clear]) for each in (own.ranges - expected.ranges, expected.by_line)
+        )
+        state = state + np.linalg.lstsq(by_line, off, rcond=None)[0]
+    basis = np.linalg.qr(by_line)[0]
+    left = beside(basis, off)
+    fit = _fit(_Source(ekf, places, rows, points, readings.variances(NOISE), NOISE), members, tuple(line), CONFIG)
+    assert fit is not None
+    segment = fit.segment
+    assert segment.theta == pytest.approx(state[1], abs=1e-11)
+    np.testing.assert_allclose(segment.middle, anchor, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(segment.residuals, left, rtol=0.0, atol=1e-8)
+    met = own._replace(ranges=np.where(np.isin(np.arange(len(members)), clear), expected.ranges, own.ranges))
+    along = (hit_points(poses, met) - anchor) @ direction(state)
+    np.testing.assert_allclose(fit.along, along, rtol=0.0, atol=1e-11)
+    assert segment.length == pytest.approx(np.ptp(np.sort(along)[1:-1]), abs=1e-11)
+    assert segment.angle_std == pytest.approx(NOISE / math.sqrt(len(clear) * np.var(along[clear])), rel=1e-9)
+    here, cosines = along[clear], expected.cosines[clear]
+    loose = np.zeros(len(members), dtype=bool)
+    for end in (here.min(), here.max()):
+        zone = np.abs(here - end) < CONFIG.end_zone
+        form = beside(basis, np.linalg.solve(factor, zone / cosines))
+        if not zone.all() and form @ form > LEAST_GAIN and (left @ form) ** 2 > CONFIG.end_gate * (form @ form):
+            loose[clear[zone]] = True
+    np.testing.assert_array_equal(fit.loose, loose)
+    if len(here) < FEWEST_FOR_SHAPE:
+        assert not fit.is_bent
+        return
+    kinks = np.quantile(here, KINKS_AT)
+    scaled = (2.0 * (here - here.min()) / np.ptp(here) - 1.0)[:, None] ** np.array([2, 3, 4])
+    bends = beside(basis, np.linalg.solve(factor, np.maximum(here[:, None] - kinks, 0.0) / cosines[:, None]))
+    curves = np.linalg.qr(beside(basis, np.linalg.solve(factor, scaled / cosines[:, None])))[0]
+    angles = left @ bends / np.sum(bends**2, axis=0)
+    gains = angles**2 * np.sum(bends**2, axis=0)
+    best = int(np.argmax(gains))
+    is_kinked = gains[best] > CONFIG.kink_gate and abs(angles[best]) > CONFIG.min_kink
+    assert fit.is_bent == (is_kinked or np.sum((left @ curves) ** 2) > CONFIG.curve_gate)
+    assert fit.bend_at == pytest.approx(kinks[best], abs=1e-11)
