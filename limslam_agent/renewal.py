@@ -30,8 +30,7 @@ class Renewal:
     a local frame. Then only the map remains of the stretch, so that memory and time do not grow with the length of a
     drive.
 
-    It is also smoothed when a loop closes after the robot was unsure of its place. The filter's correction of poses
-    and walls is linearised, and the occupancy grid stays where it was drawn. The renewal draws the grid again.
+    The occupancy grid stays where it was drawn when the filter corrects poses and walls. A renewal draws it again.
 
     Parameters
     ----------
@@ -54,7 +53,7 @@ class Renewal:
 
     def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
         self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
-        self._first_grid, self._most_unsure = grid, 0.0
+        self._first_grid = grid
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
@@ -71,15 +70,13 @@ class Renewal:
         front = self._slam.robots[0]
         travel = np.asarray(observation["wheels"], dtype=float)
         self._rows.append((travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance))
-        self._most_unsure = max(self._most_unsure, self._place_std)
 
     def renew_if_due(self, level: Level) -> bool:
         """Renew the estimate if that is due, by the level of its status; whether it was renewed.
 
-        It is due after some minutes, when a loop has closed, and once when the robot gets lost. A robot that is only
-        unsure gains nothing by a short stretch that knows little. The pose of a robot that was lost at the beginning of
-        a stretch is no place to smooth from. A robot that is no longer lost may have been placed anew, and a new
-        stretch begins.
+        It is due after some minutes, and once when the robot gets lost. A robot that is only unsure gains nothing by a
+        short stretch that knows little. The pose of a robot that was lost at the beginning of a stretch is no place to
+        smooth from. A robot that is no longer lost may have been placed anew, and a new stretch begins.
         """
         settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
         if settings is None or not self._rows:
@@ -89,18 +86,12 @@ class Renewal:
         self._is_wanted, self._level = (self._is_wanted or is_worse) and level != "ok", level
         is_over = waited >= settings.period
         # A stretch that could not be smoothed is tried again when it is twice as long.
-        is_wanted = self._is_wanted or (settings.unsure_place < self._most_unsure > 2.0 * self._place_std)
-        is_early = is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
+        is_early = self._is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
         is_renewed = (is_over or is_early) and not (is_found or self._began_lost) and self._renew()
         if is_over or is_renewed or is_found:
             self._begin()
             self._rows = [self._rows[-1]]
         return is_renewed
-
-    @property
-    def _place_std(self) -> float:
-        """Standard deviation of the robot's position, m."""
-        return math.sqrt(max(float(np.trace(self._slam.covariance[:2, :2])), 0.0))
 
     def _renew(self) -> bool:
         """Renew the estimate and the grid, if the stretch can be smoothed; whether it could."""
@@ -124,7 +115,7 @@ class Renewal:
         self._slam.recent_associations = self._associations
         self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
         self._tried, self._began_lost = 0, self._level == "lost"
-        self._first_grid, self._most_unsure = self.grid.copied(), self._place_std
+        self._first_grid = self.grid.copied()
 
     def _smoothed(self) -> tuple[MapState, FloatArray] | None:
         """The state by all readings of the stretch, and its poses (t, 3); None if the stretch cannot be smoothed."""

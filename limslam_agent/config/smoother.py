@@ -239,10 +239,7 @@ class RenewalConfig(Bounded):
     period
         Longest time between two renewals, s.
     least
-        Least time between two renewals, s, if the robot is lost and does not go on in a local frame, or if a loop has
-        closed.
-    unsure_place
-        A loop has closed if the position's standard deviation has fallen to half, from more than this, m.
+        Least time between two renewals, s, if the robot is lost and does not go on in a local frame.
     end_noise
         By how much the position of each end of a known wall becomes less certain at each renewal, in standard
         deviations of a range. It stands for errors that a wall has in each stretch again.
@@ -250,5 +247,4 @@ class RenewalConfig(Bounded):
 
     period: NonNegative = 900.0
     least: NonNegative = 30.0
-    unsure_place: NonNegative = 0.5
     end_noise: NonNegative = 1.0

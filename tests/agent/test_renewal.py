@@ -130,12 +130,6 @@ def renewed_at(settings, lost):
     return steps
 
 
-@pytest.mark.parametrize(("unsure_place", "is_renewed"), [(0.5, False), (0.025, True)])
-def test_a_robot_is_renewed_when_a_loop_closes_after_it_was_unsure_of_its_place(unsure_place, is_renewed):
-    settings = replace(NEVER, renewal=RenewalConfig(period=1000.0, least=5.0, unsure_place=unsure_place))
-    assert bool(renewed_at(settings, ())) == is_renewed
-
-
 def test_a_renewal_draws_the_grid_at_the_smoothed_poses():
     settings = config(ROUND_S)
     slam, grid = LineSlam(ROBOT, settings, START), OccupancyGrid(settings.grid)
