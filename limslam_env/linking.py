@@ -79,6 +79,8 @@ class _Later:
             library.add_linking_library(self.library)
             context.create_cpython_wrapper(library, description, environment, helper, release_gil=release_gil)
             code = _executable(context, library, description, environment)
+            # Functions that are compiled from now on find this one by its machine code.
+            context.insert_user_function(code, description, [self.library])
             self._replace_in_owner(code)
         return code
 

@@ -128,6 +128,13 @@ sys.path.insert(0, {str(folder)!r})
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout.splitlines()
 
 
+def test_a_function_that_python_has_called_can_be_part_of_another_one(tmp_path):
+    statements = """from inner_kernels import copied, doubled_largest, largest
+numbers = np.array([1.0, 5.0, 3.0])
+print(doubled_largest(numbers), largest(numbers), copied(numbers, np.array([7.0])))"""
+    assert run_inner(tmp_path, statements) == ["10.0 5.0 21.0"]
+
+
 LACKING = """
 from numba.core import compiler, environment
 del environment.lookup_environment

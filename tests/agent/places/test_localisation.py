@@ -16,6 +16,7 @@ from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.localisation import KnownPlaces, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
 from limslam_agent.places.recovery import KnownFrame, Recovery
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
@@ -43,7 +44,9 @@ def poses_along(corners, spacing=0.03):
 
 
 def readings(poses, segments):
-    found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, STD, ContradictionConfig(inset=0.0)).ranges
+    found = expected_ranges(
+        ROBOT, poses, np.zeros((3, 3)), segments, RangeSensor(STD), ContradictionConfig(inset=0.0)
+    ).ranges
     return np.minimum(found, ROBOT.max_ranges)
 
 
