@@ -6,7 +6,7 @@ the shift of the match is the distance by which the path places the two visits a
 determines the shift along it, so a few shifts are large even where the path is exact. The resolution is 0.1 m, 1 deg.
 """
 
-import sys
+import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -112,4 +112,8 @@ def main(path: str, folders: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("log", help="the log")
+    parser.add_argument("folders", nargs="+", help="folders of replays of the log")
+    chosen = parser.parse_args()
+    main(chosen.log, chosen.folders)

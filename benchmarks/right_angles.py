@@ -3,8 +3,8 @@
 ``python -m benchmarks.right_angles RESULTS...`` prints a line for each folder of a run or a replay. No truth is needed.
 """
 
+import argparse
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,4 +121,6 @@ def main(folders: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="+", help="folders of runs or replays")
+    main(parser.parse_args().folders)

@@ -170,7 +170,10 @@ class JoiningMapper(Mapper):
         if self._apart is None:
             return super().beliefs
         statuses = self.statuses
-        return [replace(mapper.belief, status=status) for mapper, status in zip(self._apart, statuses, strict=True)]
+        return [
+            replace(mapper.belief, status=status, frame=self.frame)
+            for mapper, status in zip(self._apart, statuses, strict=True)
+        ]
 
     @property
     def grid(self) -> GridView:
@@ -237,7 +240,7 @@ class JoiningMapper(Mapper):
             for record in records:
                 listener(record)
         self.joined = Joined(*(np.array(column) for column in zip(*replayed, strict=True)))
-        self.frame = 1  # both have never been lost
+        self.frame = 1 + sum(mapper.frame for mapper in apart)
         self._meeting.has_joined(start, place_map(apart[1].slam.segments, apart[1].grid))
         return True
 

@@ -12,7 +12,7 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
+from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup, begin_lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
@@ -328,7 +328,7 @@ class Mapper:
             self.frame += 1
             self._monitors = self._new_monitors()
             if self._recovery is not None:
-                self._recovery.forget_copies()
+                self._recovery.move(self._renewal.poses[:-1])  # the present step is noted afterwards
 
     def _count_time(self, begin: float) -> None:
         """Add the time since ``begin`` to that of the SLAM in this step."""
@@ -349,9 +349,11 @@ class Mapper:
         self.slam.on_association, self._grid = listener, OccupancyGrid(self.config.grid)
         self._begin_anew()
         self._recovery = self._new_recovery()
-        for observations in self._early:
+        for number, observations in enumerate(self._early):
             may_calibrate = self.slam.may_calibrate
             motions = self._process(observations)
+            if self._lookup is not None and self._lookup.is_open:
+                self._lookup.steps[number] = LoggedStep.of(observations[0], self.slam, motions[0])
             if self._may_restart and (self.slam.may_calibrate, self.slam.sensor) != (may_calibrate, self._sensor):
                 self._restart()
                 return
@@ -385,18 +387,14 @@ class Mapper:
         """The search for the robot's place in an earlier map, if there is one."""
         if self._prior_map is None:
             return None
-        places = self.config.recovery
-        if places is None or len(self._starts) != 1:
-            raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
-        OccupancyGrid.of(self._prior_map.grid, self.config.grid)
-        return Lookup(self._prior_map, self.robot, places, self.config.range_std)
+        return begin_lookup(self._prior_map, self.robot, self.config, self.slam.range_sensor, len(self._starts))
 
     def _look_up(self, lookup: Lookup) -> None:
         """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
         if self._recovery is not None and self._recovery.records:
             lookup.end("the robot was lost before its place was found")
             return
-        found = lookup.seek(self._starts[0])
+        found = lookup.seek(self._starts[0], self.slam.range_sensor)
         if found is None:
             return
         self.prior_frame = found.frame
@@ -429,7 +427,7 @@ class Mapper:
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
         elif recovery.is_due():
-            recovery.confirm(own.status, self.slam.segments, self._grid.view)
+            recovery.confirm(own.status, self.slam, self._grid.view)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost."""

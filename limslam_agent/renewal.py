@@ -47,13 +47,15 @@ class Renewal:
         The occupancy grid, in which the readings of a renewed stretch are drawn at the smoothed poses.
     has_jumped
         Whether the last renewal has moved the path far.
+    poses
+        Poses (3,) of the robot in the steps of the last stretch that was renewed, by all its readings.
     is_possible
         Whether estimates of this SLAM can be renewed at all.
     """
 
     def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
         self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
-        self._first_grid = grid
+        self._first_grid, self.poses = grid, list[FloatArray]()
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
@@ -102,11 +104,12 @@ class Renewal:
         self._slam.renew(state)
         # The joining with the map from before moves the stretch as a whole.
         moved = compose(self._slam.pose, inverse(poses[-1]))
-        self._is_wanted, self.has_jumped, self.grid = False, False, self._first_grid
+        self._is_wanted, self.has_jumped, self.grid, self.poses = False, False, self._first_grid, []
         for pose, (_, ranges, measured, believed, _) in zip(poses[1:], self._rows[1:], strict=True):
             new = compose(moved, pose)
             self.has_jumped |= math.hypot(*(new - believed)[:2]) > FAR
             self.grid.update(new, self._slam.robot, ranges, measured)
+            self.poses.append(new)
         return True
 
     def _begin(self) -> None:

@@ -45,7 +45,7 @@ _TRIED = ("0.68.",)
 
 def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
     """Compile by way of ``limslam_env.linking``, if this version of numba allows it."""
-    if not numba.__version__.startswith(_TRIED):
+    if getattr(numba.config, "DISABLE_JIT", False) or not numba.__version__.startswith(_TRIED):
         return njit(**options)(kernel)
     try:
         from limslam_env.linking import InnerPipeline, KernelPipeline, retry_as_usual

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.crossings import crossing, fill_table
+from limslam_agent.kernels.range_sensor import read_share
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -57,13 +58,13 @@ def free_length(
 
 
 @compiled
-def is_inside(x: float, y: float, values: NDArray[np.int16], low: FloatArray, cell: float) -> bool:
-    """Whether a point (m) lies in a free cell all of whose neighbours are free."""
+def is_inside(x: float, y: float, values: NDArray[np.int16], low: FloatArray, cell: float, around: int) -> bool:
+    """Whether a point (m) lies in a free cell, and all cells up to a number of cells around it are free."""
     row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
-    if not (1 <= row < values.shape[0] - 1 and 1 <= column < values.shape[1] - 1):
+    if not (around <= row < values.shape[0] - around and around <= column < values.shape[1] - around):
         return False
-    for down in range(-1, 2):
-        for right in range(-1, 2):
+    for down in range(-around, around + 1):
+        for right in range(-around, around + 1):
             if values[row + down, column + right] <= 0:
                 return False
     return True
@@ -112,7 +113,7 @@ def explain(
 @compiled
 def weigh_ray(
     ray: tuple[float, float, float, float], length: float, reach: float, walls: FloatArray, values: NDArray[np.int16],
-    low: FloatArray, cell: float, std: float,
+    low: FloatArray, cell: float, std: float, cone: float,
 ) -> tuple[float, bool, bool]:  # fmt: skip
     """The evidence of a reading for a map, whether it contradicts the map, and whether it could have done so."""
     longer, shorter, cosine_longer, cosine_shorter = math.inf, math.inf, 1.0, 1.0
@@ -120,6 +121,7 @@ def weigh_ray(
         distance, beyond, cosine = crossing(ray, walls, wall)
         if distance < 0.0:
             continue
+        distance *= read_share(cosine, cone)
         if distance < longer and beyond < _OVER:
             longer, cosine_longer = distance, cosine
         if distance < shorter and beyond < -_INSET:
@@ -130,8 +132,9 @@ def weigh_ray(
         other, contradicts_other, _ = explain(length, reach, shorter, cosine_shorter, free, ends_at, std)
         evidence, contradicts = max(evidence, other), contradicts and contradicts_other
     if contradicts and length < min(reach, shorter - _BESIDE):
-        # It ended before the wall, if there is one. A wall that was not drawn yet may be near.
-        contradicts = is_inside(ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell)
+        # It ended before the wall, if there is one. A wall that was not drawn yet may be near, or beside a wide beam.
+        around = 1 + int(length * math.sin(cone) / cell)
+        contradicts = is_inside(ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around)
         evidence = evidence if contradicts else max(evidence, 0.0)
     return evidence, contradicts, is_tested
 
@@ -147,7 +150,7 @@ def placed_ray(pose: FloatArray, rays: FloatArray, number: int) -> tuple[float, 
 @lean_entry
 def weigh_poses(
     poses: FloatArray, rays: FloatArray, segments: FloatArray, walls: FloatArray, values: NDArray[np.int16],
-    low: FloatArray, cell: float, std: float, evidence: FloatArray, counts: IntArray,
+    low: FloatArray, cell: float, std: float, cone: float, evidence: FloatArray, counts: IntArray,
 ) -> None:  # fmt: skip
     """Find the evidence of rays for poses of their frame in a map.
 
@@ -159,8 +162,8 @@ def weigh_poses(
         Walls (k, 4), m, and scratch (k, 5).
     values, low, cell
         Values of the cells (rows, columns), positive if free, the lower left corner (2,), m, and the side, m.
-    std
-        Standard deviation of the distance to a wall, m.
+    std, cone
+        Standard deviation of the distance to a wall, m, and half the opening angle of the beams, rad.
     evidence
         Set to the logarithm of the likelihood ratio (m,) of each pose and of a random place.
     counts
@@ -172,7 +175,7 @@ def weigh_poses(
         for i in range(len(rays)):
             found, contradicts, is_tested = weigh_ray(
                 placed_ray(poses[number], rays, i), rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell,
-                std,
+                std, cone,
             )  # fmt: skip
             total += found
             against += contradicts
@@ -215,14 +218,21 @@ def solve(matrix: FloatArray, vector: FloatArray) -> None:
 
 @compiled
 def add_residuals(
-    pose: FloatArray, ends: FloatArray, walls: FloatArray, most: float, matrix: FloatArray, vector: FloatArray
-) -> None:
-    """Add the distances of points (n, 2) from walls within ``most`` (m) to the normal equations of a pose (3,)."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    for point in range(len(ends)):
-        x = cos * ends[point, 0] - sin * ends[point, 1]
-        y = sin * ends[point, 0] + cos * ends[point, 1]
-        normal_x, normal_y, offset = nearest_offset(pose[0] + x, pose[1] + y, walls, most)
+    pose: FloatArray, rays: FloatArray, walls: FloatArray, most: float, cone: float, matrix: FloatArray,
+    vector: FloatArray,
+) -> None:  # fmt: skip
+    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations of a pose (3,)."""
+    for number in range(len(rays)):
+        from_x, from_y, to_x, to_y = placed_ray(pose, rays, number)
+        length = rays[number, RAY_LENGTH]
+        end_x, end_y = from_x + length * to_x, from_y + length * to_y
+        normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
+        if cone > 0.0 and (normal_x != 0.0 or normal_y != 0.0):
+            # The middle of a wide beam meets the wall farther away than the beam reads.
+            length /= read_share(normal_x * to_x + normal_y * to_y, cone)
+            end_x, end_y = from_x + length * to_x, from_y + length * to_y
+            normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
+        x, y = end_x - pose[0], end_y - pose[1]
         row = normal_x, normal_y, normal_y * x - normal_x * y
         for i in range(3):
             vector[i] += row[i] * offset
@@ -232,11 +242,12 @@ def add_residuals(
 
 @lean_entry
 def refine_poses(
-    poses: FloatArray, ends: FloatArray, segments: FloatArray, walls: FloatArray, matrix: FloatArray, vector: FloatArray
-) -> None:
-    """Move poses (m, 3), so that points (n, 2), m, lie on walls (k, 4), m: least squares of their distances.
+    poses: FloatArray, rays: FloatArray, segments: FloatArray, cone: float, walls: FloatArray, matrix: FloatArray,
+    vector: FloatArray,
+) -> None:  # fmt: skip
+    """Move poses (m, 3), so that the ends of rays (n, 6) lie on walls (k, 4), m: least squares of their distances.
 
-    The last three arguments, (k, 5), (3, 3) and (3,), are scratch.
+    ``cone`` (rad) is half the opening angle of the beams. The last three arguments, (k, 5), (3, 3), (3,), are scratch.
     """
     fill_table(segments, walls)
     for number in range(len(poses)):
@@ -247,7 +258,7 @@ def refine_poses(
                     # The small weights keep directions without walls where they are.
                     matrix[i, j] = _PRIOR if i == j else 0.0
             most = _FAR + (_NEAR - _FAR) * turn / (_ROUNDS - 1)
-            add_residuals(poses[number], ends, walls, most, matrix, vector)
+            add_residuals(poses[number], rays, walls, most, cone, matrix, vector)
             solve(matrix, vector)
             for i in range(3):
                 poses[number, i] += vector[i]

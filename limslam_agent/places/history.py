@@ -68,8 +68,8 @@ class StepLog:
         return self.steps[number - self.begin]
 
     def since(self, number: int) -> list[LoggedStep]:
-        """The steps from a number on."""
-        return self.steps[number - self.begin :]
+        """The steps from a number on, as far as they are kept."""
+        return self.steps[max(number - self.begin, 0) :]
 
     def forget_before(self, number: int) -> list[LoggedStep]:
         """Remove the steps before a number; the removed steps.

@@ -22,7 +22,9 @@ from scipy.ndimage import distance_transform_edt
 
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.places.rays import ends_of, have_ended
+from limslam_agent.kernels.tables import RAY_REACH
+from limslam_agent.places.rays import have_ended
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
@@ -45,22 +47,22 @@ class KnownPlaces:
     ----------
     segments, grid
         Walls (k, 4), m, and occupancy grid, which must not change any more.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How the ranges are measured. It may be assigned anew. Their bias is that of the rays.
     """
 
-    def __init__(self, segments: FloatArray, grid: GridView, range_std: float) -> None:
-        self.segments, self.grid = np.ascontiguousarray(segments), grid
-        self._std = math.hypot(_MAP_STD, range_std)
+    def __init__(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> None:
+        self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
 
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list["PlaceFit"]:
         """How well rays (n, 6) fit the map, for poses (m, 3) of their frame."""
         from limslam_agent.kernels.rays import weigh_poses
 
         evidence, counts = np.empty(len(poses)), np.empty((len(poses), 2), dtype=np.int64)
+        std = math.hypot(_MAP_STD, self.sensor.usual_std(float(rays[:, RAY_REACH].max(initial=0.0))))
         weigh_poses(
             np.ascontiguousarray(poses), rays, self.segments, np.empty((len(self.segments), 5)), self.grid.values,
-            np.asarray(self.grid.low), self.grid.cell, self._std, evidence, counts,
+            np.asarray(self.grid.low), self.grid.cell, std, float(self.sensor.cone), evidence, counts,
         )  # fmt: skip
         return [PlaceFit(*each) for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)]
 
@@ -69,8 +71,8 @@ class KnownPlaces:
         from limslam_agent.kernels.rays import refine_poses
 
         poses = np.array(poses)
-        ends, walls = np.ascontiguousarray(ends_of(rays)[have_ended(rays)]), np.empty((len(self.segments), 5))
-        refine_poses(poses, ends, self.segments, walls, np.empty((3, 3)), np.empty(3))
+        ended, walls = np.ascontiguousarray(rays[have_ended(rays)]), np.empty((len(self.segments), 5))
+        refine_poses(poses, ended, self.segments, float(self.sensor.cone), walls, np.empty((3, 3)), np.empty(3))
         return poses
 
     def likely(self, rays: FloatArray) -> FloatArray:

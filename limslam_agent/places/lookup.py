@@ -4,11 +4,14 @@ import math
 from typing import Any, NamedTuple
 
 from limslam_agent.config.places import PlaceConfig
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
 from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -47,8 +50,8 @@ class Lookup:
         The saved map.
     robot, config
         Body and beams, and settings of the search.
-    range_std
-        Standard deviation of a range, m.
+    sensor
+        How the ranges are measured, as specified.
 
     Attributes
     ----------
@@ -60,9 +63,9 @@ class Lookup:
         How the search ended, for ``result.json``.
     """
 
-    def __init__(self, saved: SavedMap, robot: RobotSpec, config: PlaceConfig, range_std: float) -> None:
+    def __init__(self, saved: SavedMap, robot: RobotSpec, config: PlaceConfig, sensor: RangeSensor) -> None:
         self.saved, self._robot, self._config = saved, robot, config
-        self._place = KnownPlaces(saved.segments, saved.grid, range_std)
+        self._place = KnownPlaces(saved.segments, saved.grid, sensor)
         self.steps: list[LoggedStep] = []
         self.is_open = True
         self.records: list[dict[str, Any]] = []
@@ -81,13 +84,13 @@ class Lookup:
         """Whether the saved map is to be searched now."""
         return self._driven - self._sought >= self._config.spacing
 
-    def seek(self, start: FloatArray) -> Arrival | None:
+    def seek(self, start: FloatArray, sensor: RangeSensor) -> Arrival | None:
         """Search the saved map for the place; it is found if two searches in succession find the same place.
 
-        ``start`` is the start pose (3,) in the robot's own frame.
+        ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is known now.
         """
-        self._sought = self._driven
-        rays, before = rays_of(self.steps, self._robot), self._latest
+        self._sought, self._place.sensor = self._driven, sensor
+        rays, before = rays_of(self.steps, self._robot, sensor.bias), self._latest
         likely = [] if before is None or before.fit is None else [before.fit.pose]
         decision = self._latest = localise(self._place, rays, self._config, likely)
         self._refused += not decision.is_accepted
@@ -106,3 +109,18 @@ class Lookup:
         match = {} if self._latest is None else {"match": self._latest.record}
         self.records.append({"event": event, "step": len(self.steps) - 1, **details, "refused": self._refused, **match})
         self.is_open = False
+
+
+def begin_lookup(saved: SavedMap, robot: RobotSpec, config: AgentConfig, sensor: RangeSensor, robots: int) -> Lookup:
+    """The search of a number of robots for their place in a saved map.
+
+    Raises
+    ------
+    ValueError
+        If there is more than one robot, lost robots stay lost by the settings, or the settings have other cells.
+    """
+    places = config.recovery
+    if places is None or robots != 1:
+        raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
+    OccupancyGrid.of(saved.grid, config.grid)
+    return Lookup(saved, robot, places, sensor)

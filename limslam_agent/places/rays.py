@@ -18,11 +18,11 @@ for the others, m. What is seen twice is no news."""
 _STEPS, _RAYS = 1500, 600  # largest number of latest steps and rays: the frame of a longer drive is bent
 
 
-def rays_of(steps: Sequence[LoggedStep], robot: RobotSpec) -> FloatArray:
+def rays_of(steps: Sequence[LoggedStep], robot: RobotSpec, bias: float = 0.0) -> FloatArray:
     """The latest rays (n, 6) of steps, in the order of time: origin, direction, reading and longest reading, m.
 
     A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
-    or perhaps missed by the sensor, has no ray.
+    or perhaps missed by the sensor, has no ray. ``bias`` (m) is by what all ranges are too long.
     """
     steps = steps[-_STEPS:]
     poses, ranges = np.array([step.pose for step in steps]), np.array([step.ranges for step in steps])
@@ -33,7 +33,7 @@ def rays_of(steps: Sequence[LoggedStep], robot: RobotSpec) -> FloatArray:
     origins = np.einsum("tij,bj->tbi", turns, robot.beam_origins) + poses[:, None, :2]
     directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions)
     reaches = np.broadcast_to(robot.max_ranges, ranges.shape)
-    lengths = np.where(seen_nothing, reaches, np.minimum(ranges, reaches - 1e-6))
+    lengths = np.where(seen_nothing, reaches, np.clip(ranges - bias, 1e-6, reaches - 1e-6))
     rays = np.concatenate((origins, directions, lengths[..., None], reaches[..., None]), axis=2)[usable]
     return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
 

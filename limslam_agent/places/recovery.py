@@ -7,6 +7,7 @@ succession find the same place.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -52,6 +53,11 @@ class KnownFrame:
     step: int
     slam: LineSlam
     grid: OccupancyGrid
+
+    @property
+    def places(self) -> KnownPlaces:
+        """The map of the frame, to be searched."""
+        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
 
     def copied(self) -> tuple[LineSlam, OccupancyGrid]:
         """SLAM and grid to go on with."""
@@ -234,9 +240,13 @@ class Recovery:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
 
-    def forget_copies(self) -> None:
-        """The estimate was renewed, and its earlier copies are worse."""
-        self._copies = []
+    def move(self, poses: Sequence[FloatArray]) -> None:
+        """A renewal has moved the latest steps to poses (3,): copies from before and searches mean nothing any more."""
+        self._copies, self._local_copies = [], []
+        for back, pose in zip(range(1, len(self.log.steps) + 1), reversed(poses), strict=False):
+            self.log.steps[-back] = replace(self.log.steps[-back], pose=pose)
+        if self.absence is not None:
+            self.absence.decisions.clear()
 
     def lose(self, own: StatusMonitor, slam: LineSlam, grid: OccupancyGrid) -> None:
         """The robot is lost: its monitor says so, or :meth:`is_elsewhere`.
@@ -254,9 +264,7 @@ class Recovery:
             margin = 1 if is_dated else self._config.margin
             old = [copy for copy in self._copies if copy.step <= first - margin]
             known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
-            self.absence = Absence(
-                known, first, status.reason, jump, self._places(known.slam.segments, known.grid.view)
-            )
+            self.absence = Absence(known, first, status.reason, jump, known.places)
             self.log.forget_before(known.step)
             if is_carried:
                 # It may be anywhere in its map: the standard deviation of a uniform distribution.
@@ -285,8 +293,8 @@ class Recovery:
         self._rechecked = 0.0
         ago = own.suspected
         self._doubted = self._copies[-_LATEST].step if ago is None else max(self.log.end - 1 - ago, self.log.begin + 1)
-        known, rays = self._copies[0], rays_of(self.log.since(self._doubted), self._robot)
-        place, here = self._places(known.slam.segments, known.grid.view), np.zeros(3)
+        place, here = self._copies[0].places, np.zeros(3)
+        rays = rays_of(self.log.since(self._doubted), self._robot, place.sensor.bias)
         (fit,) = place.weigh(here[None], rays)
         if ago is None and (fit.contradictions < _FEWEST or fit.is_on_map >= 0.0):
             return False
@@ -308,7 +316,8 @@ class Recovery:
         assert absence is not None  # noqa: S101 (only lost robots seek)
         assert absence.place is not None  # noqa: S101 (it was lost from a frame)
         absence.sought = absence.moved
-        rays = rays_of(self.log.since(absence.first), self._robot)
+        absence.place.sensor = sensor
+        rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
         likely = [found.fit.pose for found in earlier if found.fit is not None]
         decision = localise(absence.place, rays, self._config, likely)
@@ -329,7 +338,7 @@ class Recovery:
         """The robot's place in the map of an earlier run was found by rays (n, 6), and has to be confirmed."""
         self._arrival = Absence(None, 0, "", 0.0, None, placed=0.0, rays=rays)
 
-    def confirm(self, own: Status, segments: FloatArray, grid: GridView) -> None:
+    def confirm(self, own: Status, slam: LineSlam, grid: GridView) -> None:
         """End an absence if nothing speaks against the place any more."""
         absence, config = self.absence or self._arrival, self._config
         assert absence is not None  # noqa: S101 (a place is to be confirmed)
@@ -339,9 +348,9 @@ class Recovery:
         if own.level != "ok" or driven < config.confirmed or not is_closed:
             return
         assert absence.rays is not None  # noqa: S101 (the robot has found its place)
-        rays = rays_of(self.log.since(max(absence.first, self.log.begin)), self._robot)
+        rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor.bias)
         rays = np.concatenate((absence.rays, rays))
-        found = localise(self._places(segments, grid), rays, config, [np.zeros(3)])
+        found = localise(KnownPlaces(slam.segments, grid, slam.range_sensor), rays, config, [np.zeros(3)])
         if found.is_accepted and found.likeness <= config.runner_up:
             self._note_event("confirmed", step=self.log.end - 1)
             self.absence = self._arrival = None
@@ -349,9 +358,6 @@ class Recovery:
     def give_up(self) -> None:
         """The run is over, and the robot is still lost."""
         self._note_event("not found", step=self.log.end - 1)
-
-    def _places(self, segments: FloatArray, grid: GridView) -> KnownPlaces:
-        return KnownPlaces(segments, grid, self._agent.range_std)
 
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())

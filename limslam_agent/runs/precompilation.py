@@ -78,7 +78,7 @@ def processors() -> int:
 def _start(statements: str) -> "subprocess.Popen[bytes] | None":
     try:
         return subprocess.Popen(  # noqa: S603 (this interpreter, and statements of this package)
-            [sys.executable, "-c", statements],
+            [sys.executable, "-P", "-c", statements],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     except OSError:

@@ -31,6 +31,7 @@ HALL = np.array([
 ], dtype=float)  # fmt: skip
 SQUARE = np.array([[0, 0, 3, 0], [3, 0, 3, 3], [3, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
 PART = [[1.6, 0.9], [1.6, 1.8], [1.6, 3.6]]
+SENSOR = RangeSensor(STD)
 
 
 def poses_along(corners, spacing=0.03):
@@ -43,18 +44,19 @@ def poses_along(corners, spacing=0.03):
     return np.array(rows)
 
 
-def readings(poses, segments):
-    found = expected_ranges(
-        ROBOT, poses, np.zeros((3, 3)), segments, RangeSensor(STD), ContradictionConfig(inset=0.0)
-    ).ranges
+def readings(poses, segments, sensor=SENSOR):
+    found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, sensor, ContradictionConfig(inset=0.0)).ranges
     return np.minimum(found, ROBOT.max_ranges)
 
 
-def drive(corners, segments, frame=(0.0, 0.0, 0.0)):
+def drive(corners, segments, frame=(0.0, 0.0, 0.0), sensor=SENSOR):
     """The steps of a drive, in the frame of a pose (3,)."""
     poses = poses_along(corners)
     local = compose(inverse(np.array(frame)), poses)
-    return [LoggedStep({}, *each) for each in zip(local, np.zeros_like(local), readings(poses, segments), strict=True)]
+    return [
+        LoggedStep({}, *each)
+        for each in zip(local, np.zeros_like(local), readings(poses, segments, sensor), strict=True)
+    ]
 
 
 def known(corners, segments):
@@ -62,7 +64,7 @@ def known(corners, segments):
     poses = poses_along(corners)
     ranges = readings(poses, segments)[:, None]
     grid = drawn_grid(GridConfig(), ROBOT, poses[:, None], ranges, np.ones(ranges.shape, dtype=bool))
-    return KnownPlaces(segments, grid, STD)
+    return KnownPlaces(segments, grid, SENSOR)
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +82,19 @@ def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
     assert found.fit.contradictions == 0
     assert found.record["accepted"]
     assert found.record["evidence"] > found.record["runner_up"] + CONFIG.lead
+
+
+def test_a_drive_with_wide_and_biased_beams_is_placed_by_the_sensor_that_was_found():
+    wide = RangeSensor(STD, cone=0.2, bias=0.08)
+    place = known([[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]], HALL)
+    rays = rays_of(drive(PART, HALL, sensor=wide), ROBOT, wide.bias)
+    (as_stated,) = place.weigh(np.zeros((1, 3)), rays)
+    place.sensor = wide
+    (as_found,) = place.weigh(np.zeros((1, 3)), rays)
+    assert as_found.evidence > as_stated.evidence + 50.0
+    found = localise(place, rays, CONFIG)
+    assert found.is_accepted, found.refusal
+    assert np.hypot(*found.fit.pose[:2]) < 0.1
 
 
 def test_a_building_that_looks_the_same_after_a_turn_is_ambiguous():
@@ -105,7 +120,9 @@ def test_two_searches_agree_on_one_place_only(whole):
 
 
 def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
-    nothing = KnownPlaces(np.zeros((0, 4)), GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), STD)
+    nothing = KnownPlaces(
+        np.zeros((0, 4)), GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD)
+    )
     rays = rays_of(drive(PART, HALL), ROBOT)
     for found in (localise(nothing, rays, CONFIG), localise(whole, rays[:0], CONFIG)):
         assert not found.is_accepted
@@ -136,7 +153,7 @@ def test_readings_that_say_nothing_have_no_ray():
 @pytest.mark.parametrize("suspected", [None, 20])
 def test_a_robot_whose_readings_fit_another_place_only_is_elsewhere(whole, suspected):
     recovery = Recovery(ROBOT, preset("graph"), CONFIG)
-    earlier = SimpleNamespace(segments=whole.segments), SimpleNamespace(view=whole.grid)
+    earlier = SimpleNamespace(segments=whole.segments, range_sensor=SENSOR), SimpleNamespace(view=whole.grid)
     steps = drive(PART, HALL)
     begin = len(steps) - 60
 
@@ -161,3 +178,20 @@ def test_the_largest_correction_of_a_log_is_that_of_the_estimator():
     steps = [LoggedStep({}, pose, np.array([0.1, 0.0, 0.0]), np.zeros(6)) for pose in poses]
     assert StepLog(0, steps).largest_correction == pytest.approx(0.5)
     assert StepLog(0, steps[:6]).largest_correction == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_log_whose_first_steps_are_forgotten_gives_all_that_are_left():
+    log = StepLog(60, drive(PART, HALL))
+    assert log.since(50) == log.steps
+    assert log.since(62) == log.steps[2:]
+
+
+def test_a_renewal_moves_the_latest_steps_of_a_recovery():
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery.log.steps = drive(PART, HALL)
+    before = [step.pose for step in recovery.log.steps]
+    renewed = [np.full(3, 7.0), np.full(3, 8.0)]
+    recovery.move(renewed)
+    np.testing.assert_array_equal([step.pose for step in recovery.log.steps], [*before[:-2], *renewed])
+    recovery.move([np.zeros(3)] * (len(before) + 5))
+    assert not np.any([step.pose for step in recovery.log.steps])
