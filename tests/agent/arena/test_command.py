@@ -109,7 +109,7 @@ def test_no_more_lines_are_read_than_may_wait(monkeypatch):
 def test_a_process_that_does_not_read_is_killed(started, monkeypatch):
     monkeypatch.setattr(command, "ANSWER_WITHIN", 0.2)
     link = started("import time\ntime.sleep(60)")._link
-    with pytest.raises(ValueError, match="did not read its input within 0.2 s"):
+    with pytest.raises(ValueError, match="did not read its input within"):
         link.send([b"x" * 10_000_000])
 
 

@@ -1,8 +1,8 @@
 """Entries that run: results are resumed after a kill, verified to the bit, and failures of an entry are its losses."""
 
 import json
-import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from support.arena import MANIFEST, made_entry
@@ -156,10 +156,10 @@ def test_a_command_that_maps_nothing_has_lost(tmp_path, short_plans, program, re
     assert row.metrics["wall_f1_5cm"] == 0.0
 
 
-@pytest.mark.parametrize("made", ["open(path, 'w').write('{}')", "os.mkdir(path)", "os.symlink('entry.toml', path)"])
-def test_a_command_does_not_write_its_own_result(tmp_path, made):
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir, lambda path: path.symlink_to("entry.toml")])
+def test_a_command_does_not_write_its_own_result(tmp_path, make):
     entry, path = made_entry(tmp_path / "empty", MAPPING), tmp_path / "result.json"
-    exec(made, {"os": os, "path": path})
+    make(path)
     _keep_result(entry, path, {"x": 1.0})
     assert json.loads(path.read_text()) == {"metrics": {"x": 1.0}}
     assert not path.is_symlink()
@@ -175,7 +175,7 @@ def test_a_request_to_end_is_no_failure_of_the_entry(tmp_path, short_plans):
 def test_a_process_that_has_died_is_named_with_its_plan(tmp_path, short_plans):
     body = POLICY.format(body="import os; os._exit(1)")
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=body)
-    with pytest.raises(ValueError, match="has died while it ran plan 1; .* --plans can leave this plan out"):
+    with pytest.raises(ValueError, match=r"has died while it ran plan 1; .* --plans can leave this plan out"):
         list(results_of([Job(entry, short_plans[1], None, {}, "")], 2))
 
 
