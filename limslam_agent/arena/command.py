@@ -17,6 +17,7 @@ from typing import IO
 
 import numpy as np
 
+from limslam_agent.arena.processes import environment, last_line
 from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
 from limslam_agent.live.protocol import LONGEST_LINE, VERSION, BadLineError, Hello, Speeds, Stop, Telemetry, decode
 from limslam_env.geometry import FloatArray
@@ -24,6 +25,9 @@ from limslam_env.interface import Observation, RobotSpec
 
 GREETING_WITHIN, ANSWER_WITHIN = 30.0, 5.0
 """Longest wall-clock times to wait for the greeting of a new process and for an answer, s."""
+
+MOST_WAITING = 10_000
+"""Largest number of lines of a process that wait to be read."""
 
 _WATCHDOG_MS = 500
 _ENDING = 2.0  # s, until a process that was told to end is killed
@@ -132,37 +136,62 @@ class _Process:
         try:
             # The words are those of the entry's manifest. No shell reads them.
             self._process = subprocess.Popen(  # noqa: S603
-                list(words), cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors
-            )
+                list(words), cwd=folder, env=environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=self._errors,
+            )  # fmt: skip
         except OSError as error:
             self._errors.close()
             raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
         assert self._process.stdout is not None  # noqa: S101 (it is a pipe)
-        self._lines: queue.Queue[bytes] = queue.Queue()
+        self._lines: queue.Queue[bytes | None] = queue.Queue()
         threading.Thread(target=_read_lines, args=(self._process.stdout, self._lines), daemon=True).start()
 
     def send(self, lines: Sequence[bytes]) -> None:
+        """Write lines. A process that does not read them is killed, because writing waits for it without a limit."""
         assert self._process.stdin is not None  # noqa: S101 (it is a pipe)
+        is_late = threading.Event()
+
+        def kill() -> None:
+            is_late.set()
+            self._process.kill()
+
+        timer = threading.Timer(ANSWER_WITHIN, kill)
+        timer.start()
         try:
             self._process.stdin.write(b"".join(lines))
             self._process.stdin.flush()
         except OSError as error:
+            if is_late.is_set():
+                raise ValueError(f"the command did not read its input within {ANSWER_WITHIN:g} s") from None
             raise self._has_ended() from error
+        finally:
+            timer.cancel()
 
     def line(self, give_up: float, task: str, limit: float) -> bytes:
-        """The next line of the process. An empty line of bytes is its end."""
+        """The next line of the process.
+
+        Raises
+        ------
+        ValueError
+            If there is none in time, the process has ended, or it has written too many lines.
+        """
+        late = ValueError(f"the command did not {task} within {limit:g} s")
+        left = give_up - time.monotonic()
+        if left < 0.0:  # also where lines wait: a process that writes without end does not answer
+            raise late
         try:
-            line = self._lines.get(timeout=max(give_up - time.monotonic(), 0.0))
+            line = self._lines.get(timeout=left)
         except queue.Empty:
-            raise ValueError(f"the command did not {task} within {limit:g} s") from None
+            raise late from None
+        if line is None:
+            raise ValueError(f"the command has written more than {MOST_WAITING} lines that nobody had asked for")
         if not line:
             raise self._has_ended()
         return line
 
     def _has_ended(self) -> ValueError:
         """The reason of a process that has ended too early, with the last line of its errors."""
-        self._errors.seek(0)
-        last = self._errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+        last = last_line(self._errors)
         return ValueError(f"the command has ended without stopping the robot{': ' if last else ''}{last}")
 
     def end(self) -> None:
@@ -178,8 +207,12 @@ class _Process:
         self._errors.close()
 
 
-def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]") -> None:
+def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes | None]") -> None:
+    """Put lines into a queue as they come. An empty line is the end of the output; None means too many lines."""
     with output:
         while line := output.readline(LONGEST_LINE):
+            if lines.qsize() >= MOST_WAITING:
+                lines.put(None)
+                return
             lines.put(line)
     lines.put(b"")

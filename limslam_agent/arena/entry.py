@@ -1,6 +1,7 @@
 """An entry: a folder with ``entry.toml``, which says who takes part with what."""
 
 import hashlib
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ KINDS = {EXPLORATION: ("shipped", "python", "model", "command"), MAPPING: ("esti
 USES = ("belief", "readings", "truth")
 MODELS = (".zip", ".onnx")
 MOST_ROBOTS = 2
+_NOT_IN_DIGEST = "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
 _LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
 
 
@@ -103,6 +105,8 @@ class Manifest:
             raise ValueError(f"run: a model ends in {' or '.join(MODELS)}, not {self.run!r}")
         if self.kind in {"model", "python"} and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
             raise ValueError(f"run: {self.run!r} is not in the folder of the entry")
+        if self.kind in {"model", "python"} and not _counts(Path(self.run)):
+            raise ValueError(f"run: {self.run!r}: {_NOT_IN_DIGEST}")
 
 
 @dataclass(frozen=True)
@@ -136,7 +140,8 @@ def read_entry(folder: Path) -> Entry:
     Raises
     ------
     ValueError
-        If the folder has no manifest, the manifest cannot be used, or a file that it names is missing.
+        If the folder has no manifest, the manifest cannot be used, or a file that it names is missing or not part of
+        the digest.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: there is no such folder: an entry is a folder with {MANIFEST}")
@@ -144,7 +149,11 @@ def read_entry(folder: Path) -> Entry:
     if not path.is_file():
         raise ValueError(f"{folder}: has no {MANIFEST}, which says what the entry is")
     table = read_toml(path)
-    manifest = _manifest(table, str(path))
+    manifest = manifest_of(table, str(path))
+    for word in manifest.command:
+        is_file = not Path(word).is_absolute() and os.path.exists(folder / word)  # noqa: PTH110 (a word can be long)
+        if is_file and not _counts(Path(word)):
+            raise ValueError(f"{path}: command: {word!r}: {_NOT_IN_DIGEST}")
     entry = Entry(folder.absolute(), manifest, _digest(folder))
     if manifest.kind == "python":
         file_and_name(entry.run)
@@ -153,7 +162,14 @@ def read_entry(folder: Path) -> Entry:
     return entry
 
 
-def _manifest(table: dict[str, object], where: str) -> Manifest:
+def manifest_of(table: dict[str, object], where: str) -> Manifest:
+    """The manifest that a table holds, from the file and key ``where``.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be used.
+    """
     # A manifest that names nothing is no manifest, so the defaults of an updated one must be possible.
     possible = Manifest(name="-", authors=("-",), kind="shipped", run="frontier", uses="belief")
     missing = [name for name in ("name", "authors", "kind", "uses") if name not in table]
@@ -169,14 +185,18 @@ def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
 
 def _digest(folder: Path) -> str:
     """Digest of all files of a folder, without hidden files and compiled Python."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and _counts(path.relative_to(folder)))
+    found = [path for path in folder.rglob("*") if _counts(path.relative_to(folder))]
+    for path in found:
+        if path.is_symlink() and path.is_dir():
+            raise ValueError(f"{path}: is a link to a folder, whose files are not part of the entry's digest")
+    files = sorted(path for path in found if path.is_file())
     if len(files) > _MOST_FILES or sum(path.stat().st_size for path in files) > _MOST_BYTES:
         raise ValueError(f"{folder}: an entry has at most {_MOST_FILES} files of {_MOST_BYTES / 1e6:g} MB together")
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in files:
         content = path.read_bytes()
-        found.update(f"{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
-    return found.hexdigest()
+        digest.update(f"{path.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()
 
 
 def _counts(path: Path) -> bool:

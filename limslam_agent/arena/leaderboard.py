@@ -11,11 +11,14 @@ from scipy.stats import rankdata
 
 from limslam_agent.arena.results import Row, Stamp, read_rows, read_stamp
 from limslam_agent.arena.statistics import Comparison, Mean, compare, holm, mean
-from limslam_agent.arena.tracks import MAPPING
+from limslam_agent.arena.tracks import EXPLORATION, MAPPING, MAX_TIME
 from limslam_env.geometry import FloatArray
 
 SCORES = {"exploration": "plan_time_to_95_s", "mapping": "wall_f1_5cm"}
 """The metric whose mean over the plans is the score of an entry in each track."""
+
+_WORST = {EXPLORATION: MAX_TIME, MAPPING: 0.0}
+_DIGITS = 9  # scores that differ by rounding only are equal
 
 _MEDIANS = ("ate_final_m", "wall_f1_5cm", "anees_final")
 _MEANS = ("correct_coverage", "touches")
@@ -57,7 +60,7 @@ class Standing:
     results
         Its results.
     place
-        Its place from 1; None for an entry that knows the truth.
+        Its place from 1, which entries with equal scores share; None for an entry that knows the truth.
     score
         The mean of the track's score.
     mean_rank
@@ -142,19 +145,23 @@ def board(folders: Sequence[Path]) -> Board:
     track = first.stamp.track
     ranked = sorted((each for each in entries if not each.knows_truth), key=lambda each: _order(each, track, plans))
     ranks = _mean_ranks(ranked, track, plans)
-    standings = [_standing(each, track, plans, place + 1, ranks[place]) for place, each in enumerate(ranked)]
+    scores = [_order(each, track, plans) for each in ranked]
+    standings = [
+        _standing(each, track, plans, 1 + scores.index(score), rank)
+        for each, score, rank in zip(ranked, scores, ranks, strict=True)
+    ]
     standings += [_standing(each, track, plans, None, None) for each in entries if each.knows_truth]
     return Board(track, first.stamp.is_secret, plans, standings, _comparisons(standings, track, plans))
 
 
 def score_values(results: Results, track: str, plans: Sequence[int]) -> FloatArray:
-    """The score of each plan (n,)."""
+    """The score of each plan (n,). A row without a score has the worst one."""
     found = results.values(SCORES[track], plans)
-    return np.array([found.get(plan, 0.0) for plan in plans])
+    return np.array([found.get(plan, _WORST[track]) for plan in plans])
 
 
 def _order(results: Results, track: str, plans: Sequence[int]) -> float:
-    value = float(np.mean(score_values(results, track, plans)))
+    value = round(float(np.mean(score_values(results, track, plans))), _DIGITS)
     return -value if track == MAPPING else value
 
 
@@ -162,7 +169,7 @@ def _mean_ranks(ranked: Sequence[Results], track: str, plans: Sequence[int]) -> 
     """Mean rank of each entry over the plans. Equal entries share the mean of their ranks."""
     if not ranked:
         return []
-    table = np.array([score_values(each, track, plans) for each in ranked])
+    table = np.round([score_values(each, track, plans) for each in ranked], _DIGITS)
     ranks = rankdata(-table if track == MAPPING else table, axis=0)
     return [float(value) for value in ranks.mean(axis=1)]
 

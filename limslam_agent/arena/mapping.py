@@ -5,16 +5,18 @@ comes back. It asks no estimator, so that every entry gets the same readings. No
 any frame: it is moved so that its first pose is the true one.
 """
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.arena.entry import Entry
+from limslam_agent.arena.processes import environment, last_line, without_folders
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.log_reader import read_log
@@ -53,15 +55,23 @@ def map_drive(entry: Entry, plan: Plan, folder: Path | None = None) -> tuple[dic
     drive = _record(plan)
     with TemporaryDirectory(prefix="limslam-arena-") as name:
         place = Path(name)
-        write_tum(place / "true.tum", drive.time, drive.true[:, 0])
         if folder is None:
             (place / "out").mkdir()
             return _mapped(entry, plan, drive, place, place / "out"), {}
         with new_folder(folder, force=True) as new:
             metrics = _mapped(entry, plan, drive, place, new.beside)
-            if not (new.beside / RESULT_FILE).is_file():
-                write_json(new.beside / RESULT_FILE, {"metrics": metrics})
+            _keep_result(entry, new.beside / RESULT_FILE, metrics)
     return metrics, {}
+
+
+def _keep_result(entry: Entry, path: Path, metrics: dict[str, Any]) -> None:
+    """Write the metrics. A file that a command has written under this name does not stay, whatever it is."""
+    if entry.manifest.is_process:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        path.unlink(missing_ok=True)
+    if not path.is_file():
+        write_json(path, {"metrics": metrics})
 
 
 def _record(plan: Plan) -> Episode:
@@ -72,15 +82,28 @@ def _record(plan: Plan) -> Episode:
 
 
 def _mapped(entry: Entry, plan: Plan, drive: Episode, place: Path, out: Path) -> dict[str, Any]:
-    """Scores of what an entry makes of a recording. ``place`` holds the true trajectory and gets the recording."""
+    """Scores of what an entry makes of a recording, which is written into ``place``."""
     _write_recording(place, drive)
-    work = _by_command if entry.manifest.kind == "command" else _by_estimator
-    trajectory, covariances = work(entry, plan, place, out)
+    work = _by_command if entry.manifest.is_process else _by_estimator
+    # The truth gets a folder of its own, and only after the entry has ended: no entry finds it.
+    with TemporaryDirectory(prefix="limslam-arena-") as name:
+        true = Path(name) / "true.tum"
+        try:
+            files = work(entry, plan, place, out)
+            write_tum(true, drive.time, drive.true[:, 0])
+            return _scored(plan, drive, files, true, out)
+        except ValueError as error:
+            raise ValueError(without_folders(str(error), (place, out, true.parent))) from error
+
+
+def _scored(plan: Plan, drive: Episode, files: tuple[Path, Path | None], true: Path, out: Path) -> dict[str, Any]:
+    """Scores of an entry's trajectory and covariances (``files``), and of the map in its folder."""
+    trajectory, covariances = files
     for path in (trajectory, out / WALLS):
         if not path.is_file():
             raise ValueError(f"the entry has written no {path.name}")
     scores = ScoredFiles(
-        trajectory, place / "true.tum", None, covariances, "start", 1e-3, out / WALLS, plan.world, drive.config.robot
+        trajectory, true, None, covariances, "start", 1e-3, out / WALLS, plan.world, drive.config.robot
     ).scores()
     missing = len(drive.time) - int(scores["poses"] or 0)
     if missing:
@@ -121,15 +144,17 @@ def _by_command(entry: Entry, plan: Plan, place: Path, out: Path) -> tuple[Path,
 
 
 def _call(words: Sequence[str], folder: Path) -> None:
-    try:
-        # The words are those of the entry's manifest. No shell reads them.
-        done = subprocess.run(  # noqa: S603
-            words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, timeout=ANSWER_WITHIN, check=False
-        )
-    except OSError as error:
-        raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
-    except subprocess.TimeoutExpired:
-        raise ValueError(f"{words[0]}: was not done after {ANSWER_WITHIN:g} s") from None
-    if done.returncode:
-        last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        raise ValueError(f"{words[0]}: ended with exit code {done.returncode}: {last}")
+    # What the process prints is not kept in memory: it can be of any length.
+    with TemporaryFile() as errors:
+        try:
+            # The words are those of the entry's manifest. No shell reads them.
+            done = subprocess.run(  # noqa: S603
+                words, cwd=folder, env=environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=errors, timeout=ANSWER_WITHIN, check=False,
+            )  # fmt: skip
+        except OSError as error:
+            raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"{words[0]}: was not done after {ANSWER_WITHIN:g} s") from None
+        if done.returncode:
+            raise ValueError(f"{words[0]}: ended with exit code {done.returncode}: {last_line(errors)}")

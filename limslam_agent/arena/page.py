@@ -10,7 +10,7 @@ from limslam_agent.arena.leaderboard import SCORES, Board, Standing, score_value
 from limslam_agent.arena.results import RUNS, Row
 from limslam_agent.arena.statistics import Mean
 from limslam_agent.arena.tracks import MAX_TIME
-from limslam_agent.inspect.page import escaped, plotting_library
+from limslam_agent.inspect.page import escaped, filled, plotting_library
 from limslam_agent.output.atomic_write import atomic_write
 
 INSPECTOR = "inspect.html"
@@ -91,10 +91,7 @@ def page(found: Board, place: Path) -> str:
         "TITLE": escaped(f"LimSLAM arena, {found.track}"), "STYLE": library.style + _part("board.css"),
         "LICENSE": library.license, "LIBRARY": library.script, "SCRIPT": _part("board.js"), "DATA": told,
     }  # fmt: skip
-    text = _part("board.html")
-    for name, part in parts.items():
-        text = text.replace(f"@@{name}@@", part)
-    return text
+    return filled(_part("board.html"), parts)
 
 
 def _part(name: str) -> str:

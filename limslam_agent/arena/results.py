@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.entry import Entry, manifest_table
+from limslam_agent.arena.entry import Entry, manifest_of, manifest_table
 from limslam_agent.arena.tracks import VERSION, plans_of
 from limslam_agent.output.atomic_write import append_line, mend_lines, replace_content
 from limslam_agent.output.claims import clear_up, locked
@@ -20,6 +20,8 @@ from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
 RESULTS, STAMP, RUNS, LOCK = "results.jsonl", "arena.json", "runs", ".lock"
+
+_LARGEST = 1e15
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,10 @@ def read_stamp(folder: Path) -> Stamp:
         _check_type(getattr(stamp, name), kind, f"{path}: {name}")
     if stamp.arena != VERSION:
         raise ValueError(f"{folder}: holds results of version {stamp.arena} of the arena, not of {VERSION}")
+    try:
+        manifest_of(stamp.entry, f"{path}: entry")
+    except ValueError as error:
+        raise ValueError(one_line(str(error))) from error
     return stamp
 
 
@@ -212,7 +218,7 @@ def _check_stamp(folder: Path, stamp: Stamp) -> None:
 
 def _row(line: bytes, label: str) -> Row:
     try:
-        row = Row(**json.loads(line))
+        row = Row(**json.loads(line, parse_float=_number, parse_int=_number, parse_constant=_number))
     except (ValueError, TypeError, RecursionError) as error:
         raise ValueError(one_line(f"{label}: is no row of results: {error}")) from error
     for name, kind in Row.__annotations__.items():
@@ -221,6 +227,14 @@ def _row(line: bytes, label: str) -> Row:
         if not (value is None or isinstance(value, str | int | float)):
             raise ValueError(f"{label}: metrics: {name} is no number")
     return row
+
+
+def _number(text: str) -> int | float:
+    """A number of a row. Numbers that no result can be are refused: means and pages could not hold them."""
+    value = int(text) if text.lstrip("-").isdecimal() else float(text)
+    if not abs(value) < _LARGEST:  # NaN is not smaller either
+        raise ValueError(f"{text[:20]} is no number of a result")
+    return value
 
 
 def _check_type(value: Any, kind: Any, label: str) -> None:

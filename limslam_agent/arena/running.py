@@ -1,13 +1,15 @@
 """Runs an entry on plans, in several processes, and stores each result as soon as its plan has ended."""
 
 import multiprocessing
+import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ import numpy as np
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.exploration import Keep, explore
 from limslam_agent.arena.mapping import map_drive
+from limslam_agent.arena.processes import begin_group, kill_group, without_folders
 from limslam_agent.arena.results import RUNS, Row, digest_of, open_store, stamp_of
 from limslam_agent.arena.scoring import lost_scores
 from limslam_agent.arena.tracks import MAPPING, Plan
@@ -27,6 +30,8 @@ from limslam_env.messages import one_line
 
 Report = Callable[[Row, int], None]
 """Called with each new row and the number of rows that exist."""
+
+_TERMINATED = 143  # exit code of a command of this project that was asked to end (SIGTERM)
 
 
 @dataclass(frozen=True)
@@ -86,8 +91,8 @@ def run_entry(
     ValueError
         If the folder cannot be used, or a process of the arena has died.
     """
-    place = folder.absolute()
-    if place == entry.folder or entry.folder in place.parents:
+    place, inside = folder.absolute(), entry.folder.resolve()
+    if folder.resolve() == inside or inside in folder.resolve().parents:
         raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
     stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
     with open_store(folder, stamp) as store:
@@ -116,26 +121,42 @@ def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
     with ProcessPoolExecutor(min(jobs, max(len(todo), 1)), mp_context=context, initializer=_prepare) as pool:
+        submitted = {pool.submit(run_job, job): job.plan.number for job in todo}
         try:
-            for done in as_completed([pool.submit(run_job, job) for job in todo]):
+            for done in as_completed(submitted):
                 yield done.result()
         except BrokenProcessPool as error:
-            raise ValueError("a process of the arena has died; the same command goes on") from error
+            suspects = " or ".join(f"plan {number}" for number in _unfinished(submitted)[:jobs])
+            raise ValueError(
+                f"a process of the arena has died while it ran {suspects}; the same command goes on, and --plans can "
+                "leave this plan out"
+            ) from error
         except BaseException:
             # Nobody waits for plans that are being run when the user stops the command.
             pool.shutdown(wait=False, cancel_futures=True)
             for child in set(multiprocessing.active_children()) - before:
+                if child.pid is not None:
+                    with suppress(OSError):  # it has ended, or has no group yet
+                        kill_group(child.pid)
                 child.kill()
             raise
 
 
+def _unfinished(submitted: dict["Future[Row]", int]) -> list[int]:
+    """The plans without a row, in the order in which the processes take them."""
+    return [plan for each, plan in submitted.items() if not each.done() or each.exception() is not None]
+
+
 def _prepare() -> None:
-    """Begin a worker: one thread, no Ctrl-C of its own, and no life without its parent."""
+    """Begin a worker: one thread, no Ctrl-C of its own, and no life of it or of its commands without its parent."""
+    # A handler is not inherited by the commands of entries, and an ignored signal would be.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    begin_group()
+    signal.signal(signal.SIGTERM, lambda *_: kill_group(os.getpid()))
+    threading.Thread(target=end_with_parent, args=(lambda _code: kill_group(os.getpid()),), daemon=True).start()
     import cv2
 
     cv2.setNumThreads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def run_job(job: Job) -> Row:
@@ -155,8 +176,11 @@ def run_job(job: Job) -> Row:
             metrics, cost = explore(job.entry, plan, job.folder, job.keep)
     except OSError:  # no space, or no permission: not the entry's failure
         raise
-    except Exception as failure:  # noqa: BLE001 - the entry's code may raise anything
-        error = one_line(f"{failure}" if isinstance(failure, ValueError) else f"{type(failure).__name__}: {failure}")
+    except (Exception, SystemExit) as failure:
+        if isinstance(failure, SystemExit) and failure.code == _TERMINATED:
+            raise
+        error = f"{failure}" if isinstance(failure, ValueError) else f"{type(failure).__name__}: {failure}"
+        error = one_line(without_folders(error, (job.entry.folder,)))
         metrics, cost = lost_scores(plan, manifest.track, f"failed: {error}"), {}
     cost = {**cost, "cpu_s": _cpu_s() - cpu, "wall_clock_s": time.perf_counter() - begin}
     return Row(plan.number, plan.setting, _plain(metrics), _plain(cost), **provenance, error=error)

@@ -75,7 +75,8 @@ def compare(first: Mapping[int, float], second: Mapping[int, float]) -> Comparis
     common = sorted(first.keys() & second.keys())
     if not common:
         raise ValueError("the entries have no plan in common")
-    differences = np.array([second[plan] - first[plan] for plan in common])
+    # Differences by rounding only are none, and equal ones have equal ranks.
+    differences = np.round([second[plan] - first[plan] for plan in common], 9)
     p_value = None
     if np.any(differences != 0.0):
         # Plans that both have lost are equal; zero differences count half for each side.

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from limslam_agent.arena.entry import Entry, read_entry
+from limslam_agent.arena.entry import Entry, manifest_table, read_entry
 from limslam_agent.arena.results import Row, Stamp, digest_of, plans_digest, read_rows, read_stamp
 from limslam_agent.arena.running import Job, results_of
-from limslam_agent.arena.tracks import Plan, plans_of
+from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
 from limslam_agent.output.provenance import commit, version_changes
 from limslam_agent.runs.results import versions
 
@@ -44,7 +44,8 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
     Raises
     ------
     ValueError
-        If the entry is not the one of the results, or the plans are not those of the seed.
+        If the entry is not the one of the results, the plans are not those of the seed, or the stamp says something
+        about them that is not true.
     """
     stamp = read_stamp(folder)
     if stamp.is_secret and seed is None:
@@ -52,10 +53,14 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
     entry = read_entry(entry_folder or Path(stamp.folder))
     if entry.digest != stamp.digest:
         raise ValueError(f"{entry.folder}: is not the entry of {folder}, or was changed since")
-    plans = plans_of(entry.manifest.track, seed or 0)
-    if plans_digest(entry.manifest.track, seed or 0) != stamp.plans:
+    if stamp.entry != manifest_table(entry.manifest):
+        raise ValueError(f"{folder}: its manifest is not that of {entry.folder}")
+    track, seed = entry.manifest.track, PUBLIC_SEED if seed is None else seed
+    if plans_digest(track, seed) != stamp.plans:
         raise ValueError(f"{folder}: its plans are not those of this seed")
-    return entry, stamp, plans
+    if stamp.is_secret == (stamp.plans == plans_digest(track, PUBLIC_SEED)):
+        raise ValueError(f"{folder}: is_secret is {stamp.is_secret}, and its plans say otherwise")
+    return entry, stamp, plans_of(track, seed)
 
 
 def verify(folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int) -> Iterator[Check]:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from limslam_agent.arena.processes import SECRET_SEED
 from limslam_agent.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -15,7 +16,9 @@ arena = typer.Typer(name="arena", no_args_is_help=True, help="A benchmark that a
 
 _Secret = Annotated[
     int | None,
-    typer.Option(help="Seed of plans that nobody has seen, for judging.", show_default="published plans"),
+    typer.Option(
+        envvar=SECRET_SEED, help="Seed of plans that nobody has seen, for judging.", show_default="published plans"
+    ),
 ]
 _Jobs = Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")]
 
@@ -44,7 +47,7 @@ def run(
     wanted = chosen(plans_of(found.manifest.track, seed), plans)
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
-            found, wanted, out, seed=seed, is_secret=secret_seed is not None, jobs=jobs,
+            found, wanted, out, seed=seed, is_secret=seed != PUBLIC_SEED, jobs=jobs,
             keep=write_kept_run if keep else None,
             report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
         )  # fmt: skip

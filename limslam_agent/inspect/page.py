@@ -1,5 +1,6 @@
 """The page: one HTML file that holds the recording, the program that plays it, and all that the program needs."""
 
+import re
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
@@ -92,10 +93,12 @@ def _assembled(title: str, content: str) -> str:
         "SCRIPT": script,
         "DATA": content,
     }
-    text = _part("page", "page.html")
-    for name, part in parts.items():
-        text = text.replace(f"@@{name}@@", part)
-    return text
+    return filled(_part("page", "page.html"), parts)
+
+
+def filled(template: str, parts: Mapping[str, str]) -> str:
+    """A template with a part in place of each ``@@NAME@@``. The parts themselves stay as they are."""
+    return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], template)
 
 
 def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> int:

@@ -27,16 +27,18 @@ def made_entry(folder, manifest, **files):
 
 
 def made_results(folder, entry, times, *, seed=0, is_secret=False, claims=()):
-    """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan."""
+    """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan, and None
+    is no score."""
     plans = plans_of("exploration", seed)
     stamp = stamp_of(entry, seed, is_secret=is_secret, versions={"limslam": "0"}, commit="0" * 40)
     folder.mkdir(parents=True)
     (folder / STAMP).write_text(json.dumps(asdict(stamp)))
     lines = []
     for plan, time in times.items():
-        lost = time >= plans[plan].max_time
+        lost = time is None or time >= plans[plan].max_time
+        half = None if time is None else 0.5 * time
         metrics = {
-            "plan_time_to_95_s": time, "plan_time_to_80_s": 0.5 * time, "time_to_80_s": 0.5 * time,
+            "plan_time_to_95_s": time, "plan_time_to_80_s": half, "time_to_80_s": half,
             "correct_coverage": 0.9 if lost else max(ENOUGH, 0.99), "ate_final_m": 0.02, "wall_f1_5cm": 0.9,
             "anees_final": None, "touches": 0, "claims_done": plan in claims or not lost,
             "lost": "not explored in time" if lost else "",

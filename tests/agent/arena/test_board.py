@@ -43,6 +43,17 @@ def test_the_mean_time_decides_and_lost_plans_cost_the_longest_time(folders):
     assert (first, second, result.plans) == ("Fast", "Wrong <b>", 8)
 
 
+def test_a_row_without_a_score_has_the_worst_one_and_equal_scores_share_a_place(tmp_path):
+    made = []
+    for name in ("First", "Second", "Third"):
+        entry = made_entry(tmp_path / "entries" / name, MANIFEST.format(name=name))
+        made.append(made_results(tmp_path / name, entry, {0: 100.0 if name != "Third" else None}))
+    found = board(made)
+    assert [(each.name, each.place, each.score.value) for each in found.standings] == [
+        ("First", 1, 100.0), ("Second", 1, 100.0), ("Third", 3, 240.0),
+    ]  # fmt: skip
+
+
 def test_entries_are_compared_on_the_plans_that_all_have_run(folders, tmp_path):
     entry = made_entry(tmp_path / "entries" / "few", MANIFEST.format(name="Few"))
     few = made_results(tmp_path / "few", entry, {6: 10.0, 40: 10.0})

@@ -1,6 +1,8 @@
 """Entries that are processes: the line protocol over standard input and output."""
 
+import queue
 import sys
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -75,10 +77,46 @@ def test_a_process_that_ends_is_named(started):
 
 @pytest.mark.parametrize(("limit", "task"), [("GREETING_WITHIN", "greet the robot"), ("ANSWER_WITHIN", "answer")])
 def test_a_process_that_is_silent_is_named(started, monkeypatch, limit, task):
-    greet = "import sys\nsys.stdin.readline()\nprint('Q,1,0*515E', flush=True)\n" if limit == "ANSWER_WITHIN" else ""
+    greet = GREETING if limit == "ANSWER_WITHIN" else ""
     monkeypatch.setattr(command, limit, 0.05 if limit == "GREETING_WITHIN" else 0.5)
     with pytest.raises(ValueError, match=f"the command did not {task} within"):
         started(greet + "import time\ntime.sleep(60)").act(SEEN)
+
+
+GREETING = "import sys\nsys.stdin.readline()\nprint('Q,1,0*515E', flush=True)\n"
+
+
+def test_a_process_that_writes_without_end_is_named(started, monkeypatch):
+    monkeypatch.setattr(command, "ANSWER_WITHIN", 0.3)
+    with pytest.raises(ValueError, match=r"did not answer within|has written more than 10000 lines"):
+        started(GREETING + "while True:\n    print('words')").act(SEEN)
+
+
+def test_a_time_limit_holds_while_lines_wait(started):
+    link = started("print('words', flush=True)")._link
+    with pytest.raises(ValueError, match="did not answer within 5 s"):
+        link.line(0.0, "answer", 5.0)
+
+
+def test_no_more_lines_are_read_than_may_wait(monkeypatch):
+    monkeypatch.setattr(command, "MOST_WAITING", 2)
+    lines, output = queue.Queue(), BytesIO(b"words\n" * 9)
+    command._read_lines(output, lines)
+    assert [lines.get() for _ in range(3)] == [b"words\n", b"words\n", None]
+    assert lines.empty()
+
+
+def test_a_process_that_does_not_read_is_killed(started, monkeypatch):
+    monkeypatch.setattr(command, "ANSWER_WITHIN", 0.2)
+    link = started("import time\ntime.sleep(60)")._link
+    with pytest.raises(ValueError, match="did not read its input within"):
+        link.send([b"x" * 10_000_000])
+
+
+def test_a_process_does_not_inherit_the_secret_seed(started, monkeypatch):
+    monkeypatch.setenv("LIMSLAM_SECRET_SEED", "7")
+    with pytest.raises(ValueError, match="its seed is None"):
+        started("import os, sys\nsys.exit(f\"its seed is {os.environ.get('LIMSLAM_SECRET_SEED')}\")").act(SEEN)
 
 
 def test_a_command_that_does_not_exist_is_refused(tmp_path):

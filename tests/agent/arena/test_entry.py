@@ -48,6 +48,28 @@ def test_a_manifest_that_cannot_be_used_is_refused_in_one_line(tmp_path, old, ne
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("place", [".hidden", "__pycache__"])
+def test_what_is_run_is_part_of_the_digest(tmp_path, place):
+    mine = tmp_path / "mine"
+    made_entry(mine, GOOD)
+    (mine / place).mkdir()
+    (mine / place / "mine.py").write_text("class Mine: pass")
+    kinds = ('kind = "python"\nrun = "{}/mine.py:Mine"', 'kind = "command"\ncommand = ["{{python}}", "{}/mine.py"]')
+    for kind in kinds:
+        manifest = GOOD.replace('kind = "shipped"\nrun = "random"', kind.format(place)).replace("belief", "readings")
+        (mine / "entry.toml").write_text(manifest)
+        with pytest.raises(ValueError, match="not part of the entry's digest"):
+            read_entry(mine)
+
+
+def test_a_link_to_a_folder_is_refused(tmp_path):
+    first = made_entry(tmp_path / "mine", GOOD)
+    (tmp_path / "elsewhere").mkdir()
+    (first.folder / "code").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match="code: is a link to a folder"):
+        read_entry(first.folder)
+
+
 def test_a_folder_without_a_manifest_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"has no entry\.toml"):
         read_entry(tmp_path)

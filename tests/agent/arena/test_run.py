@@ -2,20 +2,25 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from support.arena import MANIFEST, made_entry
 from support.command_line import call
 
 from limslam_agent.arena.entry import read_entry
-from limslam_agent.arena.mapping import map_drive
-from limslam_agent.arena.results import RESULTS, RUNS, open_store, read_rows, read_stamp
+from limslam_agent.arena.mapping import _keep_result, map_drive
+from limslam_agent.arena.results import RESULTS, RUNS, STAMP, open_store, read_rows, read_stamp
 from limslam_agent.arena.running import Job, results_of, run_entry, run_job
 from limslam_agent.arena.verify import differences, opened, verify
 from limslam_agent.cli.arena import write_kept_run
 from limslam_agent.cli.main import main
 
 PYTHON = MANIFEST.replace('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"')
+MAPPING = (
+    MANIFEST.format(name="Empty").replace('kind = "shipped"\nrun = "random"', 'kind = "command"')
+    .replace('"belief"', '"readings"') + 'track = "mapping"\ncommand = ["{python}", "empty.py", "{log}"]\n'
+)  # fmt: skip
 POLICY = """
 import numpy as np
 
@@ -87,6 +92,7 @@ def test_an_actor_ends_a_run_that_is_lost(tmp_path, short_plans):
     ("body", "reason"),
     [
         ("return 1 / 0", "mine.py, line 8, in act: ZeroDivisionError: division by zero"),
+        ("raise SystemExit(3)", "SystemExit: 3"),
         ("return [2.0]", "Mine: act must return two finite numbers"),
     ],
 )
@@ -132,15 +138,45 @@ def test_a_command_and_an_estimator_map_a_recorded_drive(examples, tmp_path, sho
 
 @pytest.mark.parametrize(
     ("program", "reason"),
-    [("", "has written no trajectory.tum"), ("import sys; sys.exit('no walls')", "ended with exit code 1: no walls")],
+    [
+        ("", "the entry has written no trajectory.tum"),
+        ("import sys; sys.exit('no walls')", "{python}: ended with exit code 1: no walls"),
+        # The program gets no truth: its folder has the recording and its own folder only.
+        (
+            "import os, sys; sys.exit(' '.join(sorted(os.listdir(os.path.dirname(sys.argv[1])))))",
+            "{python}: ended with exit code 1: log.csv log.npz out",
+        ),
+        ("import sys; sys.exit(sys.argv[1])", "{python}: ended with exit code 1: log.npz"),
+    ],
 )
 def test_a_command_that_maps_nothing_has_lost(tmp_path, short_plans, program, reason):
-    manifest = MANIFEST.format(name="Empty").replace('kind = "shipped"\nrun = "random"', 'kind = "command"')
-    manifest = manifest.replace('"belief"', '"readings"') + 'track = "mapping"\ncommand = ["{python}", "empty.py"]\n'
-    entry = made_entry(tmp_path / "empty", manifest, empty=program)
+    entry = made_entry(tmp_path / "empty", MAPPING, empty=program)
     row = run_job(Job(entry, replace(short_plans[0], world="square"), None, {}, ""))
-    assert reason in row.error
+    assert row.error == reason
     assert row.metrics["wall_f1_5cm"] == 0.0
+
+
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir, lambda path: path.symlink_to("entry.toml")])
+def test_a_command_does_not_write_its_own_result(tmp_path, make):
+    entry, path = made_entry(tmp_path / "empty", MAPPING), tmp_path / "result.json"
+    make(path)
+    _keep_result(entry, path, {"x": 1.0})
+    assert json.loads(path.read_text()) == {"metrics": {"x": 1.0}}
+    assert not path.is_symlink()
+
+
+def test_a_request_to_end_is_no_failure_of_the_entry(tmp_path, short_plans):
+    body = POLICY.format(body="raise SystemExit(143)")
+    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=body)
+    with pytest.raises(SystemExit):
+        run_job(Job(entry, short_plans[0], None, {}, ""))
+
+
+def test_a_process_that_has_died_is_named_with_its_plan(tmp_path, short_plans):
+    body = POLICY.format(body="import os; os._exit(1)")
+    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=body)
+    with pytest.raises(ValueError, match=r"has died while it ran plan 1; .* --plans can leave this plan out"):
+        list(results_of([Job(entry, short_plans[1], None, {}, "")], 2))
 
 
 def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plans):
@@ -153,6 +189,9 @@ def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plan
         run_all(entry, short_plans, folder, seed=5, is_secret=True)
     with pytest.raises(ValueError, match="lies in the folder of the entry"):
         run_all(entry, short_plans, entry.folder / "out")
+    (tmp_path / "link").symlink_to(entry.folder)
+    with pytest.raises(ValueError, match="lies in the folder of the entry"):
+        run_all(entry, short_plans, tmp_path / "link" / "out")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").touch()
     with pytest.raises(ValueError, match="is not empty and holds no results"):
@@ -207,11 +246,34 @@ def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
         opened(folder, None, 7)
 
 
+def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
+    folder = tmp_path / "out"
+    run_all(entry, [], folder)
+    stamp = json.loads((folder / STAMP).read_text())
+
+    def rewrite(**changes):
+        (folder / STAMP).write_text(json.dumps({**stamp, **changes}))
+
+    rewrite(entry={**stamp["entry"], "name": "Another"})
+    with pytest.raises(ValueError, match="its manifest is not that of"):
+        opened(folder, None, None)
+    rewrite(is_secret=True)
+    with pytest.raises(ValueError, match="is_secret is True, and its plans say otherwise"):
+        opened(folder, None, 0)
+    rewrite(entry={**stamp["entry"], "track": "\n"})
+    with pytest.raises(ValueError, match=r"arena\.json: entry: track: ") as refusal:
+        opened(folder, None, None)
+    assert "\n" not in str(refusal.value)
+
+
 @pytest.mark.parametrize(
     ("line", "reason"),
     [("{", "line 1: is no row"), ('{"plan": 1}', "line 1: is no row"),
      ('{"plan": "1", "setting": {}, "metrics": {}}', "line 1: plan is"),
      ('{"plan": 1, "setting": {}, "metrics": {"x": []}}', "x is no number"),
+     ('{"plan": 1, "setting": {}, "metrics": {"x": NaN}}', "line 1: .* NaN is no number of a result"),
+     ('{"plan": 1, "setting": {}, "metrics": {"x": -1e999}}', "line 1: .* -1e999 is no number of a result"),
+     ('{"plan": 1, "setting": {}, "metrics": {"x": 1' + "0" * 400 + "}}", "line 1: .* is no number of a result"),
      ('{"plan": 1, "setting": {}, "metrics": {}}\n' * 2, "line 2: there is a row for the plan 1 already")],
 )  # fmt: skip
 def test_damaged_results_are_refused_in_one_line(tmp_path, line, reason):

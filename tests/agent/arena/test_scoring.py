@@ -73,6 +73,7 @@ def test_entries_are_compared_on_the_plans_that_both_have():
     assert found.difference.value == pytest.approx(3.0)
     assert found.p_value < 0.001
     assert compare(first, first).p_value is None
+    assert compare(first, {plan: value + 1e-12 for plan, value in first.items()}).p_value is None
     with pytest.raises(ValueError, match="no plan in common"):
         compare(first, {99: 1.0})
 

@@ -1,0 +1,50 @@
+"""What the processes of entries have in common: their environment, their end, and the messages of their failures."""
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO
+
+SECRET_SEED = "LIMSLAM_SECRET_SEED"  # noqa: S105 (a name)
+"""Name of the environment variable with the secret seed, which the processes of entries do not inherit."""
+
+_LAST_BYTES = 4096
+
+
+def environment() -> dict[str, str]:
+    """The environment of an entry's process: the arena's own without the secret seed."""
+    return {name: value for name, value in os.environ.items() if name != SECRET_SEED}
+
+
+def begin_group() -> None:
+    """Make this process the first of a new process group, so that commands which it starts can be ended with it."""
+    if sys.platform != "win32":
+        os.setpgid(0, 0)
+
+
+def kill_group(number: int) -> None:
+    """Kill a process that has called :func:`begin_group`, and all processes of its group.
+
+    Windows has no process groups of this kind: there, only the process itself is killed.
+    """
+    if sys.platform == "win32":
+        os.kill(number, signal.SIGTERM)
+    else:
+        os.killpg(number, signal.SIGKILL)
+
+
+def last_line(errors: IO[bytes]) -> str:
+    """The last line that a process has written to a file of errors. Of a long file only the end is read."""
+    errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+    return errors.read(_LAST_BYTES).decode(errors="replace").strip().rpartition("\n")[2]
+
+
+def without_folders(text: str, folders: Iterable[Path]) -> str:
+    """A message without the folders of its paths, so that the same failure has the same message in every run."""
+    names = {str(each) for folder in folders for each in (folder, folder.resolve())}
+    for name in sorted(names, key=len, reverse=True):
+        text = re.sub(rf"{re.escape(name)}(?![\w-])", ".", text.replace(name + os.sep, ""))
+    return text.replace(sys.executable, "{python}")
