@@ -50,8 +50,8 @@ class PlaceConfig(Bounded):
         Least logarithm of the likelihood ratio of the contradictions at a place: of the right place, and of ground that
         the map does not have.
     recheck
-        A robot that is not lost compares the latest readings with the map of a while ago each time that it has driven
-        so far, m.
+        A robot that may have been carried away compares its readings since then with the map of a while ago each time
+        that it has driven so far, m.
     checkpoint, checkpoints, margin
         Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by
         which a copy must be older than the first doubt about the estimate.

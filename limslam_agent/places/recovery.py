@@ -31,7 +31,7 @@ from limslam_env.interface import RobotSpec
 
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
-_LATEST = 2  # the latest readings are those since the copy of the estimate with this number from the end
+_OLDER = 3  # the map of a while ago is the oldest of at least so many copies of the estimate
 _APART, _APART_TURN = 1.0, math.radians(30.0)  # m, rad: a robot that is off by less has drifted, and was not carried
 _FEWEST = 3  # number of readings that must contradict the map, so that other places are searched
 
@@ -282,21 +282,23 @@ class Recovery:
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
     def is_elsewhere(self, own: StatusMonitor) -> bool:
-        """Whether the latest readings contradict the map of a while ago, and fit into it at another place only.
+        """Whether the robot may have been carried away, and its readings since then fit the map at another place only.
 
         A robot may be carried to a place that looks at first like the one before. If it then draws its own walls, no
-        reading contradicts its present map. If its monitor suspects that it was carried away, no reading need
-        contradict the earlier map either.
+        reading contradicts its present map. The readings are therefore compared with the map of a while ago. In a
+        building with many rooms alike, a new room fits the map at the place of an earlier one. So there must also be a
+        suspicion by readings that changed at once, and readings that contradict the earlier map.
         """
-        if self._rechecked < self._config.recheck or len(self._copies) <= _LATEST or self.absence is not None:
+        if self._rechecked < self._config.recheck or len(self._copies) < _OLDER or self.absence is not None:
             return False
-        self._rechecked = 0.0
-        ago = own.suspected
-        self._doubted = self._copies[-_LATEST].step if ago is None else max(self.log.end - 1 - ago, self.log.begin + 1)
+        ago, self._rechecked = own.suspected, 0.0
+        if ago is None:
+            return False
+        self._doubted = max(self.log.end - 1 - ago, self.log.begin + 1)
         place, here = self._copies[0].places, np.zeros(3)
         rays = rays_of(self.log.since(self._doubted), self._robot, place.sensor.bias)
         (fit,) = place.weigh(here[None], rays)
-        if ago is None and (fit.contradictions < _FEWEST or fit.is_on_map >= 0.0):
+        if fit.contradictions < _FEWEST or fit.is_on_map >= 0.0:
             return False
         if self.log.largest_correction > self._config.apart:
             return False  # a closed loop has moved robot and map alike

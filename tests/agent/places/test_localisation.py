@@ -150,26 +150,26 @@ def test_readings_that_say_nothing_have_no_ray():
     assert have_ended(rays).any()
 
 
-@pytest.mark.parametrize("suspected", [None, 20])
-def test_a_robot_whose_readings_fit_another_place_only_is_elsewhere(whole, suspected):
+def test_a_robot_whose_readings_fit_another_place_only_is_elsewhere(whole):
     recovery = Recovery(ROBOT, preset("graph"), CONFIG)
     earlier = SimpleNamespace(segments=whole.segments, range_sensor=SENSOR), SimpleNamespace(view=whole.grid)
     steps = drive(PART, HALL)
     begin = len(steps) - 60
 
-    def is_elsewhere(poses):
+    def is_elsewhere(poses, suspected=60):
         recovery.log.steps = [replace(step, pose=pose) for step, pose in zip(steps, poses, strict=True)]
         recovery._copies = [KnownFrame(step, *earlier) for step in (0, begin, begin + 30)]
         recovery._rechecked = CONFIG.recheck
-        ago = None if suspected is None else 60
-        return recovery.is_elsewhere(SimpleNamespace(suspected=ago))
+        return recovery.is_elsewhere(SimpleNamespace(suspected=suspected))
 
     right = np.array([step.pose for step in steps])
     wrong = compose(np.array([3.5, -1.0, -0.4]), right)
     assert not is_elsewhere(right)
     assert is_elsewhere(wrong)
     assert not is_elsewhere(np.concatenate((wrong[:-5], right[-5:])))
-    assert not recovery.is_elsewhere(SimpleNamespace(suspected=suspected)), "the robot has not driven since then"
+    assert not is_elsewhere(wrong, suspected=None), "the readings did not change at once"
+    assert is_elsewhere(wrong)
+    assert not recovery.is_elsewhere(SimpleNamespace(suspected=60)), "the robot has not driven since then"
 
 
 def test_the_largest_correction_of_a_log_is_that_of_the_estimator():
