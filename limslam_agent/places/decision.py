@@ -10,7 +10,6 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.matching import Fit, are_apart, best_fits
 from limslam_agent.places.place_map import PlaceMap
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import transform_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +77,6 @@ def agree(first: Decision, second: Decision, local: PlaceMap, config: PlaceConfi
     if first.fit is None or second.fit is None or not (first.is_accepted and second.is_accepted):
         return False
     return not are_apart(first.fit.pose, second.fit.pose, local, config)
-
-
-def placed_covariance(local: PlaceMap, decision: Decision, pose: FloatArray, config: PlaceConfig) -> FloatArray:
-    """Covariance (3, 3) of a pose (3,) in the known map's frame that follows from a match of a local map."""
-    assert decision.fit is not None  # noqa: S101 (only accepted decisions have a covariance)
-    middle = transform_points(decision.fit.pose, local.points.mean(axis=0, keepdims=True))[0]
-    return match_covariance(middle, pose, config)
 
 
 def match_covariance(

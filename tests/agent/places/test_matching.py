@@ -5,7 +5,7 @@ import pytest
 
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.places.decision import agree, find_place, placed_covariance
+from limslam_agent.places.decision import agree, find_place, match_covariance
 from limslam_agent.places.matching import best_fits, judged, likely_turns
 from limslam_agent.places.place_map import place_map
 from limslam_env.geometry.se2 import compose, inverse, transform_points
@@ -144,7 +144,7 @@ def test_the_covariance_of_a_pose_grows_with_its_distance_from_the_local_map():
     local = seen(HALL, PART)
     decision = find_place(WHOLE, local, CONFIG)
     middle = np.append(transform_points(decision.fit.pose, local.points.mean(axis=0, keepdims=True))[0], 0.0)
-    near, far = (placed_covariance(local, decision, middle + np.array([away, 0.0, 0.0]), CONFIG) for away in (0.0, 5.0))
+    near, far = (match_covariance(middle[:2], middle + np.array([away, 0.0, 0.0]), CONFIG) for away in (0.0, 5.0))
     np.testing.assert_allclose(near, np.diag([CONFIG.std**2, CONFIG.std**2, CONFIG.heading_std**2]), atol=1e-12)
     assert far[1, 1] == pytest.approx(CONFIG.std**2 + 25.0 * CONFIG.heading_std**2)
     assert far[0, 0] == pytest.approx(CONFIG.std**2)
