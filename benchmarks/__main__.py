@@ -6,6 +6,7 @@ What takes long to import is imported inside the commands, so that help comes at
 import os
 import signal
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -82,6 +83,7 @@ def _engine(name: EngineName, workers: int | None, timeout: float, address: str 
 def train(
     suite: Annotated[str, typer.Option(help="Name of a suite with a [train] table, or a FILE.toml.")] = "explore",
     out: Annotated[Path | None, typer.Option(help="Folder of the training.", show_default="runs/train-NAME")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the training.", show_default="the suite's")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
 ) -> None:
     """Train an explorer by PPO, for the suite's budget (extra rl)."""
@@ -94,7 +96,8 @@ def train(
         from benchmarks.training.train import train as learn
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
-    typer.echo(f"weights     {learn(chosen.train, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
+    settings = chosen.train if seed is None else replace(chosen.train, seed=seed)
+    typer.echo(f"weights     {learn(settings, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
 
 
 @app.command()

@@ -90,7 +90,8 @@ AGENT = {
     },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "kernels")},
     "limslam_agent.policies.learned": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "policies", "safe_files"),
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *agent("belief", "config", "grid", "kernels", "policies", "safe_files"),
     },
     "limslam_agent.team": {
         *WHAT_AN_AGENT_MAY_KNOW,

@@ -9,8 +9,8 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 from torch.nn import functional
 
-from limslam_agent.policies.learned.network import COMPASS, LAYERS, DirectionNetwork
-from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig
+from limslam_agent.policies.learned.network import COMPASS, LAYERS, SPREAD, DirectionNetwork
+from limslam_agent.policies.learned.polar_view import ViewConfig
 
 WIDTH = 48
 _SMALL = 0.01
@@ -32,12 +32,13 @@ class DirectionExtractor(nn.Module):
     def __init__(self, view: ViewConfig, readings: int, width: int = WIDTH) -> None:
         super().__init__()
         self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
-        inputs = CHANNELS * view.rings
+        inputs = view.rows
         self._size = inputs * view.directions
         self.first = nn.Conv1d(inputs + COMPASS, width, 5)
         self.state = nn.Linear(readings, width)
-        self.second, self.third = nn.Conv1d(width, width, 3), nn.Conv1d(width, width, 3)
-        self.score = nn.Conv1d(width, 1, 1)
+        self.second = nn.Conv1d(width, width, 3, dilation=SPREAD["second"])
+        self.third = nn.Conv1d(width, width, 3, dilation=SPREAD["third"])
+        self.score = nn.Conv1d(width + inputs + COMPASS, 1, 1)
         self.value = nn.Sequential(nn.Linear(2 * width + readings, 64), nn.ReLU())
         angles = 2.0 * np.pi * np.arange(view.directions) / view.directions
         compass = torch.as_tensor(np.stack((np.cos(angles), np.sin(angles))), dtype=torch.float32)
@@ -45,25 +46,31 @@ class DirectionExtractor(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Scores (n, directions), and features for the value (n, 64)."""
-        features, state = self._trunk(observation)
-        return self.score(features)[:, 0], self._summary(features, state)
+        features, told, state = self._trunk(observation)
+        return self._scores(features, told), self._summary(features, state)
 
     def forward_actor(self, observation: Tensor) -> Tensor:
         """Scores (n, directions)."""
-        return torch.as_tensor(self.score(self._trunk(observation)[0])[:, 0])
+        features, told, _ = self._trunk(observation)
+        return self._scores(features, told)
 
     def forward_critic(self, observation: Tensor) -> Tensor:
         """Features for the value (n, 64)."""
-        return self._summary(*self._trunk(observation))
+        features, _, state = self._trunk(observation)
+        return self._summary(features, state)
 
-    def _trunk(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+    def _scores(self, features: Tensor, told: Tensor) -> Tensor:
+        return torch.as_tensor(self.score(torch.cat((features, told), dim=1))[:, 0])
+
+    def _trunk(self, observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         count = len(observation)
         state = observation[:, self._size :]
         view = observation[:, : self._size].reshape(count, -1, self.view.directions)
         compass = torch.as_tensor(self.compass).expand(count, -1, -1)
-        values = _around(self.first, torch.cat((view, compass), dim=1)) + self.state(state)[:, :, None]
+        told = torch.cat((view, compass), dim=1)
+        values = _around(self.first, told) + self.state(state)[:, :, None]
         values = functional.relu(_around(self.second, functional.relu(values)))
-        return functional.relu(_around(self.third, values)), state
+        return functional.relu(_around(self.third, values)), told, state
 
     def _summary(self, features: Tensor, state: Tensor) -> Tensor:
         return torch.as_tensor(self.value(torch.cat((features.mean(dim=2), features.amax(dim=2), state), dim=1)))
@@ -79,7 +86,7 @@ class DirectionExtractor(nn.Module):
 
 
 def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
-    half = layer.kernel_size[0] // 2
+    half = layer.dilation[0] * (layer.kernel_size[0] // 2)
     if half == 0:
         return torch.as_tensor(layer(values))
     return torch.as_tensor(layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2)))
@@ -102,7 +109,7 @@ class DirectionPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         view = self._view
-        readings = self.features_dim - CHANNELS * view.rings * view.directions
+        readings = self.features_dim - view.rows * view.directions
         self.mlp_extractor = DirectionExtractor(view, readings)
 
     def _build(self, lr_schedule: Callable[[float], float]) -> None:

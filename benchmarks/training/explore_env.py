@@ -103,6 +103,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self._steps, self._tolls = np.zeros((SIDE, SIDE), dtype=np.int32), np.zeros((SIDE, SIDE), dtype=np.int32)
         self._queue = np.zeros(SIDE * SIDE + 1, dtype=np.int32)
         self._ranges = np.zeros((count, beams), dtype=np.float32)
+        self.touches, self._in_contact = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -110,6 +111,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         """Reset all environments and empty the grids."""
         told, info = self.env.reset(seed=seed, options=options)
         everywhere = np.ones(self.num_envs, dtype=bool)
+        self._in_contact[:], self.touches[:] = False, 0
         self._begin(everywhere, told, info)
         return self._look(everywhere), info
 
@@ -130,6 +132,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
             wheels[over] = 0.0
             told, reward, ended, cut, info = self.env.step(wheels)
             rewards += np.where(over, 0.0, reward)
+            self._count_touches(info)
             now = ended | cut
             if now.any():
                 self._finish(now, info, final)
@@ -146,6 +149,11 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
             truncated,
             info,
         )
+
+    def _count_touches(self, info: dict[str, Any]) -> None:
+        contact = np.asarray(info["collision"], dtype=bool)
+        self.touches += contact & ~self._in_contact
+        self._in_contact = contact
 
     def _begin(self, which: BoolArray, told: dict[str, Any], info: dict[str, Any]) -> None:
         """Empty the grids of robots that start an episode, and add the first readings."""
@@ -201,6 +209,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         views = np.zeros((self.num_envs, view.size(len(self.robot.beams))), dtype=np.float32)
         look_round(
             which, self._poses, self._ranges, self._values, self._corners, self._boxes, self._steps, self._tolls,
-            self._queue, view.samples, view.radii, self.config.grid.cell, self.robot.max_ranges, views,
+            self._queue, view.samples, view.radii, self.config.grid.cell, self._beams, self.robot.radius,
+            self.robot.max_ranges, views,
         )  # fmt: skip
         return views

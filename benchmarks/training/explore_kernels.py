@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from limslam_agent.kernels.cells import SKIPPED, change_cells, touched_cells
 from limslam_agent.policies.collision_guard import GHOST, LOOK_AHEAD, MARGIN, MEMORY, SHARES, TOUCH, TOUCHING
-from limslam_agent.policies.learned.polar_view import FAR, FREE_COST, LEAST_UNKNOWN, TIGHT_COST
+from limslam_agent.policies.learned.look_ahead import count_ahead
+from limslam_agent.policies.learned.polar_view import AHEAD, FAR, FREE_COST, LEAST_UNKNOWN, TIGHT_COST
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
@@ -332,16 +333,24 @@ def look_round(
     samples: FloatArray,
     radii: FloatArray,
     cell: float,
+    beams: FloatArray,
+    radius: float,
     max_ranges: FloatArray,
     views: NDArray[np.float32],
 ) -> None:
     """Fill ``views`` (n, size) of the robots ``which`` (n,), with the layout of `polar_view.observe`."""
-    first = 3 * (len(samples) // 6)
+    cells = len(samples) // 6
+    directions = cells // len(radii)
+    first = 3 * cells + AHEAD * directions
     for robot in range(len(poses)):
         if which[robot]:
             frontier_steps(values[robot], boxes[robot], steps, tolls, queue)
             look(
                 values[robot], corners[robot], boxes[robot], steps, poses[robot], samples, radii, cell, views[robot]
+            )  # fmt: skip
+            count_ahead(
+                values[robot], corners[robot], poses[robot], beams, radius, cell, directions,
+                views[robot][3 * cells : first],
             )  # fmt: skip
             for beam in range(len(max_ranges)):
                 views[robot, first + beam] = min(max(ranges[robot, beam] / max_ranges[beam], 0.0), 1.0)

@@ -39,8 +39,8 @@ class Trial:
         self.period = config.drive.hold * self._env.robot.control_period
         self._decisions = round(longest / self.period)
 
-    def coverage(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> FloatArray:
-        """The coverage (plans, decisions + 1) after each decision.
+    def explore(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+        """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).
 
         Directions are drawn with the softmax of scores / ``temperature``; 0 takes the direction with the best score.
         """
@@ -53,7 +53,7 @@ class Trial:
             chosen = (scores + temperature * generator.gumbel(size=scores.shape)).argmax(axis=1)
             told, _, _, _, info = self._env.step(chosen)
             rows.append(info["coverage"].copy())
-        return np.array(rows).T
+        return np.array(rows).T, self._env.touches.astype(float)
 
 
 def times_to(coverage: FloatArray, goal: float, period: float) -> FloatArray:

@@ -189,7 +189,7 @@ class _Keeper(BaseCallback):
         if self._trial is None:
             explore = ExploreConfig(pose=self._phase.pose, range_std=config.noise)
             self._trial = Trial(config.held_out.seeds, config.noise, explore)
-        coverage = self._trial.coverage(_network(self.model), TEMPERATURE)
+        coverage, touches = self._trial.explore(_network(self.model), TEMPERATURE)
         times = times_to(coverage, GOAL, self._trial.period)
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
@@ -198,6 +198,7 @@ class _Keeper(BaseCallback):
             "decisions": self.num_timesteps, "minutes": self._progress.spent / 60.0, "pose": self._phase.pose,
             "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
             "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._trial.period)])),
+            "touches": float(touches.mean()),
         }  # fmt: skip
         with (self._folder / LOG).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")

@@ -38,6 +38,14 @@ def cells_near_robots(grid: GridView, other_poses: FloatArray, distance: float) 
     return taken
 
 
+def nearer_to_others(grid: GridView, pose: FloatArray, other_poses: FloatArray) -> BoolArray:
+    """Cells (rows, columns) that are nearer to another robot than to this one, which is at ``pose`` (3,)."""
+    nearer, own = np.zeros(grid.values.shape, dtype=bool), _away(grid, pose)
+    for place in other_poses:
+        nearer |= _away(grid, place) < own
+    return nearer
+
+
 def _away(grid: GridView, place: FloatArray) -> FloatArray:
     """Distance (rows, columns), m, from each cell's centre to a place, whose first two numbers are x and y."""
     rows, columns = grid.values.shape

@@ -14,8 +14,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.controller import bearing_of, wheel_speeds
-from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
-from limslam_agent.policies.learned.network import load_network
+from limslam_agent.policies.learned.learned import LearnedPolicy
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
 from limslam_agent.policies.wall_policy import explorer
@@ -100,7 +99,7 @@ class TruePoseExplorer:
     """The learned policy on a map that is drawn from the true pose: an upper limit of what better pose estimates could
     give.
 
-    The readings keep their noise. The weights were trained with the true pose.
+    The readings keep their noise.
 
     Parameters
     ----------
@@ -112,7 +111,7 @@ class TruePoseExplorer:
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, seed: int = 0) -> None:
         self._robot, self._grid, self._pose = robot, OccupancyGrid(config.grid), np.zeros(3)
-        self._explorer = LearnedPolicy(robot, config.policy, load_network(WEIGHTS / "true_pose.npz"), seed=seed)
+        self._explorer = LearnedPolicy(robot, config.policy, seed=seed)
         self.plan: FloatArray = NO_PLAN
         self.stop_reason: str | None = None
 
@@ -202,8 +201,10 @@ def _policy_for(policy: str, robot: RobotSpec, config: AgentConfig, number: int,
         return explorer(robot, replace(config, policy=fast), number)
     if policy == "wall_follower":
         return WallFollower(robot, config.policy)
-    kind = LearnedPolicy if policy == "learned" else RandomPolicy
-    return kind(robot, config.policy, seed=np.random.default_rng([seed, number]))
+    generator = np.random.default_rng([seed, number])
+    if policy == "learned":
+        return LearnedPolicy(robot, config.policy, seed=generator, index=number)
+    return RandomPolicy(robot, config.policy, seed=generator)
 
 
 def _privileged_policy(

@@ -39,7 +39,7 @@ from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.summary import replay_summary, run_summary
-from limslam_agent.policies.learned.learned import WEIGHTS
+from limslam_agent.policies.learned.learned import SHIPPED, WEIGHTS
 from limslam_agent.policies.learned.network import load_network
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE
@@ -197,7 +197,7 @@ def targets() -> list[Target]:
         Target(
             "replay.toml", {"r.toml": b'preset = "paper"\nbeams = "1,2"\nmax_range = 3.0\n'}, "r.toml", _set_up_replay
         ),
-        Target("weights", {"w.npz": (WEIGHTS / "belief.npz").read_bytes()}, "w.npz", load_network),
+        Target("weights", {"w.npz": (WEIGHTS / SHIPPED).read_bytes()}, "w.npz", load_network),
         Target("series", {"s.npz": series}, "s.npz", _series),
     ]
     maps = [

@@ -1,22 +1,36 @@
-"""A learned exploration policy: a small network on the believed grid chooses the heading."""
+"""A learned exploration policy: a small network on the believed grid chooses the heading, and a planner finishes.
 
-from dataclasses import dataclass
+The network sees what is near. The frontier explorer plans paths to what is far away, looks into the last corners, and
+knows when there is nothing left. So the network drives where there is much to see, and the frontier explorer drives
+elsewhere and ends the exploration.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import wheel_speeds
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
-from limslam_agent.policies.learned.polar_view import observe
-from limslam_agent.policies.simple_policies import ReactivePolicy
+from limslam_agent.policies.learned.polar_view import FAR, observe
+from limslam_agent.policies.policy import NO_PLAN
+from limslam_agent.policies.right_of_way import RightOfWay, cells_near_robots, nearer_to_others
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Folder of the shipped weights, ``belief.npz`` and ``true_pose.npz``."""
+"""Folder of the shipped weights."""
+
+SHIPPED = "explorer.npz"
+"""File of the weights that drive by default."""
 
 TEMPERATURE = 0.5
 """Temperature of the softmax from which directions are drawn.
@@ -42,8 +56,26 @@ class DriveConfig:
     turn_rate: float = 2.5
 
 
-class LearnedPolicy(ReactivePolicy):
-    """Drives at top speed in directions that a network chooses twice a second, until there is nothing new to see.
+@dataclass(frozen=True)
+class FinishConfig:
+    """When the frontier explorer drives instead of the network. The values are this project's choices.
+
+    Attributes
+    ----------
+    window, growth
+        The network drives while the map has grown by ``growth`` (m^2) for each robot within the last ``window`` (s).
+    farthest
+        Distance to the nearest frontier, m, up to which the network drives.
+    """
+
+    window: float = 8.0
+    growth: float = 0.6
+    farthest: float = 2.0
+
+
+class LearnedPolicy:
+    """Drives at top speed in directions that a network chooses twice a second. Where there is little to see, a frontier
+    explorer drives at the same speed, and ends the exploration.
 
     Parameters
     ----------
@@ -51,14 +83,23 @@ class LearnedPolicy(ReactivePolicy):
         Body, and the settings that all policies share. Those of the paper's robot and the default settings if left out.
     network
         Network that scores directions. The shipped one by default.
-    drive
-        Settings for driving in a chosen direction.
+    drive, finish
+        Settings for driving in a chosen direction, and for handing over to the frontier explorer.
     seed
         Seed of the random numbers, or a generator.
     temperature
         Temperature of the softmax from which directions are drawn. 0 takes the best direction.
-    patience
-        Time without new cells after which the policy stops, s.
+    index
+        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
+
+    Attributes
+    ----------
+    robot
+        The robot that the policy drives.
+    stop_reason
+        Why there is nothing left to explore, in words. None while the policy is active.
+    plan
+        Path to the present goal of the frontier explorer (k, 2), m. Empty while the network drives.
     """
 
     def __init__(
@@ -69,28 +110,90 @@ class LearnedPolicy(ReactivePolicy):
         drive: DriveConfig | None = None,
         seed: int | np.random.Generator = 0,
         temperature: float = TEMPERATURE,
-        patience: float = 90.0,
+        finish: FinishConfig | None = None,
+        index: int = 0,
     ) -> None:
-        super().__init__(robot, config, patience, "wherever it went")
-        self._network = network or load_network(WEIGHTS / "belief.npz")
-        self._drive = drive or DriveConfig()
+        self.robot = self._robot = robot or RobotSpec()
+        config = config or PolicyConfig()
+        self._network = network or load_network(WEIGHTS / SHIPPED)
+        self._drive, self._finish = drive or DriveConfig(), finish or FinishConfig()
         self._generator, self._temperature = np.random.default_rng(seed), temperature
-        self._until_choice, self._heading = 0, 0.0
+        self._config, self._index = replace(config, speed=self.robot.max_wheel_speed), index
+        self._right_of_way = RightOfWay(index, 5.0 * self.robot.radius, config.patience)
+        self._begin(frame=0)
+
+    def _begin(self, frame: int) -> None:
+        """Begin in a frame of the map, and forget what belongs to another frame."""
+        self._frame, self._collision_guard = frame, CollisionGuard(self.robot)
+        self._finisher = FrontierPolicy(self.robot, self._config, self._index)
+        self._known = deque[int](maxlen=math.ceil(self._finish.window / self.robot.control_period) + 1)
+        self._until_choice, self._heading, self._is_finishing = 0, 0.0, False
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why there is nothing left to explore, in words. None while the policy is active."""
+        return self._finisher.stop_reason
+
+    @property
+    def plan(self) -> FloatArray:
+        """Path to the present goal of the frontier explorer (k, 2), m. Empty while the network drives."""
+        return self._finisher.plan if self._is_finishing else NO_PLAN
+
+    @property
+    def goal(self) -> FloatArray | None:
+        """Present goal of the frontier explorer (2,), m. None while the network drives."""
+        return self._finisher.goal if self._is_finishing else None
+
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,). Zero after the policy has stopped."""
+        if belief.frame != self._frame:
+            self._begin(belief.frame)
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._known.append(int(np.count_nonzero(belief.grid.values)))
+        self._collision_guard.add_readings(belief.pose, belief.ranges)
+        if self._until_choice <= 0:
+            self._choose(belief)
+            self._until_choice = self._drive.hold
+        self._until_choice -= 1
+        wheels = self._finisher.act(belief) if self._is_finishing else self._wheels(belief)
+        return self._collision_guard.limit_speed(belief.pose, wheels)
 
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the chosen direction."""
+        if self._right_of_way.waits(belief.pose, belief.other_poses):
+            return np.zeros(2)
         drive, robot = self._drive, self._robot
-        if self._until_choice <= 0:
-            self._heading = float(belief.pose[2]) + self._network.view.angle(self._chosen(belief))
-            self._until_choice = drive.hold
-        self._until_choice -= 1
         error = float(wrap_angle(self._heading - belief.pose[2]))
         turn = float(np.clip(drive.gain * error, -drive.turn_rate, drive.turn_rate))
         return wheel_speeds(robot.max_wheel_speed * max(float(np.cos(error)), 0.0), turn, robot)
 
-    def _chosen(self, belief: Belief) -> int:
+    def _choose(self, belief: Belief) -> None:
+        """Choose who drives, and the direction if it is the network."""
         view = self._network.view
-        observation = observe(belief.grid, belief.pose, belief.ranges, self._robot.max_ranges, view)
-        scores = self._network.scores(observation).astype(float)
-        # The index of the largest score plus Gumbel noise has the distribution of the softmax.
-        return int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))
+        grid = own_part(belief, self._robot) if len(belief.other_poses) else belief.grid
+        observation = observe(grid, belief.pose, belief.ranges, self._robot, view)
+        # The last two numbers of the observation are the distance to a frontier and whether there is a way to it.
+        is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= self._finish.farthest
+        self._is_finishing = not (is_near and self._is_growing(belief.grid, 1 + len(belief.other_poses)))
+        if not self._is_finishing:
+            scores = self._network.scores(observation).astype(float)
+            # The index of the largest score plus Gumbel noise has the distribution of the softmax.
+            drawn = int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))
+            self._heading = float(belief.pose[2]) + view.angle(drawn)
+
+    def _is_growing(self, grid: GridView, robots: int) -> bool:
+        """Whether the map has grown fast in the last seconds. At the beginning it has."""
+        is_full = len(self._known) == self._known.maxlen
+        return not is_full or (self._known[-1] - self._known[0]) * grid.cell**2 >= robots * self._finish.growth
+
+
+def own_part(belief: Belief, robot: RobotSpec) -> GridView:
+    """The grid as a robot of a team sees it: other robots are obstacles, and what is unknown nearer to them than to this
+    robot is theirs, so that it counts as free.
+    """
+    grid, others = belief.grid, belief.other_poses
+    theirs = grid.unknown & nearer_to_others(grid, belief.pose, others)
+    values = np.where(theirs, 1, grid.values)
+    values[cells_near_robots(grid, others, 2.0 * robot.radius)] = -1
+    return replace(grid, values=values.astype(grid.values.dtype))

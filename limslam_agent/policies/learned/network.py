@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig
+from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.safe_files import load_arrays
 from limslam_env.messages import LONGEST_VALUE, one_line
 
@@ -18,6 +18,11 @@ LAYERS = ("first", "state", "second", "third", "score")
 
 COMPASS = 2
 
+SPREAD = {"second": 2, "third": 3}
+"""Directions between two taps of a convolution, where it is not one. So a score knows what lies 105 degrees to both
+sides, where the beams at the sides look.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class DirectionNetwork:
@@ -27,7 +32,8 @@ class DirectionNetwork:
     ----------
     weights
         Arrays by ``LAYER.weight`` and ``LAYER.bias``. Weights of circular convolutions have the shape (out, in, width),
-        and the weight of ``state`` has the shape (out, in).
+        and the weight of ``state`` has the shape (out, in). The last layer, ``score``, gets the result of the third
+        layer and the input.
     view
         The polar view that the network was trained with.
     """
@@ -37,21 +43,22 @@ class DirectionNetwork:
 
     def scores(self, observation: NDArray[np.float32]) -> Weights:
         """Logits (directions,) of an observation (size,) that ``polar_view.observe`` has made."""
-        directions, size = self.view.directions, CHANNELS * self.view.rings * self.view.directions
+        directions, size = self.view.directions, self.view.rows * self.view.directions
         angles = 2.0 * np.pi * np.arange(directions) / directions
         # The heading relative to the robot. Without it the scores would not change when the robot turns.
         compass = np.stack((np.cos(angles), np.sin(angles)))
-        values = np.concatenate((observation[:size].reshape(-1, directions), compass)).astype(np.float32)
+        told = np.concatenate((observation[:size].reshape(-1, directions), compass)).astype(np.float32)
         state = self.weights["state.weight"] @ observation[size:] + self.weights["state.bias"]
-        values = np.maximum(self._around("first", values) + state[:, None], 0.0)
+        values = np.maximum(self._around("first", told) + state[:, None], 0.0)
         values = np.maximum(self._around("second", values), 0.0)
         values = np.maximum(self._around("third", values), 0.0)
-        return np.asarray(self._around("score", values)[0])
+        return np.asarray(self._around("score", np.concatenate((values, told)))[0])
 
     def _around(self, layer: str, values: Weights) -> Weights:
         weight, bias = self.weights[f"{layer}.weight"], self.weights[f"{layer}.bias"]
-        half = weight.shape[2] // 2
-        total = sum(weight[:, :, tap] @ np.roll(values, half - tap, axis=1) for tap in range(weight.shape[2]))
+        half, spread = weight.shape[2] // 2, SPREAD.get(layer, 1)
+        shifts = [spread * (half - tap) for tap in range(weight.shape[2])]
+        total = sum(weight[:, :, tap] @ np.roll(values, shift, axis=1) for tap, shift in enumerate(shifts))
         return np.asarray(total + bias[:, None])
 
 
@@ -88,7 +95,7 @@ def load_network(path: Path) -> DirectionNetwork:
     view = ViewConfig(int(shape[0]), int(shape[1]), float(shape[2]), float(shape[3]))
     network = DirectionNetwork({name: values.astype(np.float32) for name, values in held.items()}, view)
     try:
-        network.scores(np.zeros(CHANNELS * view.rings * view.directions + held["state.weight"].shape[1], np.float32))
+        network.scores(np.zeros(view.rows * view.directions + held["state.weight"].shape[1], np.float32))
     except (ValueError, IndexError) as error:
         raise ValueError(f"{path}: the layers do not fit together: {error}") from error
     return network

@@ -17,9 +17,13 @@ from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import RobotSpec
 
 CHANNELS = 3
 """Values of a polar cell: share of unknown cells, share of occupied cells, and approach to a frontier."""
+
+AHEAD = 3
+"""Values of a direction: how much driving there would show, after three distances (`look_ahead`)."""
 
 # A step between two cells costs the sum of their two costs. The cost is higher beside a wall.
 FREE_COST, TIGHT_COST = 1, 3
@@ -69,14 +73,19 @@ class ViewConfig:
 
     def size(self, n_beams: int) -> int:
         """Number of values in an observation of a robot with ``n_beams`` beams."""
-        return CHANNELS * self.rings * self.directions + n_beams + 2
+        return self.rows * self.directions + n_beams + 2
+
+    @property
+    def rows(self) -> int:
+        """Number of values of each direction: those of its polar cells, and what driving there would show."""
+        return CHANNELS * self.rings + AHEAD
 
 
 def observe(
-    grid: GridView, pose: FloatArray, ranges: FloatArray, max_ranges: FloatArray, config: ViewConfig
+    grid: GridView, pose: FloatArray, ranges: FloatArray, robot: RobotSpec, config: ViewConfig
 ) -> NDArray[np.float32]:
-    """The observation of the network (size,): the view (channels, rings, directions), the readings, and two more
-    numbers.
+    """The observation of the network (size,): the view (channels, rings, directions), what driving in each direction
+    would show (AHEAD, directions), the readings, and two more numbers.
 
     The two numbers are the distance to the nearest frontier (1 for 10 m or more), and whether a frontier is reachable.
 
@@ -84,8 +93,8 @@ def observe(
     ----------
     grid, pose
         Believed grid and pose (3,): x (m), y (m), heading (rad).
-    ranges, max_ranges
-        Readings and largest readings (n_beams,), m.
+    ranges, robot
+        Readings (n_beams,), m, and the robot that took them.
     config
         Shape of the view.
     """
@@ -104,8 +113,22 @@ def observe(
         gain = np.clip((here + best) / config.radii[:, None], -1.0, 1.0)
     view = np.stack(((values == 0).reshape(shape).mean(axis=2), (values < 0).reshape(shape).mean(axis=2), gain))
     way = [min(here / FAR, 1.0), 1.0] if np.isfinite(here) else [1.0, 0.0]
-    readings = np.nan_to_num(ranges, nan=1.0) / max_ranges
-    return np.concatenate((view.ravel(), np.clip(readings, 0.0, 1.0), way)).astype(np.float32)
+    readings = np.nan_to_num(ranges, nan=1.0) / robot.max_ranges
+    told = (view.ravel(), _shown_ahead(grid, pose, robot, config), np.clip(readings, 0.0, 1.0), way)
+    return np.concatenate(told).astype(np.float32)
+
+
+def _shown_ahead(grid: GridView, pose: FloatArray, robot: RobotSpec, config: ViewConfig) -> NDArray[np.float32]:
+    from limslam_agent.policies.learned.look_ahead import look_ahead
+
+    ahead = np.zeros(AHEAD * config.directions, dtype=np.float32)
+    corner = np.rint(grid.low / grid.cell).astype(np.int64)
+    # One kind of array, or the kernel would be compiled for each kind.
+    values = np.array(np.sign(grid.values), dtype=np.int8)
+    look_ahead(
+        values, corner, pose, robot.beam_table, robot.radius, grid.cell, config.directions, ahead
+    )  # fmt: skip
+    return ahead
 
 
 def frontier_distance(grid: GridView) -> FloatArray:

@@ -58,7 +58,7 @@ def test_grid_view_and_bumper_are_those_of_one_agent(pose):
             reading = ranges[robot].astype(float)
             grid.update(believed, ROBOT, reading, np.ones(6, dtype=bool))
             if step % HOLD == 0:
-                told = observe(grid.view, believed, reading, ROBOT.max_ranges, VIEW)
+                told = observe(grid.view, believed, reading, ROBOT, VIEW)
                 # Starts may lie on the border of two cells, where rounding chooses.
                 if step:
                     np.testing.assert_allclose(views[step // HOLD][robot], told, atol=1e-5)

@@ -82,7 +82,7 @@ def test_a_training_stops_goes_on_and_leaves_its_weights(tmp_path):
         train(config, folder, resume=True)
     weights = train(config, folder)
     assert weights == folder / "odometry.npz"
-    assert np.isfinite(load_network(weights).scores(np.zeros(728, dtype=np.float32))).all()
+    assert np.isfinite(load_network(weights).scores(np.zeros(800, dtype=np.float32))).all()
     rows = [json.loads(line) for line in (folder / "trials.jsonl").read_text(encoding="utf-8").splitlines()]
     assert [(row["pose"], row["decisions"]) for row in rows] == [("true", 64), ("true", 96), ("odometry", 128)]
     assert list((folder / "tensorboard").rglob("events*"))
@@ -108,5 +108,5 @@ def test_learning_makes_a_difference(tmp_path):
 
     settings = {"robots": 4, "rollout": 8, "batch": 16, "epochs": 1, "try_every": 1000, "learning_rate": 1e-2}
     short = TrainConfig((Phase("true", 64),), Plans(10, 2), Plans(20, 1), **settings)
-    scores = load_network(train(short, tmp_path / "run")).scores(np.linspace(0, 1, 728, dtype=np.float32))
+    scores = load_network(train(short, tmp_path / "run")).scores(np.linspace(0, 1, 800, dtype=np.float32))
     assert np.ptp(scores) > 1e-3

@@ -11,9 +11,10 @@ import pytest
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.learned.learned import WEIGHTS, LearnedPolicy
+from limslam_agent.policies.learned.learned import SHIPPED, WEIGHTS, FinishConfig, LearnedPolicy, own_part
+from limslam_agent.policies.learned.look_ahead import FULL
 from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
-from limslam_agent.policies.learned.polar_view import CHANNELS, ViewConfig, frontier_distance, observe
+from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfig, frontier_distance, observe
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
@@ -21,15 +22,14 @@ from limslam_env.worlds.world import World
 
 ROBOT = RobotSpec()
 VIEW = ViewConfig(directions=8, rings=4)
-SHIPPED = ("belief", "true_pose")
 
 
 def network(view=VIEW, width=6, seed=0):
     generator = np.random.default_rng(seed)
-    inputs = CHANNELS * view.rings + 2
+    inputs = view.rows + 2
     shapes = {"first": (width, inputs, 5), "state": (width, 8), "second": (width, width, 3), "third": (width, width, 3)}
     weights = {}
-    for layer, shape in {**shapes, "score": (1, width, 1)}.items():
+    for layer, shape in {**shapes, "score": (1, width + inputs, 1)}.items():
         weights[f"{layer}.weight"] = generator.normal(size=shape).astype(np.float32)
         weights[f"{layer}.bias"] = generator.normal(size=shape[0]).astype(np.float32)
     return DirectionNetwork(weights, view)
@@ -98,9 +98,10 @@ def test_what_is_no_network_is_refused_and_executes_nothing(kind, tmp_path):
 
 def test_turning_what_is_seen_turns_the_scores_but_for_the_compass():
     blind = network()
-    blind.weights["first.weight"][:, -2:] = 0.0
+    blind.weights["first.weight"][:, -2:] = blind.weights["score.weight"][:, -2:] = 0.0
     told = np.random.default_rng(2).random(VIEW.size(6)).astype(np.float32)
-    view, rest = told[:96].reshape(-1, 8), told[96:]
+    size = 8 * VIEW.rows
+    view, rest = told[:size].reshape(-1, 8), told[size:]
     turned = np.concatenate((np.roll(view, 3, axis=1).ravel(), rest))
     np.testing.assert_allclose(blind.scores(turned), np.roll(blind.scores(told), 3), atol=1e-4)
 
@@ -130,7 +131,7 @@ def test_the_way_to_a_frontier_goes_round_walls_and_is_dear_beside_them():
 
 def test_a_map_without_frontiers_has_no_way():
     closed = grid_of("######\n#....#\n#....#\n#....#\n######")
-    told = observe(closed, np.array([0.3, 0.25, 0.0]), np.full(6, 1.5), ROBOT.max_ranges, VIEW)
+    told = observe(closed, np.array([0.3, 0.25, 0.0]), np.full(6, 1.5), ROBOT, VIEW)
     assert told[-2:].tolist() == [1.0, 0.0]
     assert (told[2 * VIEW.rings * VIEW.directions : CHANNELS * VIEW.rings * VIEW.directions] == -1.0).all()
 
@@ -139,7 +140,7 @@ def test_the_view_turns_with_the_robot():
     pose = np.array([1.03, 0.35, 0.0])
     size = VIEW.rings * VIEW.directions
     looks = [
-        observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT.max_ranges, VIEW)
+        observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT, VIEW)
         for turn in (0.0, math.pi / 2)
     ]
     first, second = (look[: CHANNELS * size].reshape(-1, VIEW.directions) for look in looks)
@@ -148,6 +149,71 @@ def test_the_view_turns_with_the_robot():
     gain = first.reshape(CHANNELS, VIEW.rings, VIEW.directions)[2]
     assert (gain[:, 0] > 0.5).all()
     assert (gain[:3, 4] < 0.0).all()
+
+
+def ahead_of(grid, pose, view=VIEW):
+    """What driving in each direction would show (AHEAD, directions)."""
+    told = observe(grid, np.array(pose, dtype=float), np.full(6, 1.5), ROBOT, view)
+    return told[CHANNELS * view.rings * view.directions : view.rows * view.directions].reshape(AHEAD, -1)
+
+
+def test_driving_ahead_shows_what_the_beams_at_the_sides_will_see():
+    # A hall whose upper half is unknown: whoever drives along it sees that half from the side.
+    half = grid_of("\n".join([" " * 40] * 20 + ["." * 40] * 3 + ["#" * 40]))
+    ahead = ahead_of(half, [1.05, 0.25, 0.0])
+    far = ahead[-1]
+    assert far[0] > 0.5
+    # The longer the drive, the more it shows; the numbers of cells are shares of 50, 100 and 200.
+    assert (np.diff(ahead * np.array(FULL)[:, None], axis=0) >= 0.0).all()
+    # There is a wall below, so that nothing is driven there.
+    assert far[6] == 0.0
+
+
+def test_nothing_is_seen_through_walls_and_nothing_new_where_all_is_known():
+    closed = grid_of("\n".join(["#" * 12, *["#" + "." * 10 + "#"] * 8, "#" * 12]))
+    assert (ahead_of(closed, [0.6, 0.5, 0.3]) == 0.0).all()
+
+
+def test_a_cell_counts_once_however_many_beams_cross_it():
+    unknown = grid_of(" " * 3)
+    # A drive of 0.3 m past unknown cells sweeps less than a half circle with the reach of the beams, and the way.
+    cells = ahead_of(unknown, [0.15, 0.05, 0.0])[0] * FULL[0]
+    assert (cells > 20.0).all()
+    assert (cells < 0.5 * math.pi * 17**2 + 6 * 17).all()
+
+
+def test_where_there_is_little_to_see_the_frontier_explorer_drives_and_ends_the_exploration():
+    closed = grid_of("\n".join(["#" * 12, *["#" + "." * 10 + "#"] * 8, "#" * 12]))
+    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()))
+    np.testing.assert_array_equal(policy.act(belief([0.6, 0.5, 0.0], closed, 0.4)), np.zeros(2))
+    assert policy.stop_reason == "explored: no frontier is left"
+    # In another frame of the map it begins again.
+    assert policy.act(replace(belief([1.0, 0.35, 0.0]), frame=1)).any()
+    assert policy.stop_reason is None
+
+
+def test_the_network_drives_while_the_map_grows():
+    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=FinishConfig(window=1.0, farthest=5.0))
+    drivers = []
+    for step in range(30):
+        grown = replace(HALL, values=HALL.values.copy())
+        # 10 cells a step become known again, up to half of the time.
+        grown.values.flat[10 * min(step + 1, 14) :] *= 0
+        grown.values[3, 10:12] = 5
+        policy.act(belief([1.05, 0.35, 0.0], grown))
+        drivers.append(len(policy.plan) > 0 or policy.goal is not None)
+    assert not any(drivers[:15])
+    assert drivers[-1]
+
+
+def test_what_is_nearer_to_a_teammate_is_left_to_it():
+    told = replace(belief([0.55, 0.35, 0.0]), other_poses=np.array([[1.55, 0.35, 0.0]]))
+    grid = grid_of("\n".join([" " * 20] * 3 + ["." * 20] * 7))
+    part = own_part(replace(told, grid=grid), ROBOT)
+    assert (part.values[8, :10] == 0).all()
+    assert (part.values[8, 11:] > 0).all()
+    assert part.values[3, 15] < 0
+    assert grid.values[3, 15] > 0
 
 
 @pytest.mark.parametrize("turn", [0, 6, 18])
@@ -178,10 +244,9 @@ def test_the_same_seed_draws_the_same_directions():
     assert not np.array_equal(actions(1), actions(2))
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_the_shipped_weights_are_light(name):
-    assert (WEIGHTS / f"{name}.npz").stat().st_size < 2_000_000
-    assert load_network(WEIGHTS / f"{name}.npz").view == ViewConfig()
+def test_the_shipped_weights_are_light():
+    assert (WEIGHTS / SHIPPED).stat().st_size < 2_000_000
+    assert load_network(WEIGHTS / SHIPPED).view == ViewConfig()
 
 
 @pytest.mark.parametrize("policy", ["learned", "learned_true_pose"])
@@ -191,7 +256,8 @@ def test_it_explores_a_room(policy):
         starts=[[1.0, 0.8, 0.4]],
     )  # fmt: skip
     episode = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=60.0, preset="odometry"))
-    assert episode.coverage[-1] > 0.9
+    assert episode.coverage[-1] > 0.95
+    assert episode.is_finished
     again = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=5.0, preset="odometry"))
     np.testing.assert_array_equal(again.actions, episode.actions[: len(again.actions)])
 
