@@ -292,6 +292,7 @@ def test_importing_the_env_loads_no_heavy_library():
 def test_importing_the_agent_loads_no_simulator():
     compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
     compiled += [
+        "limslam_agent.policies.learned.look_ahead",
         "limslam_agent.wrappers.vector",
         "limslam_agent.replay.smoothing",
         *PLACES["limslam_agent.slam.merging"],

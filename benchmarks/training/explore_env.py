@@ -82,7 +82,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         self.config, self.robot = config or ExploreConfig(), robot
         view, grid, drive, count = self.config.view, self.config.grid, self.config.drive, env.num_envs
         self.single_action_space = spaces.Discrete(view.directions)
-        self.single_observation_space = spaces.Box(-1.0, 1.0, (view.size(len(robot.beams)),), np.float32)
+        # What driving ahead would show has no smaller bound.
+        self.single_observation_space = spaces.Box(-1.0, 5.0, (view.size(len(robot.beams)),), np.float32)
         self.action_space = batch_space(self.single_action_space, count)
         self.observation_space = batch_space(self.single_observation_space, count)
         self._beams = np.column_stack((robot.beam_origins, robot.beam_directions, robot.too_near, robot.too_far))

@@ -189,8 +189,8 @@ class LearnedPolicy:
 
 
 def own_part(belief: Belief, robot: RobotSpec) -> GridView:
-    """The grid as a robot of a team sees it: other robots are obstacles, and what is unknown nearer to them than to this
-    robot is theirs, so that it counts as free.
+    """The grid of one robot of a team: other robots are obstacles, and unknown cells that are nearer to another robot
+    count as free.
     """
     grid, others = belief.grid, belief.other_poses
     theirs = grid.unknown & nearer_to_others(grid, belief.pose, others)

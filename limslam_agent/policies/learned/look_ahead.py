@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from limslam_agent.kernels.cells import GridArray
 from limslam_agent.kernels.tables import FROM_X, FROM_Y, TOO_FAR, TOWARDS_X, TOWARDS_Y
-from limslam_agent.policies.learned.polar_view import AHEAD
 from limslam_env.compilation import compiled, entry_of
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -31,6 +30,47 @@ _SHOULDER = 0.7
 
 
 @compiled
+def has_room(
+    values: GridArray, corner: IntArray, x: float, y: float, cos: float, sin: float, radius: float, cell: float
+) -> bool:
+    """Whether no cell under the middle and the shoulders of a body at a place (m) with this heading is occupied."""
+    rows, columns = values.shape
+    for side in range(-1, 2):
+        row = math.floor((y + side * _SHOULDER * radius * cos) / cell) - corner[1]
+        column = math.floor((x - side * _SHOULDER * radius * sin) / cell) - corner[0]
+        if 0 <= row < rows and 0 <= column < columns and values[row, column] < 0:
+            return False
+    return True
+
+
+@compiled
+def count_on_beam(
+    values: GridArray, corner: IntArray, x: float, y: float, to_x: float, to_y: float, steps: int, cell: float,
+    counted: NDArray[np.int32], counted_corner: tuple[int, int], stamp: int,
+) -> float:  # fmt: skip
+    """The unknown cells that a beam from a place (m) crosses up to an occupied one and that are not ``counted`` yet.
+
+    The beam takes ``steps`` steps (m) of the length of a cell. The first row and column of ``counted`` lie at
+    ``counted_corner``. Its cells are set to ``stamp``.
+    """
+    rows, columns = values.shape
+    total, weight = 0.0, 1.0
+    for i in range(steps):
+        row, column = math.floor((y + i * to_y) / cell), math.floor((x + i * to_x) / cell)
+        r, c = row - corner[1], column - corner[0]
+        value = values[r, c] if 0 <= r < rows and 0 <= c < columns else 0
+        if value < 0:
+            break
+        if value == 0:
+            r, c = row - counted_corner[0], column - counted_corner[1]
+            if counted[r, c] != stamp:
+                counted[r, c] = stamp
+                total += weight
+            weight *= _FADE
+    return total
+
+
+@compiled
 def count_ahead(
     values: GridArray, corner: IntArray, pose: FloatArray, beams: FloatArray, radius: float, cell: float,
     directions: int, ahead: NDArray[np.float32],
@@ -47,38 +87,24 @@ def count_ahead(
     directions
         Number of directions, counter-clockwise from straight ahead.
     """
-    rows, columns = values.shape
     reach = 2 + math.ceil((PLACES[-1] * SPACING + beams[:, TOO_FAR].max() + radius) / cell)
-    middle_row, middle_column = math.floor(pose[1] / cell), math.floor(pose[0] / cell)
     counted = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.int32)
+    counted_corner = math.floor(pose[1] / cell) - reach, math.floor(pose[0] / cell) - reach
     for direction in range(directions):
         heading = pose[2] + 2.0 * math.pi * direction / directions
         cos, sin, total, is_open, mark = math.cos(heading), math.sin(heading), 0.0, True, 0
         for place in range(1, PLACES[-1] + 1):
             x, y = pose[0] + place * SPACING * cos, pose[1] + place * SPACING * sin
-            for side in range(-1, 2):
-                row = math.floor((y + side * _SHOULDER * radius * cos) / cell) - corner[1]
-                column = math.floor((x - side * _SHOULDER * radius * sin) / cell) - corner[0]
-                if 0 <= row < rows and 0 <= column < columns and values[row, column] < 0:
-                    is_open = False
+            is_open = is_open and has_room(values, corner, x, y, cos, sin, radius, cell)
             for beam in range(len(beams) if is_open else 0):
                 from_x = x + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
                 from_y = y + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
                 to_x = cell * (cos * beams[beam, TOWARDS_X] - sin * beams[beam, TOWARDS_Y])
                 to_y = cell * (sin * beams[beam, TOWARDS_X] + cos * beams[beam, TOWARDS_Y])
-                weight = 1.0
-                for i in range(math.floor(beams[beam, TOO_FAR] / cell)):
-                    row, column = math.floor((from_y + i * to_y) / cell), math.floor((from_x + i * to_x) / cell)
-                    r, c = row - corner[1], column - corner[0]
-                    value = values[r, c] if 0 <= r < rows and 0 <= c < columns else 0
-                    if value < 0:
-                        break
-                    if value == 0:
-                        r, c = row - middle_row + reach, column - middle_column + reach
-                        if counted[r, c] != direction + 1:
-                            counted[r, c] = direction + 1
-                            total += weight
-                        weight *= _FADE
+                total += count_on_beam(
+                    values, corner, from_x, from_y, to_x, to_y, math.floor(beams[beam, TOO_FAR] / cell), cell,
+                    counted, counted_corner, direction + 1,
+                )  # fmt: skip
             if place == PLACES[mark]:
                 ahead[mark * directions + direction] = total / FULL[mark]
                 mark += 1
@@ -91,6 +117,3 @@ def look_ahead(
 ) -> None:  # fmt: skip
     """As :func:`count_ahead`, for Python."""
     count_ahead(values, corner, pose, beams, radius, cell, directions, ahead)
-
-
-assert len(PLACES) == len(FULL) == AHEAD  # noqa: S101 (the network's input has so many rows)

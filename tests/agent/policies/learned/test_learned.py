@@ -139,10 +139,7 @@ def test_a_map_without_frontiers_has_no_way():
 def test_the_view_turns_with_the_robot():
     pose = np.array([1.03, 0.35, 0.0])
     size = VIEW.rings * VIEW.directions
-    looks = [
-        observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT, VIEW)
-        for turn in (0.0, math.pi / 2)
-    ]
+    looks = [observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT, VIEW) for turn in (0.0, math.pi / 2)]
     first, second = (look[: CHANNELS * size].reshape(-1, VIEW.directions) for look in looks)
     np.testing.assert_allclose(second, np.roll(first, -2, axis=1), atol=1e-5)
     # Ahead lies the frontier: every ring gains there, until the unknown begins.
