@@ -128,16 +128,8 @@ class LearnedPolicy:
         self._finisher = FrontierPolicy(self.robot, self._config, self._index)
         self._known = deque[int](maxlen=math.ceil(self._finish.window / self.robot.control_period) + 1)
         self._until_choice, self._heading, self._is_finishing = 0, 0.0, False
-
-    @property
-    def stop_reason(self) -> str | None:
-        """Why there is nothing left to explore, in words. None while the policy is active."""
-        return self._finisher.stop_reason
-
-    @property
-    def plan(self) -> FloatArray:
-        """Path to the present goal of the frontier explorer (k, 2), m. Empty while the network drives."""
-        return self._finisher.plan if self._is_finishing else NO_PLAN
+        self.stop_reason: str | None = None
+        self.plan: FloatArray = NO_PLAN
 
     @property
     def goal(self) -> FloatArray | None:
@@ -157,6 +149,7 @@ class LearnedPolicy:
             self._until_choice = self._drive.hold
         self._until_choice -= 1
         wheels = self._finisher.act(belief) if self._is_finishing else self._wheels(belief)
+        self.stop_reason, self.plan = self._finisher.stop_reason, self._finisher.plan if self._is_finishing else NO_PLAN
         return self._collision_guard.limit_speed(belief.pose, wheels)
 
     def _wheels(self, belief: Belief) -> FloatArray:
