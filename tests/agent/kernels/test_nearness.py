@@ -8,6 +8,7 @@ import pytest
 from limslam_agent.kernels.nearness import (
     aim_beams,
     count_on_walls,
+    lines_near,
     passed_lines,
     place_readings,
     room_ahead,
@@ -93,10 +94,12 @@ def test_room_ahead() -> None:
 def test_lines_that_beams_pass_through(seed: int) -> None:
     generator, pose, ranges = drawn(seed)
     lines, anchors = generator.uniform(-2.0, 2.0, (9, 2)), generator.normal(0.0, 1.0, (9, 2))
-    measured, rays = generator.random(BEAMS) < 0.8, (np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS))
-    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, *rays)
+    measured = generator.random(BEAMS) < 0.8
+    rays = np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS), np.empty(BEAMS)
+    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, (0.02**2, 0.03, 0.01, 0.004), *rays)
     beams = np.flatnonzero(measured & (ranges > ROBOT.too_near))
-    origins, towards, reaches = (each[:count] for each in rays)
+    origins, towards, reaches, stds = (each[:count] for each in rays)
+    np.testing.assert_allclose(stds**2, 0.02**2 + (0.03 * reaches**2) ** 2 + 0.01 + 0.004 * reaches**2, rtol=1e-12)
     margins = generator.uniform(0.0, 0.1, count)
     headings = pose[2] + ROBOT.beam_angles[beams]
     np.testing.assert_allclose(origins, transform_points(pose, ROBOT.beam_origins[beams]), atol=1e-12)
@@ -113,3 +116,17 @@ def test_lines_that_beams_pass_through(seed: int) -> None:
     points = origins[rows] + ahead[rows, indices, None] * towards[rows]
     along = np.sum((points - anchors[indices]) * direction(lines)[indices], axis=1)
     np.testing.assert_allclose(places[:found], along, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_lines_near_a_point(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    lines, anchors = generator.uniform(-3.0, 3.0, (40, 2)), generator.normal(0.0, 1.0, (40, 2))
+    point, theta = generator.normal(0.0, 1.0, 2), float(generator.uniform(-3.0, 3.0))
+    turn = np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    normals = np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))
+    off = np.abs(np.sum((point - anchors) * normals, axis=1) - lines[:, 0])
+    expected, found = np.flatnonzero((turn < 0.8) & (off < 2.0)), np.empty(40, dtype=np.int64)
+    count = lines_near(lines, anchors, theta, tuple(point.tolist()), 0.8, 2.0, found)
+    np.testing.assert_array_equal(found[:count], expected)
+    assert len(expected)
