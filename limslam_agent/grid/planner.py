@@ -55,6 +55,7 @@ def routes(
     comfort: float,
     *,
     targets: BoolArray | None = None,
+    extra: FloatArray | None = None,
     closed: BoolArray | None = None,
     coast: float = math.inf,
 ) -> Routes:
@@ -77,6 +78,8 @@ def routes(
     targets
         Cells (rows, columns) of interest. If given, the search ends when the cheapest of them is found, and the cost
         of cells that are more expensive may be infinite.
+    extra
+        What the targets cost besides their paths (rows, columns), m, at least 0. Nothing if it is left out.
     closed
         Free cells (rows, columns) that paths must not cross.
     coast
@@ -90,8 +93,8 @@ def routes(
     limit = _first_limit(wanted, (row, column), columns, grid.cell) if wanted.size else _ANYWHERE
     aims = targets if wanted.size else None
     while True:
-        ways, is_found = _within(grid, (row, column), limit, (radius, comfort, coast), aims, closed)
-        if limit >= _ANYWHERE or is_found:
+        ways, nearest = _within(grid, (row, column), limit, (radius, comfort, coast), aims, extra, closed)
+        if limit >= _ANYWHERE or nearest <= limit:
             return ways
         limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE
 
@@ -119,11 +122,11 @@ def _first_limit(wanted: IntArray, start: tuple[int, int], columns: int, cell: f
 
 def _within(
     grid: GridView, start: tuple[int, int], limit: float, distances: tuple[float, float, float],
-    targets: BoolArray | None, closed: BoolArray | None,
-) -> tuple[Routes, bool]:  # fmt: skip
+    targets: BoolArray | None, extra: FloatArray | None, closed: BoolArray | None,
+) -> tuple[Routes, float]:  # fmt: skip
     """Paths up to a cost ``limit`` (m), searched only in the cells that a straight path of this cost can reach.
 
-    The search ends at the nearest of the targets (rows, columns); also returned is whether it has found one.
+    The search ends at the cheapest of the targets (rows, columns); its cost, m, is returned, too.
     ``distances`` are radius, comfort and coast of :func:`routes`.
     """
     from limslam_agent.kernels.paths import search_paths
@@ -137,15 +140,16 @@ def _within(
     open_cells[start[0] - low[0], start[1] - low[1]] = True
     columns, size = open_cells.shape[1], open_cells.size
     wanted = np.zeros((0, 0), dtype=bool) if targets is None else targets[part].copy()
+    added = np.zeros((0, 0)) if extra is None else extra[part].copy()
     cost, before = np.full(open_cells.shape, np.inf), np.full(size, -1, dtype=np.int32)
-    is_found = search_paths(
-        open_cells, _prices(grid, start, reach, distances), wanted,
+    nearest = search_paths(
+        open_cells, _prices(grid, start, reach, distances), wanted, added,
         (start[0] - low[0]) * columns + start[1] - low[1], limit,
         np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32), cost.ravel(), before,
     )  # fmt: skip
     everywhere = np.full(values.shape, np.inf)
     everywhere[part] = cost
-    return Routes(everywhere, before, low, columns), is_found
+    return Routes(everywhere, before, low, columns), nearest
 
 
 def _prices(grid: GridView, place: tuple[int, int], reach: int, distances: tuple[float, float, float]) -> FloatArray:

@@ -82,10 +82,10 @@ def sink(queue: Cells, places: Cells, cost: FloatArray, size: int, cell: int) ->
 
 @lean_entry
 def search_paths(
-    open_cells: BoolArray, prices: FloatArray, wanted: BoolArray, start: int, limit: float,
+    open_cells: BoolArray, prices: FloatArray, wanted: BoolArray, extra: FloatArray, start: int, limit: float,
     queue: Cells, places: Cells, cost: FloatArray, before: Cells,
-) -> bool:  # fmt: skip
-    """Find the least-cost paths from a cell to those around it; whether one of them leads to a wanted cell.
+) -> float:  # fmt: skip
+    """Find the least-cost paths from a cell to those around it; the least cost of a wanted cell, infinite for none.
 
     Of equally cheap cells, the one with the largest index is visited first. So paths of equal cost are chosen by the
     grid alone.
@@ -95,7 +95,10 @@ def search_paths(
     open_cells, prices
         Cells that can be entered (rows, columns), and the cost of a step of the length of a cell in each of them.
     wanted
-        The cells (rows, columns) at the nearest of which the search ends; an array without cells for no end.
+        The search ends when the cheapest of these cells (rows, columns) is known; an array without cells for no end.
+    extra
+        What the wanted cells cost besides their paths (rows, columns), m, at least 0; an array without cells for
+        nothing.
     start
         Flat index of the cell where paths begin.
     limit
@@ -115,7 +118,7 @@ def search_paths(
             sink(queue, places, cost, size, queue[size])
         row, column, so_far = cell // columns, cell % columns, cost[cell]
         if wanted.size and wanted[row, column]:
-            nearest = so_far
+            nearest = min(nearest, so_far + (extra[row, column] if extra.size else 0.0))
         price = prices[row, column]
         for slot in range(len(_DOWN)):
             to_row, to_column = row + _DOWN[slot], column + _RIGHT[slot]
@@ -135,4 +138,4 @@ def search_paths(
     for place in range(size):
         # A path to a cell that was not visited may still become cheaper.
         cost[queue[place]] = math.inf
-    return nearest < math.inf
+    return nearest

@@ -110,12 +110,14 @@ def test_paths(is_even: bool, limit: float) -> None:
     expected, before = searched(open_cells, prices, start, limit)
     assert np.count_nonzero(np.isfinite(expected)) > 20
     wanted = draws.uniform(size=open_cells.shape) < 0.01
-    nearest = np.min(expected[wanted.ravel()])
-    for aims, far in ((np.zeros((0, 0), dtype=bool), np.inf), (wanted, nearest)):
+    extra = draws.uniform(0.0, 0.5, open_cells.shape)
+    nothing, some = (np.zeros((0, 0), dtype=bool), np.zeros((0, 0))), (wanted, np.zeros((0, 0)))
+    for aims, added in (nothing, some, (wanted, extra)):
+        totals = expected + (added.ravel() if added.size else 0.0)
+        far = float(np.min(totals[wanted.ravel()])) if aims.size else math.inf
         cost, found_before = np.full(size, np.inf), np.full(size, -1, dtype=np.int32)
         scratch = np.empty((2, size), dtype=np.int32)
-        is_found = search_paths(open_cells, prices, aims, start, limit, *scratch, cost, found_before)
-        assert is_found == (aims.size > 0 and math.isfinite(nearest))
+        assert search_paths(open_cells, prices, aims, added, start, limit, *scratch, cost, found_before) == far
         np.testing.assert_array_equal(cost, np.where(expected <= far, expected, np.inf))
         for cell in np.flatnonzero(np.isfinite(cost)).tolist():
             assert found_before[cell] == before.get(cell, -1)
