@@ -244,3 +244,42 @@ def lines_near(
             found[count] = line
             count += 1
     return count
+
+
+@lean_entry
+def beams_on_robot(
+    pose: FloatArray, other: FloatArray, ranges: FloatArray, beams: FloatArray,
+    sensor: tuple[float, float, float, float],
+    covariance: FloatArray, at: int, other_at: int, margins: tuple[float, float, float], found: BoolArray,
+) -> None:  # fmt: skip
+    """Mark the beams of a robot at a pose (3,) that may end on the body of another robot at a pose (3,).
+
+    Parameters
+    ----------
+    ranges, beams, sensor
+        Readings (b,), m, ``RobotSpec.beam_table``, and ``RangeSensor.numbers``.
+    covariance, at, other_at
+        Joint covariance (n, n) of all poses, and where those of the two robots begin.
+    margins
+        Radius of the body, m, number of standard deviations, and slack, m.
+    found
+        Is set where a beam (b,) may end on that robot.
+    """
+    cos, sin, (radius, sigmas, slack) = math.cos(pose[2]), math.sin(pose[2]), margins
+    for beam in range(len(ranges)):
+        reached = ranges[beam] - sensor[3]
+        x, y = beam_end(pose, cos, sin, beams, beam, reached)
+        distance = math.sqrt((x - other[0]) ** 2 + (y - other[1]) ** 2)
+        toward_x, toward_y = (x - other[0]) / max(distance, 1e-9), (y - other[1]) / max(distance, 1e-9)
+        # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x and y.
+        turning, variance = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x, 0.0
+        by = (toward_x, toward_y, turning, -toward_x, -toward_y)
+        for i in range(5):
+            for j in range(5):
+                row, column = at + i if i < 3 else other_at + i - 3, at + j if j < 3 else other_at + j - 3
+                variance += by[i] * covariance[row, column] * by[j]
+        noise = sensor[0] ** 2 + (sensor[1] * reached**2) ** 2
+        margin = sigmas * math.sqrt(max(variance, 0.0) + noise) + slack
+        # The nearest point inside a wide beam may be anywhere between its borders.
+        if distance <= radius + margin + sensor[2] * reached:
+            found[beam] = True

@@ -7,6 +7,7 @@ import pytest
 
 from limslam_agent.kernels.nearness import (
     aim_beams,
+    beams_on_robot,
     count_on_walls,
     lines_near,
     passed_lines,
@@ -130,3 +131,27 @@ def test_lines_near_a_point(seed: int) -> None:
     count = lines_near(lines, anchors, theta, tuple(point.tolist()), 0.8, 2.0, found)
     np.testing.assert_array_equal(found[:count], expected)
     assert len(expected)
+
+
+def test_beams_on_another_robot() -> None:
+    seen = 0
+    for seed in SEEDS:
+        generator, pose, _ = drawn(seed)
+        ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges)
+        other, root = pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0]), generator.normal(0.0, 0.1, (9, 9))
+        covariance, found = root @ root.T, np.zeros(BEAMS, dtype=bool)
+        beams_on_robot(
+            pose, other, ranges, ROBOT.beam_table, (0.02, 0.03, 0.1, 0.01), covariance, 6, 0, (0.1, 2.0, 0.05), found
+        )
+        reached = ranges - 0.01
+        ends = ends_of(pose, reached)
+        distance, arms = np.hypot(*(ends - other[:2]).T), ends - pose[:2]
+        toward = (ends - other[:2]) / distance[:, None]
+        turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
+        jacobian, columns = np.column_stack((toward, turning, -toward)), [6, 7, 8, 0, 1]
+        variance = np.einsum("ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian)
+        noise = 0.02**2 + (0.03 * reached**2) ** 2
+        expected = distance <= 0.1 + 2.0 * np.sqrt(variance + noise) + 0.05 + 0.1 * reached
+        np.testing.assert_array_equal(found, expected)
+        seen += np.count_nonzero(found)
+    assert 0 < seen < len(SEEDS) * BEAMS
