@@ -2,21 +2,17 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _TIGHT = 20.0
 # A step where no wall is in sight costs this many times as much.
 _OPEN = 3.0
-# No path is this long. SciPy ignores steps of infinite cost only if a search has a limit.
+# No path is this long.
 _ANYWHERE = 1e15
 _WIDER = 2.5
 
@@ -59,6 +55,7 @@ def routes(
     comfort: float,
     *,
     targets: BoolArray | None = None,
+    extra: FloatArray | None = None,
     closed: BoolArray | None = None,
     coast: float = math.inf,
 ) -> Routes:
@@ -81,50 +78,37 @@ def routes(
     targets
         Cells (rows, columns) of interest. If given, the search ends when the cheapest of them is found, and the cost
         of cells that are more expensive may be infinite.
+    extra
+        What the targets cost besides their paths (rows, columns), m, at least 0. Nothing if it is left out.
     closed
         Free cells (rows, columns) that paths must not cross.
     coast
         Distance from occupied cells beyond which a step costs three times as much, m.
     """
-    from limslam_agent.kernels.paths import price_cells
-
     row, column = (int(index) for index in grid.cells(start[None])[0])
-    open_cells = grid.free if closed is None else grid.free & ~closed
-    rows, columns = open_cells.shape
+    rows, columns = grid.values.shape
     if not (0 <= row < rows and 0 <= column < columns):
-        return Routes(np.full(open_cells.shape, np.inf), np.full(open_cells.size, -1), (0, 0), columns)
-    open_cells[row, column] = True
-    prices = np.empty(open_cells.shape)
-    price_cells(wall_distance(grid), radius, comfort, coast, grid.cell, _TIGHT, _OPEN, prices)
+        return Routes(np.full(grid.values.shape, np.inf), np.full(grid.values.size, -1), (0, 0), columns)
     wanted = np.zeros(0, dtype=np.int64) if targets is None else np.flatnonzero(targets)
     limit = _first_limit(wanted, (row, column), columns, grid.cell) if wanted.size else _ANYWHERE
+    aims = targets if wanted.size else None
     while True:
-        ways = _within(open_cells, prices, (row, column), limit, grid.cell)
-        if limit >= _ANYWHERE or np.isfinite(ways.cost.flat[wanted]).any():
+        ways, nearest = _within(grid, (row, column), limit, (radius, comfort, coast), aims, extra, closed)
+        if limit >= _ANYWHERE or nearest <= limit:
             return ways
         limit = limit * _WIDER if limit * _WIDER < grid.cell * grid.values.size else _ANYWHERE
 
 
 def wall_distance(grid: GridView) -> FloatArray:
     """Distance (rows, columns), m, of each cell's centre from the nearest occupied cell's edge."""
-    occupied = grid.occupied
+    return _distances(grid.occupied, grid.cell)
+
+
+def _distances(occupied: BoolArray, cell: float) -> FloatArray:
     if not occupied.any():
-        return np.full(grid.values.shape, np.inf)
-    cells = cv2.distanceTransform((~occupied).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray((cells.astype(float) - 0.5) * grid.cell)
-
-
-def _graph(open_cells: BoolArray, price: FloatArray) -> "sparse.csr_array[Any, Any]":
-    """Costs of the steps from each cell to its eight neighbours; infinite for steps that are not possible."""
-    from limslam_agent.kernels.paths import price_steps
-
-    rows, columns = open_cells.shape
-    weights = np.empty((rows, columns, 2 * len(STEPS)))
-    neighbours = np.empty(weights.shape, dtype=np.int32)
-    # One kind of array, or the kernel would be compiled for each kind.
-    price_steps(np.ascontiguousarray(open_cells), np.ascontiguousarray(price), weights, neighbours)
-    pointers = np.arange(0, weights.size + 1, 2 * len(STEPS), dtype=np.int32)
-    return sparse.csr_array((weights.ravel(), neighbours.ravel(), pointers), shape=(rows * columns, rows * columns))
+        return np.full(occupied.shape, np.inf)
+    cells = cv2.distanceTransform((~occupied).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray((cells.astype(float) - 0.5) * cell)
 
 
 def _first_limit(wanted: IntArray, start: tuple[int, int], columns: int, cell: float) -> float:
@@ -136,19 +120,59 @@ def _first_limit(wanted: IntArray, start: tuple[int, int], columns: int, cell: f
     return cell * (1.25 * float(away.min()) + 2.0)
 
 
-def _within(open_cells: BoolArray, price: FloatArray, start: tuple[int, int], limit: float, cell: float) -> Routes:
+def _within(
+    grid: GridView, start: tuple[int, int], limit: float, distances: tuple[float, float, float],
+    targets: BoolArray | None, extra: FloatArray | None, closed: BoolArray | None,
+) -> tuple[Routes, float]:  # fmt: skip
     """Paths up to a cost ``limit`` (m), searched only in the cells that a straight path of this cost can reach.
 
-    ``price`` (rows, columns) is what a step of the length of a cell costs in each cell, m.
+    The search ends at the cheapest of the targets (rows, columns); its cost, m, is returned, too.
+    ``distances`` are radius, comfort and coast of :func:`routes`.
     """
-    reach = int(min(limit / cell, sum(open_cells.shape))) + 2
-    low = max(start[0] - reach, 0), max(start[1] - reach, 0)
-    window = tuple(slice(first, place + reach + 1) for first, place in zip(low, start, strict=True))
-    rows, columns = (part := open_cells[window]).shape
-    begin = (start[0] - low[0]) * columns + start[1] - low[1]
-    found, before = csgraph.dijkstra(
-        _graph(part, price[window]), indices=np.array([begin]), return_predecessors=True, limit=limit
-    )
-    cost = np.full(open_cells.shape, np.inf)
-    cost[window] = found[0].reshape(rows, columns)
-    return Routes(cost, before[0], low, columns)
+    from limslam_agent.kernels.paths import search_paths
+
+    values = grid.values
+    reach = int(min(limit / grid.cell, sum(values.shape))) + 2
+    part, low = _window(values.shape, start, reach)
+    open_cells = values[part] > 0
+    if closed is not None:
+        open_cells &= ~closed[part]
+    open_cells[start[0] - low[0], start[1] - low[1]] = True
+    columns, size = open_cells.shape[1], open_cells.size
+    wanted = np.zeros((0, 0), dtype=bool) if targets is None else targets[part].copy()
+    added = np.zeros((0, 0)) if extra is None else extra[part].copy()
+    cost, before = np.full(open_cells.shape, np.inf), np.full(size, -1, dtype=np.int32)
+    nearest = search_paths(
+        open_cells, _prices(grid, start, reach, distances), wanted, added,
+        (start[0] - low[0]) * columns + start[1] - low[1], limit,
+        np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32), cost.ravel(), before,
+    )  # fmt: skip
+    everywhere = np.full(values.shape, np.inf)
+    everywhere[part] = cost
+    return Routes(everywhere, before, low, columns), nearest
+
+
+def _prices(grid: GridView, place: tuple[int, int], reach: int, distances: tuple[float, float, float]) -> FloatArray:
+    """What a step of the length of a cell costs, m, in the cells up to ``reach`` cells from a place.
+
+    Walls farther away than the largest of the ``distances`` that counts change no cost.
+    """
+    from limslam_agent.kernels.paths import price_cells
+
+    radius, comfort, coast = distances
+    counts = max(radius + comfort, coast if math.isfinite(coast) else 0.0)
+    around, corner = _window(grid.values.shape, place, reach + math.ceil(counts / grid.cell) + 2)
+    part, _ = _window(grid.values.shape, place, reach)
+    away = _distances(grid.values[around] < 0, grid.cell)
+    prices = np.empty(away.shape)
+    price_cells(away, radius, comfort, coast, grid.cell, _TIGHT, _OPEN, prices)
+    inner = (slice(each.start - first, each.stop - first) for each, first in zip(part, corner, strict=True))
+    return np.ascontiguousarray(prices[tuple(inner)])
+
+
+def _window(
+    shape: tuple[int, ...], place: tuple[int, int], reach: int
+) -> tuple[tuple[slice, slice], tuple[int, int]]:  # fmt: skip
+    """The part of an array of a shape up to ``reach`` cells from a place, and its first row and column."""
+    low = max(place[0] - reach, 0), max(place[1] - reach, 0)
+    return (slice(low[0], min(place[0] + reach + 1, shape[0])), slice(low[1], min(place[1] + reach + 1, shape[1]))), low

@@ -7,8 +7,6 @@ of the map is drawn there.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csgraph
-from scipy.spatial import cKDTree
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray
@@ -51,15 +49,17 @@ class Faces:
 
 def border_faces(grid: GridView, ground: BoolArray) -> Faces:
     """All faces of some free cells (rows, columns), ``ground``. Their normals are smoothed along the border."""
-    free = np.pad(grid.free, 1)
+    rows, columns = grid.values.shape
+    free = np.zeros((rows + 2, columns + 2), dtype=bool)
+    free[1:-1, 1:-1] = grid.values > 0
     cells, normals = [], []
     for down, right in _NEIGHBOURS:
-        beyond = free[1 + down : free.shape[0] - 1 + down, 1 + right : free.shape[1] - 1 + right]
+        beyond = free[1 + down : rows + 1 + down, 1 + right : columns + 1 + right]
         found = np.argwhere(ground & ~beyond)
         cells.append(found)
         normals.append(np.broadcast_to((-right, -down), found.shape))
     raw = np.concatenate(normals).astype(float)
-    middles = grid.centres(np.concatenate(cells)) - 0.5 * grid.cell * raw
+    middles = np.ascontiguousarray(grid.centres(np.concatenate(cells)) - 0.5 * grid.cell * raw)
     return Faces(middles, _smoothed(middles, raw))
 
 
@@ -74,18 +74,15 @@ def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
 
 def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArray:
     """Which faces (n,) have none of the walls (m, 4), m, on a grid of cells of a side (m)."""
-    if not len(segments):
-        return np.ones(len(faces), dtype=bool)
-    starts, spans = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    from limslam_agent.kernels.regions import mark_drawn
+
+    spans = segments[:, 2:] - segments[:, :2]
     length = np.maximum(np.hypot(*spans.T), 1e-9)
-    along = spans / length[:, None]
-    offset = faces.middles[:, None] - starts
-    position = np.sum(offset * along, axis=2)
-    across = np.abs(offset[..., 0] * along[:, 1] - offset[..., 1] * along[:, 0])
-    looks = np.abs(faces.normals[:, :1] * -along[:, 1] + faces.normals[:, 1:] * along[:, 0])
-    near = across <= np.where(looks >= _SAME_WAY, _ACROSS, _SIDEWAYS) * cell
-    beside = (position >= -_PAST * cell) & (position <= length + _PAST * cell)
-    return ~np.asarray((near & beside).any(axis=1))
+    walls = np.column_stack((segments[:, :2], spans / length[:, None], length))
+    drawn = np.empty(len(faces), dtype=bool)
+    limits = _ACROSS * cell, _SIDEWAYS * cell, _PAST * cell
+    mark_drawn(faces.middles, faces.normals, walls, *limits, _SAME_WAY, drawn)
+    return ~drawn
 
 
 def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
@@ -93,23 +90,18 @@ def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
 
     Faces that look away from each other are of two stretches, so that a single occupied cell makes no stretch.
     """
-    if not len(faces):
-        return np.zeros(0, dtype=bool)
-    pairs = cKDTree(faces.middles).query_pairs(_JOINED * cell, output_type="ndarray")
-    pairs = pairs[np.sum(faces.normals[pairs[:, 0]] * faces.normals[pairs[:, 1]], axis=1) >= _SAME_WAY]
-    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces)))
-    _, labels = csgraph.connected_components(joined, directed=False)
-    return np.asarray((np.bincount(labels) * cell >= least)[labels])
+    from limslam_agent.kernels.regions import join_faces
+
+    stretches = np.empty(len(faces), dtype=np.int64)
+    join_faces(faces.middles, faces.normals, faces.middles[:, 1].argsort(), _JOINED * cell, _SAME_WAY, stretches)
+    return np.asarray((np.bincount(stretches) * cell >= least)[stretches], dtype=bool)
 
 
 def _smoothed(middles: FloatArray, normals: FloatArray) -> FloatArray:
     """Unit normals (n, 2): the mean of those of the faces around that do not look the opposite way."""
-    if not len(middles):
-        return normals
-    pairs = cKDTree(middles).query_pairs(_SMOOTHED, output_type="ndarray")
-    pairs = pairs[np.sum(normals[pairs[:, 0]] * normals[pairs[:, 1]], axis=1) >= 0.0]
+    from limslam_agent.kernels.regions import sum_normals
+
     total = normals.copy()
-    np.add.at(total, pairs[:, 0], normals[pairs[:, 1]])
-    np.add.at(total, pairs[:, 1], normals[pairs[:, 0]])
+    sum_normals(middles, normals, middles[:, 1].argsort(), _SMOOTHED, total)
     size = np.hypot(*total.T)[:, None]
     return np.asarray(np.where(size > 1e-9, total / np.maximum(size, 1e-9), normals))

@@ -4,10 +4,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.range_sensor import reading_of
-from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR
+from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 LEAST_COSINE = 0.2
@@ -144,6 +146,90 @@ def predict_ranges(
             stds[i, beam] = math.sqrt(variance) / max(cosine, LEAST_COSINE)
 
 
+@compiled
+def is_all_free(values: NDArray[np.int16], row: int, column: int, reach: int, least: int) -> bool:
+    """Whether a cell and those up to ``reach`` cells away are in the grid and have at least the value ``least``."""
+    rows, columns = values.shape
+    if not (reach <= row < rows - reach and reach <= column < columns - reach):
+        return False
+    for down in range(row - reach, row + reach + 1):
+        for right in range(column - reach, column + reach + 1):
+            if values[down, right] < least:
+                return False
+    return True
+
+
+@compiled
+def is_near_wall(x: float, y: float, segments: FloatArray, near: float) -> bool:
+    """Whether a point, m, is at most ``near`` (m) from one of the walls (k, 4), m."""
+    for wall in range(len(segments)):
+        span_x, span_y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
+        away_x, away_y = x - segments[wall, 0], y - segments[wall, 1]
+        along = (away_x * span_x + away_y * span_y) / max(span_x * span_x + span_y * span_y, 1e-300)
+        along = min(max(along, 0.0), 1.0)
+        off_x, off_y = away_x - along * span_x, away_y - along * span_y
+        if math.sqrt(off_x * off_x + off_y * off_y) <= near:
+            return True
+    return False
+
+
+EXPECTED, FITS, THROUGH, ENDED, IN_FREE = range(5)
+"""Rows of a comparison of readings with a map."""
+
+
+@lean_entry
+def compare_readings(
+    pose: FloatArray, ranges: FloatArray, usable: BoolArray, predicted: FloatArray, stds: FloatArray,
+    beams: FloatArray, sensor: Sensor, sigmas: float, slack: float, segments: FloatArray, values: NDArray[np.int16],
+    low: FloatArray, cell: float, reach: int, least: int, found: BoolArray,
+) -> None:  # fmt: skip
+    """Compare the readings of one step with a map.
+
+    Parameters
+    ----------
+    pose, ranges, usable
+        Pose (3,), m and rad, readings (b,), m, and those that count (b,).
+    predicted, stds
+        Ranges (b,), m, and standard deviations (b,), m, that :func:`predict_ranges` finds.
+    beams, sensor
+        ``RobotSpec.beam_table``, and ``RangeSensor.numbers``.
+    sigmas, slack
+        A reading fits within so many standard deviations and this distance, m.
+    segments
+        The walls (k, 4), m.
+    values, low, cell
+        The grid (rows, columns), its lower left corner (2,), m, and the side of a cell, m.
+    reach, least
+        A reading ends in free space if all cells up to ``reach`` cells away have at least the value ``least``.
+    found
+        Set to the fields of ``contradictions.Comparison`` (5, b), in the order of ``EXPECTED`` and those after it.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for beam in range(len(ranges)):
+        reading = ranges[beam]
+        counts = usable[beam] and reading > beams[beam, TOO_NEAR]
+        is_expected, has_ended = counts and predicted[beam] < math.inf, counts and reading < beams[beam, TOO_FAR]
+        excess, tolerance = 0.0, math.inf
+        if is_expected:
+            excess = min(reading, beams[beam, FARTHEST]) - predicted[beam]
+            tolerance = sigmas * stds[beam] + slack
+        found[EXPECTED, beam], found[ENDED, beam] = is_expected, has_ended
+        found[FITS, beam] = is_expected and abs(excess) <= tolerance
+        found[THROUGH, beam] = is_expected and excess > tolerance
+        found[IN_FREE, beam] = False
+        if has_ended:
+            reached = reading - sensor[3]
+            ahead = beams[beam, FROM_X] + reached * beams[beam, TOWARDS_X]
+            left = beams[beam, FROM_Y] + reached * beams[beam, TOWARDS_Y]
+            x, y = ahead * cos - left * sin + pose[0], ahead * sin + left * cos + pose[1]
+            row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
+            # The nearest point inside a wide beam may be anywhere between its borders.
+            std = math.sqrt(sensor[0] ** 2 + (sensor[1] * reached**2) ** 2)
+            near = sigmas * std + slack + sensor[2] * reached
+            is_free = is_all_free(values, int(row), int(column), reach, least)
+            found[IN_FREE, beam] = is_free and not is_near_wall(x, y, segments, near)
+
+
 @lean_entry
 def compare_steps(
     poses: FloatArray, variances: FloatArray, segments: FloatArray, beams: FloatArray, sensor: Sensor,
@@ -194,6 +280,22 @@ def compare_steps(
                     variance = noise + variances[i, 0] + variances[i, 1] * distance**2
                     residual = (reading - expected) * max(cosine, LEAST_COSINE)
                     misfit[i, beam] = min(misfit[i, beam], residual**2 / variance)
+
+
+@lean_entry
+def last_correction(poses: FloatArray, increments: FloatArray, most: float, most_turn: float) -> int:
+    """The last of the poses (n, 3) that was corrected by much beyond its reported increment (n, 3); 0 if none was.
+
+    ``most``, m, and ``most_turn``, rad, are the largest corrections that count as small.
+    """
+    for i in range(len(poses) - 1, 0, -1):
+        cos, sin = math.cos(poses[i - 1, 2]), math.sin(poses[i - 1, 2])
+        x = poses[i, 0] - (poses[i - 1, 0] + cos * increments[i, 0] - sin * increments[i, 1])
+        y = poses[i, 1] - (poses[i - 1, 1] + sin * increments[i, 0] + cos * increments[i, 1])
+        turn = wrapped(poses[i, 2] - wrapped(poses[i - 1, 2] + increments[i, 2]))
+        if math.hypot(x, y) > most or abs(turn) > most_turn:
+            return i
+    return 0
 
 
 @compiled

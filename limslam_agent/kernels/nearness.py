@@ -145,7 +145,8 @@ def count_on_walls(pose: FloatArray, ranges: FloatArray, beams: FloatArray, segm
 @lean_entry
 def aim_beams(
     pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray,
-    origins: FloatArray, towards: FloatArray, reaches: FloatArray,
+    variances: tuple[float, float, float, float], origins: FloatArray, towards: FloatArray, reaches: FloatArray,
+    stds: FloatArray,
 ) -> int:  # fmt: skip
     """Take the new beams that went farther than the shortest reading into the world; their number n.
 
@@ -155,9 +156,12 @@ def aim_beams(
         Pose (3,), m and rad.
     ranges, measured, beams
         Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
-    origins, towards, reaches
-        The first n rows are set to where the beams begin (b, 2), m, their directions (b, 2), and how far they went
-        (b,), m.
+    variances
+        Variance of a short range, m^2, and the growth of ``RangeSensor``, 1/m; variances of the position, m^2, and of
+        the heading, rad^2.
+    origins, towards, reaches, stds
+        The first n rows are set to where the beams begin (b, 2), m, their directions (b, 2), how far they went (b,), m,
+        and the standard deviations of that (b,), m.
     """
     cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
     for beam in range(len(ranges)):
@@ -165,7 +169,10 @@ def aim_beams(
             heading = pose[2] + beams[beam, ANGLE]
             origins[count, 0], origins[count, 1] = beam_end(pose, cos, sin, beams, beam, 0.0)
             towards[count, 0], towards[count, 1] = math.cos(heading), math.sin(heading)
-            reaches[count] = ranges[beam]
+            reach = ranges[beam]
+            grown = variances[1] * (reach * reach)
+            reaches[count] = reach
+            stds[count] = math.sqrt(variances[0] + grown * grown + variances[2] + variances[3] * (reach * reach))
             count += 1
     return count
 
@@ -206,3 +213,73 @@ def passed_lines(
                 places[count] = (from_y + ahead * towards[beam, 1]) * nx - (from_x + ahead * towards[beam, 0]) * ny
                 count += 1
     return count
+
+
+@lean_entry
+def lines_near(
+    lines: FloatArray, anchors: FloatArray, theta: float, point: tuple[float, float], angle: float, offset: float,
+    found: IntArray,
+) -> int:  # fmt: skip
+    """Find the lines that have about a direction and pass near a point; their number m.
+
+    Parameters
+    ----------
+    lines, anchors
+        The lines (k, 2) as distance, m, and angle, rad, about anchors (k, 2), m.
+    theta, point
+        Direction of a normal, rad, and a point, m.
+    angle, offset
+        The normal of a line that is found differs by less than this angle, rad, and the line passes the point at less
+        than this distance, m.
+    found
+        The first m entries (k,) are set to the numbers of the lines.
+    """
+    count = 0
+    for line in range(len(lines)):
+        turn = abs((lines[line, 1] - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+        if not turn < angle:
+            continue
+        away_x, away_y = point[0] - anchors[line, 0], point[1] - anchors[line, 1]
+        if abs(away_x * math.cos(lines[line, 1]) + away_y * math.sin(lines[line, 1]) - lines[line, 0]) < offset:
+            found[count] = line
+            count += 1
+    return count
+
+
+@lean_entry
+def beams_on_robot(
+    pose: FloatArray, other: FloatArray, ranges: FloatArray, beams: FloatArray,
+    sensor: tuple[float, float, float, float],
+    covariance: FloatArray, at: int, other_at: int, margins: tuple[float, float, float], found: BoolArray,
+) -> None:  # fmt: skip
+    """Mark the beams of a robot at a pose (3,) that may end on the body of another robot at a pose (3,).
+
+    Parameters
+    ----------
+    ranges, beams, sensor
+        Readings (b,), m, ``RobotSpec.beam_table``, and ``RangeSensor.numbers``.
+    covariance, at, other_at
+        Joint covariance (n, n) of all poses, and where those of the two robots begin.
+    margins
+        Radius of the body, m, number of standard deviations, and slack, m.
+    found
+        Is set where a beam (b,) may end on that robot.
+    """
+    cos, sin, (radius, sigmas, slack) = math.cos(pose[2]), math.sin(pose[2]), margins
+    for beam in range(len(ranges)):
+        reached = ranges[beam] - sensor[3]
+        x, y = beam_end(pose, cos, sin, beams, beam, reached)
+        distance = math.sqrt((x - other[0]) ** 2 + (y - other[1]) ** 2)
+        toward_x, toward_y = (x - other[0]) / max(distance, 1e-9), (y - other[1]) / max(distance, 1e-9)
+        # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x and y.
+        turning, variance = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x, 0.0
+        by = (toward_x, toward_y, turning, -toward_x, -toward_y)
+        for i in range(5):
+            for j in range(5):
+                row, column = at + i if i < 3 else other_at + i - 3, at + j if j < 3 else other_at + j - 3
+                variance += by[i] * covariance[row, column] * by[j]
+        noise = sensor[0] ** 2 + (sensor[1] * reached**2) ** 2
+        margin = sigmas * math.sqrt(max(variance, 0.0) + noise) + slack
+        # The nearest point inside a wide beam may be anywhere between its borders.
+        if distance <= radius + margin + sensor[2] * reached:
+            found[beam] = True

@@ -1,16 +1,20 @@
-"""Costs of the steps between the cells of a grid, for searches of paths."""
+"""Least-cost paths over the cells of a grid."""
 
 import math
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.compilation import lean_entry
+from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray
 
-NeighbourArray: TypeAlias = NDArray[np.int32]
+# Steps to the eight neighbours of a cell, in the order in which they are tried: rows, columns, and half the length.
+_DOWN = tuple(sign * down for sign in (1, -1) for down, _, _ in STEPS[::sign])
+_RIGHT = tuple(sign * right for sign in (1, -1) for _, right, _ in STEPS[::sign])
+_HALVES = tuple(0.5 * length for sign in (1, -1) for _, _, length in STEPS[::sign])
+
+Cells = NDArray[np.int32]
 
 
 @lean_entry
@@ -41,41 +45,97 @@ def price_cells(
             prices[row, column] = factor * cell
 
 
+@compiled
+def comes_first(cost: FloatArray, cell: int, other: int) -> bool:
+    """Whether a search visits a cell before another one: the cheaper one, or of equally cheap ones the later one."""
+    return bool(cost[cell] < cost[other] or (cost[cell] == cost[other] and cell > other))
+
+
+@compiled
+def rise(queue: Cells, places: Cells, cost: FloatArray, cell: int, place: int) -> None:
+    """Put a cell into a binary heap at a place, or above it if the cell comes first."""
+    while place > 0:
+        above = (place - 1) // 2
+        other = queue[above]
+        if not comes_first(cost, cell, other):
+            break
+        queue[place], places[other] = other, place
+        place = above
+    queue[place], places[cell] = cell, place
+
+
+@compiled
+def sink(queue: Cells, places: Cells, cost: FloatArray, size: int, cell: int) -> None:
+    """Put a cell into a binary heap of a size at its first place, or below it if other cells come first."""
+    place = 0
+    while 2 * place + 1 < size:
+        below = 2 * place + 1
+        if below + 1 < size and comes_first(cost, queue[below + 1], queue[below]):
+            below += 1
+        other = queue[below]
+        if not comes_first(cost, other, cell):
+            break
+        queue[place], places[other] = other, place
+        place = below
+    queue[place], places[cell] = cell, place
+
+
 @lean_entry
-def price_steps(open_cells: BoolArray, prices: FloatArray, weights: FloatArray, neighbours: NeighbourArray) -> None:
-    """Costs of the steps from each cell to its eight neighbours.
+def search_paths(
+    open_cells: BoolArray, prices: FloatArray, wanted: BoolArray, extra: FloatArray, start: int, limit: float,
+    queue: Cells, places: Cells, cost: FloatArray, before: Cells,
+) -> float:  # fmt: skip
+    """Find the least-cost paths from a cell to those around it; the least cost of a wanted cell, infinite for none.
+
+    Of equally cheap cells, the one with the largest index is visited first. So paths of equal cost are chosen by the
+    grid alone.
 
     Parameters
     ----------
     open_cells, prices
         Cells that can be entered (rows, columns), and the cost of a step of the length of a cell in each of them.
-    weights
-        Set to the costs (rows, columns, 8), in the order of ``STEPS`` and then the same steps backwards.
-        Infinite for steps that are not possible.
-    neighbours
-        Set to the flat indices of the cells to which the steps lead (rows, columns, 8). A step beyond the grid, which
-        is not possible, leads to any cell.
+    wanted
+        The search ends when the cheapest of these cells (rows, columns) is known; an array without cells for no end.
+    extra
+        What the wanted cells cost besides their paths (rows, columns), m, at least 0; an array without cells for
+        nothing.
+    start
+        Flat index of the cell where paths begin.
+    limit
+        Largest cost of a path.
+    queue, places
+        Scratch (n,) for n cells: a binary heap, and where each cell is in it.
+    cost, before
+        Costs (n,), all infinite, and flat indices (n,) of the cells before each cell on its path, all negative. They
+        are set where a path has been found.
     """
     rows, columns = open_cells.shape
-    for row in range(rows):
-        for column in range(columns):
-            for slot in range(8):
-                weights[row, column, slot] = math.inf
-                step = STEPS[slot] if slot < len(STEPS) else STEPS[7 - slot]
-                ahead = step[0] * columns + step[1]
-                at = row * columns + column + (ahead if slot < len(STEPS) else -ahead)
-                neighbours[row, column, slot] = min(max(at, 0), rows * columns - 1)
-    for row in range(rows):
-        for column in range(columns):
-            if not open_cells[row, column]:
+    cost[start], nearest, size = 0.0, math.inf, 1
+    queue[0], places[start] = start, 0
+    while size and cost[queue[0]] <= nearest:
+        cell, size = queue[0], size - 1
+        if size:
+            sink(queue, places, cost, size, queue[size])
+        row, column, so_far = cell // columns, cell % columns, cost[cell]
+        if wanted.size and wanted[row, column]:
+            nearest = min(nearest, so_far + (extra[row, column] if extra.size else 0.0))
+        price = prices[row, column]
+        for slot in range(len(_DOWN)):
+            to_row, to_column = row + _DOWN[slot], column + _RIGHT[slot]
+            if not (0 <= to_row < rows and 0 <= to_column < columns) or not open_cells[to_row, to_column]:
                 continue
-            for slot in range(len(STEPS)):
-                down, right, length = STEPS[slot]
-                to_row, to_column = row + down, column + right
-                if to_row >= rows or not 0 <= to_column < columns or not open_cells[to_row, to_column]:
-                    continue
-                # A diagonal step must not pass between two occupied cells: they may be one wall.
-                if down and right and not (open_cells[row, to_column] and open_cells[to_row, column]):
-                    continue
-                step = 0.5 * length * (prices[row, column] + prices[to_row, to_column])
-                weights[row, column, slot] = weights[to_row, to_column, 7 - slot] = step
+            # A diagonal step must not pass between two occupied cells: they may be one wall.
+            if _DOWN[slot] and _RIGHT[slot] and not (open_cells[row, to_column] and open_cells[to_row, column]):
+                continue
+            to = to_row * columns + to_column
+            reached = so_far + _HALVES[slot] * (price + prices[to_row, to_column])
+            if reached > limit or reached >= cost[to]:
+                continue
+            size += cost[to] == math.inf
+            place = size - 1 if cost[to] == math.inf else places[to]
+            cost[to], before[to] = reached, cell
+            rise(queue, places, cost, to, place)
+    for place in range(size):
+        # A path to a cell that was not visited may still become cheaper.
+        cost[queue[place]] = math.inf
+    return nearest

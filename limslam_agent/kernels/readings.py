@@ -1,9 +1,27 @@
-"""What the ranges of one step mean: ``limslam_agent.readings`` and the front end's masks, in one pass."""
+"""What the ranges of one step mean, in one pass, and how likely it is that readings changed as they did.
+
+``limslam_agent.readings`` and ``limslam_agent.status.sudden_changes`` explain both.
+"""
 
 import math
 
-from limslam_agent.kernels.compilation import lean_entry
+from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.tables import FARTHEST, NOTHING, TOO_FAR
 from limslam_env.geometry import BoolArray, FloatArray
+
+_LEAST_STD = 0.01  # m
+# How much a reading changes with the distance driven, and with the angle turned times the range: standard deviations of
+# two kinds of walls, those that face the beam and those at a grazing angle, and the shares of both.
+_DRIVE, _SPIN, _SHARES = (1.0, 2.0), (0.7, 2.0), (0.75, 0.25)
+# A beam that turns along a straight wall goes on as its last two readings say: from this angle on, rad, and with this
+# standard deviation, m and m for each metre and radian.
+_SWEEPS, _BENT = 0.05, (0.03, 0.2)
+_ON_LINE = 0.6
+# A beam meets an edge with this likelihood in a step, and with so much more for each radian of the turn.
+_EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
+_APPEARS = 0.04  # likelihood that a wall comes into reach in a step
+_LIMITS = -1.5, 4.5  # of a single reading
+_ROOT = math.sqrt(2.0 * math.pi)
 
 
 @lean_entry
@@ -34,3 +52,102 @@ def sort_readings(
         measured[beam] = measured[beam] and is_reading
         hits[beam] = measured[beam] and too_near[beam] < readings[beam] < too_far[beam]
     return refused
+
+
+@compiled
+def normal_density(off: float, std: float) -> float:
+    """Density of a normal distribution."""
+    return math.exp(-0.5 * (off / std) ** 2) / (std * _ROOT)
+
+
+@compiled
+def reading_evidence(
+    ranges: tuple[float, float, float], nothing: tuple[bool, bool, bool], motion: tuple[float, float, float],
+    reach: float, std: float, growth: float,
+) -> float:  # fmt: skip
+    """The evidence of a reading that the robot was carried away before its step.
+
+    Parameters
+    ----------
+    ranges, nothing
+        The reading, the one before, and the one before that, m, and whether the beam saw nothing.
+    motion
+        Distance and turn before the reading, and the turn before the reading before, m and rad, without signs.
+    reach, std, growth
+        The longest range, m, and those of the ``RangeSensor``.
+    """
+    (now, before, earlier), (travel, turn, turn_before) = ranges, motion
+    if nothing[0] and nothing[1]:
+        return math.log(NOTHING)
+    shorter = min(now, before)
+    variance = std**2 + (growth * shorter**2) ** 2
+    edges, here = _EDGES + _EDGES_PER_TURN * min(turn, _FASTEST), 0.0
+    for kind in range(len(_SHARES)):
+        spread = math.sqrt(
+            2.0 * variance + _LEAST_STD**2 + (_DRIVE[kind] * travel) ** 2 + (_SPIN[kind] * turn * shorter) ** 2
+        )
+        if nothing[0]:  # the wall is out of reach now
+            here += _SHARES[kind] * 0.5 * math.erfc((reach - before) / (spread * math.sqrt(2.0)))
+        else:
+            here += _SHARES[kind] * normal_density((reach if nothing[1] else before) - now, spread)
+    if nothing[0]:
+        return math.log(NOTHING / ((1.0 - edges) * here + NOTHING * edges))
+    if nothing[1]:
+        here *= 2.0 * _APPEARS * (1.0 + 3.0 * (turn > 0.5 * _FASTEST))
+        return math.log(NOTHING / reach / (here + edges / reach))
+    if min(turn, turn_before) > _SWEEPS and not nothing[2]:
+        if math.isnan(earlier):
+            return math.nan  # what was before is not known
+        bend = math.sqrt(6.0 * variance + _BENT[0] ** 2 + (_BENT[1] * turn * shorter) ** 2)
+        here = max(here, _ON_LINE * normal_density(now - 2.0 * before + earlier, bend))
+    return math.log(NOTHING / reach / ((1.0 - edges) * here + edges / reach))
+
+
+@lean_entry
+def weigh_changes(
+    ranges: FloatArray, usable: BoolArray, motions: FloatArray, beams: FloatArray, std: float, growth: float,
+    evidence: FloatArray,
+) -> None:  # fmt: skip
+    """Find the evidence of each reading that the robot was carried away before its step.
+
+    Parameters
+    ----------
+    ranges, usable
+        Readings of m + 2 steps (m + 2, b), m, and a mask of those that count.
+    motions
+        Length and angle of the motion before each of the steps (m + 2, 2), m and rad, without signs.
+    beams, std, growth
+        ``RobotSpec.beam_table``, and those of the ``RangeSensor``.
+    evidence
+        Set to the evidence (m, b) of the readings of the steps but the first two; 0 where a reading does not count.
+    """
+    for row in range(evidence.shape[0]):
+        for beam in range(evidence.shape[1]):
+            evidence[row, beam] = 0.0
+            if not (usable[row + 2, beam] and usable[row + 1, beam]):
+                continue
+            reach, far = beams[beam, FARTHEST], beams[beam, TOO_FAR]
+            now, before, earlier = ranges[row + 2, beam], ranges[row + 1, beam], ranges[row, beam]
+            found = reading_evidence(
+                (min(now, reach), min(before, reach), min(earlier, reach)),
+                (now >= far, before >= far, earlier >= far),
+                (motions[row + 2, 0], motions[row + 2, 1], motions[row + 1, 1]), reach, std, growth,
+            )  # fmt: skip
+            if found < _LIMITS[0] or found > _LIMITS[1]:
+                found = _LIMITS[0] if found < _LIMITS[0] else _LIMITS[1]
+            evidence[row, beam] = found
+
+
+@lean_entry
+def mark_dropouts(nothing: BoolArray, lasting: int, found: BoolArray) -> None:
+    """Find the readings (m, b) that saw nothing, but not in ``lasting`` steps in succession."""
+    for beam in range(nothing.shape[1]):
+        begin = 0
+        for row in range(nothing.shape[0] + 1):
+            if row < nothing.shape[0] and nothing[row, beam]:
+                continue
+            for each in range(begin, row):
+                found[each, beam] = row - begin < lasting
+            if row < nothing.shape[0]:
+                found[row, beam] = False
+            begin = row + 1

@@ -44,3 +44,6 @@ LEAST_SPREAD = 1e-6
 
 LEAST_GAIN = 1e-9
 """Least squared norm of a shape that is divided by."""
+
+NOTHING = 0.5
+"""Likelihood that a beam sees nothing at a random place."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 
 _PART_WITHIN = 2.5
@@ -13,46 +13,57 @@ _PART_WEIGHT = 2.0
 _IN_THE_WAY = math.radians(70.0)
 
 
-def separation_cost(grid: GridView, pose: FloatArray, other_poses: FloatArray, other_goals: FloatArray) -> FloatArray:
+def separation_cost(
+    grid: GridView,
+    pose: FloatArray,
+    other_poses: FloatArray,
+    other_goals: FloatArray,
+    among: BoolArray | None = None,
+) -> FloatArray:
     """Additional cost (rows, columns), m, of each cell as a goal, which makes the robots of a team separate.
 
     The cost is high within 2.5 m of another robot or of its goal, and where another robot is closer than this one,
-    which is at ``pose`` (3,).
+    which is at ``pose`` (3,). If some cells (rows, columns) are given, ``among``, it is 0 elsewhere.
     """
-    cost = np.zeros(grid.values.shape)
-    for place in np.vstack((other_poses[:, :2], other_goals)):
-        cost += _PART_WEIGHT * np.clip(_PART_WITHIN - _away(grid, place), 0.0, None)
-    if not len(other_poses):
-        return cost
-    own = _away(grid, pose)
-    for place in other_poses:
-        cost += np.clip(own - _away(grid, place), 0.0, None)
-    return cost
+    total = np.zeros(grid.values.shape)
+    if not len(other_poses) and not len(other_goals):
+        return total
+    rows, columns = np.nonzero(np.ones(total.shape, dtype=bool) if among is None else among)
+    from_others = [_away(grid, rows, columns, place) for place in other_poses]
+    cost = np.zeros(len(rows))
+    for away in (*from_others, *(_away(grid, rows, columns, place) for place in other_goals)):
+        cost += _PART_WEIGHT * np.clip(_PART_WITHIN - away, 0.0, None)
+    own = _away(grid, rows, columns, pose)
+    for away in from_others:
+        cost += np.clip(own - away, 0.0, None)
+    total[rows, columns] = cost
+    return total
 
 
 def cells_near_robots(grid: GridView, other_poses: FloatArray, distance: float) -> BoolArray:
     """Cells (rows, columns) whose centres are closer than ``distance`` (m) to another robot."""
-    taken = np.zeros(grid.values.shape, dtype=bool)
-    for place in other_poses:
-        taken |= _away(grid, place) < distance
+    taken, reach = np.zeros(grid.values.shape, dtype=bool), math.ceil(distance / grid.cell) + 1
+    for row, column, place in zip(*grid.cells(other_poses[:, :2]).T.tolist(), other_poses, strict=True):
+        low = max(row - reach, 0), max(column - reach, 0)
+        part = taken[low[0] : max(row + reach + 1, 0), low[1] : max(column + reach + 1, 0)]
+        rows, columns = np.ogrid[low[0] : low[0] + part.shape[0], low[1] : low[1] + part.shape[1]]
+        part |= _away(grid, rows, columns, place) < distance
     return taken
 
 
 def nearer_to_others(grid: GridView, pose: FloatArray, other_poses: FloatArray) -> BoolArray:
     """Cells (rows, columns) that are nearer to another robot than to this one, which is at ``pose`` (3,)."""
-    nearer, own = np.zeros(grid.values.shape, dtype=bool), _away(grid, pose)
+    rows, columns = np.ogrid[0 : grid.values.shape[0], 0 : grid.values.shape[1]]
+    nearer, own = np.zeros(grid.values.shape, dtype=bool), _away(grid, rows, columns, pose)
     for place in other_poses:
-        nearer |= _away(grid, place) < own
+        nearer |= _away(grid, rows, columns, place) < own
     return nearer
 
 
-def _away(grid: GridView, place: FloatArray) -> FloatArray:
-    """Distance (rows, columns), m, from each cell's centre to a place, whose first two numbers are x and y."""
-    rows, columns = grid.values.shape
-    y, x = np.ogrid[0:rows, 0:columns]
-    return np.asarray(
-        np.hypot(grid.low[0] + (x + 0.5) * grid.cell - place[0], grid.low[1] + (y + 0.5) * grid.cell - place[1])
-    )
+def _away(grid: GridView, rows: IntArray, columns: IntArray, place: FloatArray) -> FloatArray:
+    """Distance, m, from the centres of cells to a place, whose first two numbers are x and y."""
+    x, y = grid.low[0] + (columns + 0.5) * grid.cell, grid.low[1] + (rows + 0.5) * grid.cell
+    return np.asarray(np.hypot(x - place[0], y - place[1]))
 
 
 class RightOfWay:

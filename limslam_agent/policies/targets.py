@@ -129,55 +129,55 @@ def next_target(
     target
         None if there is no frontier left.
     """
-    ways: list[Routes] = []
+    grid, searches = belief.grid, _searches(belief, robot)
+    # A search without a result has covered the whole grid, so one search of each kind is enough.
+    whole: list[Routes | None] = [None for _ in searches]
     for size in (config.min_frontier, config.min_last_frontier):
-        cells = open_frontier(belief.grid, size, ignored, robot)
-        for wanted in (_beside(belief.grid, cells, old_goal), cells):
+        cells = open_frontier(grid, size, ignored, robot)
+        for wanted in (_beside(grid, cells, old_goal), cells):
             if not wanted.any():
                 continue
-            # A search without a result has covered the whole grid, so one search is enough.
-            ways = ways or _ways(belief, wanted, robot, config)
-            found = _cheapest(belief, ways, wanted, cells)
-            if found is not None:
-                return _reachable(belief.grid, cells, *found)
-    ignored = ignored | islands(belief.grid, belief.pose)
-    large = open_frontier(belief.grid, max(config.min_frontier, _WORTH_A_LOOK), ignored, robot)
-    return _unreachable(belief, ways[-1], large, old_goal, robot) if large.any() else None
+            separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals, cells)
+            for number, closed in enumerate(searches):
+                ways = whole[number] or _ways(belief, wanted, separation, closed, robot, config)
+                found = _least(ways.cost + separation, wanted, cells)
+                if found is not None:
+                    return _reachable(grid, cells, found, ways)
+                whole[number] = ways
+    ignored = ignored | islands(grid, belief.pose)
+    large = open_frontier(grid, max(config.min_frontier, _WORTH_A_LOOK), ignored, robot)
+    return _unreachable(belief, whole[-1], large, old_goal, robot) if large.any() and whole[-1] is not None else None
 
 
-def _ways(belief: Belief, wanted: BoolArray, robot: RobotSpec, config: PolicyConfig) -> list[Routes]:
-    """Paths to the nearest of some cells. In a team: paths to all cells, around the other robots and then through
-    them.
+def _searches(belief: Belief, robot: RobotSpec) -> list[BoolArray | None]:
+    """The cells (rows, columns) that are closed in each search: in a team, paths lead around the other robots if they
+    can, and else through them.
     """
-    grid, start, radius = belief.grid, belief.pose[:2], robot.radius + config.margin
-    coast = coast_of(grid, robot, config)
     if not len(belief.other_poses):
-        return [routes(grid, start, radius, config.clearance, targets=wanted, coast=coast)]
-    taken = cells_near_robots(grid, belief.other_poses, 2.0 * robot.radius + _SPACING)
-    return [routes(grid, start, radius, config.clearance, closed=closed, coast=coast) for closed in (taken, None)]
+        return [None]
+    return [cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius + _SPACING), None]
 
 
-def _cheapest(
-    belief: Belief, ways: list[Routes], wanted: BoolArray, cells: BoolArray
-) -> tuple[IntArray, Routes] | None:
-    """The wanted cell (2,) of least cost, or any cell that costs far less, and the paths to it. None if there is no
-    path.
-    """
-    separation = separation_cost(belief.grid, belief.pose, belief.other_poses, belief.other_goals)
-    for each in ways:
-        found = _least(each, each.cost + separation, wanted, cells)
-        if found is not None:
-            return found
-    return None
+def _ways(
+    belief: Belief, wanted: BoolArray, separation: FloatArray, closed: BoolArray | None, robot: RobotSpec,
+    config: PolicyConfig,
+) -> Routes:  # fmt: skip
+    """Paths to the cheapest of some cells, with what separates the robots of a team."""
+    grid, extra = belief.grid, separation if len(belief.other_poses) else None
+    return routes(
+        grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, extra=extra,
+        closed=closed, coast=coast_of(grid, robot, config),
+    )  # fmt: skip
 
 
-def _least(ways: Routes, cost: FloatArray, wanted: BoolArray, cells: BoolArray) -> tuple[IntArray, Routes] | None:
+def _least(cost: FloatArray, wanted: BoolArray, cells: BoolArray) -> IntArray | None:
+    """The wanted cell (2,) of least cost, or any cell that costs far less. None if there is no path."""
     best, other = (int(np.argmin(np.where(among, cost, np.inf))) for among in (wanted, cells))
     if not np.isfinite(cost.flat[best]):
         return None
     if cost.flat[other] < _WORTH * cost.flat[best]:
         best = other
-    return np.array(np.unravel_index(best, cost.shape)), ways
+    return np.array(np.unravel_index(best, cost.shape))
 
 
 def _beside(grid: GridView, cells: BoolArray, goal: FloatArray | None) -> BoolArray:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 from typing import cast
 
 import numpy as np
@@ -206,7 +207,7 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     )
     counts = np.array([len(each) for each in near], dtype=np.int64)
     place = np.repeat(np.arange(len(stands)), counts)
-    face = np.concatenate([np.zeros(0, dtype=np.int64), *(np.array(each, dtype=np.int64) for each in near if each)])
+    face = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=int(counts.sum()))
     offset = stands[place] - faces.middles[face]
     away = np.hypot(offset[:, 0], offset[:, 1])
     steepness = np.sum(offset * faces.normals[face], axis=1) / np.maximum(away, 1e-9)

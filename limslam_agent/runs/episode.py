@@ -408,24 +408,30 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
 
 def _columns(rows: list[_Row]) -> dict[str, Any]:
     """The rows of a run as arrays, by their names in :class:`Episode`."""
-    columns: dict[str, list[Any]] = {
-        "time": [row.time for row in rows],
-        "ranges": [[seen["ranges"] for seen in row.observations] for row in rows],
-        "wheels": [[seen["wheels"] for seen in row.observations] for row in rows],
-        "actions": [row.actions for row in rows],
-        "true": [[info["pose"] for info in row.infos] for row in rows],
-        "estimated": [row.estimated for row in rows],
-        "odometry": [row.odometry for row in rows],
-        "covariances": [row.covariances for row in rows],
-        "levels": [row.levels for row in rows],
-        "wall_seen": [[info["wall_seen"] for info in row.infos] for row in rows],
-        "dropped": [row.dropped for row in rows],
-        "coverage": [row.coverage for row in rows],
-        "contact": [[info["collision"] for info in row.infos] for row in rows],
-        "slam_ms": [row.slam_ms for row in rows],
-        "decide_ms": [row.decide_ms for row in rows],
+    robots = range(len(rows[0].observations))
+    columns: dict[str, Any] = {
+        "time": np.array([row.time for row in rows]),
+        "ranges": _stacked([row.observations[robot]["ranges"] for row in rows for robot in robots], rows),
+        "wheels": _stacked([row.observations[robot]["wheels"] for row in rows for robot in robots], rows),
+        "actions": _stacked([row.actions[robot] for row in rows for robot in robots], rows),
+        "true": _stacked([row.infos[robot]["pose"] for row in rows for robot in robots], rows),
+        "estimated": _stacked([row.estimated for row in rows], rows),
+        "odometry": _stacked([row.odometry for row in rows], rows),
+        "covariances": np.concatenate([row.covariances for row in rows]).reshape(len(rows), len(robots), 3, 3),
+        "levels": np.array([row.levels for row in rows]),
+        "wall_seen": _stacked([row.infos[robot]["wall_seen"] for row in rows for robot in robots], rows),
+        "dropped": _stacked([row.dropped[robot] for row in rows for robot in robots], rows),
+        "coverage": np.array([row.coverage for row in rows]),
+        "contact": np.array([[info["collision"] for info in row.infos] for row in rows]),
+        "slam_ms": np.array([row.slam_ms for row in rows]),
+        "decide_ms": np.array([row.decide_ms for row in rows]),
     }
-    return {name: np.array(column) for name, column in columns.items()}
+    return columns
+
+
+def _stacked(each: list[Any], rows: list[_Row]) -> Any:
+    """The values of all robots in all steps as one array (t, n, k). It is much faster than ``np.array`` on lists."""
+    return np.concatenate(each).reshape(len(rows), len(rows[0].observations), -1)
 
 
 def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, places: PlaceHistory) -> dict[str, Any]:

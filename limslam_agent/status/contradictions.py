@@ -13,8 +13,6 @@ from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
-from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 
 
@@ -165,25 +163,16 @@ def compare(
     sensor
         How ranges are measured.
     """
-    is_usable = measured & (ranges > robot.too_near)
-    expected = is_usable & np.isfinite(predicted)
-    excess = np.where(expected, np.minimum(ranges, robot.max_ranges) - np.where(expected, predicted, 0.0), 0.0)
-    tolerance = np.where(expected, config.sigmas * stds + config.slack, np.inf)
-    ended = is_usable & (ranges < robot.too_far)
-    in_free = np.zeros(len(ranges), dtype=bool)
-    beams = np.flatnonzero(ended)
-    reached = ranges[beams] - sensor.bias
-    ends = transform_points(pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams])
-    # The nearest point inside a wide beam may be anywhere between its borders.
-    near = config.sigmas * sensor.stds(reached) + config.slack + sensor.cone * reached
-    in_free[beams] = _in_free(ends, known, config, near)
-    return Comparison(
-        expected=expected,
-        fits=expected & (np.abs(excess) <= tolerance),
-        through=expected & (excess > tolerance),
-        ended=ended,
-        in_free=in_free,
-    )
+    from limslam_agent.kernels.crossings import compare_readings
+
+    grid, found = known.grid, np.empty((5, len(ranges)), dtype=bool)
+    # One kind of array, or the kernel would be compiled for each kind.
+    compare_readings(
+        pose, ranges, measured, predicted, stds, robot.beam_table, sensor.numbers, float(config.sigmas),
+        float(config.slack), known.segments, np.array(grid.values), grid.low, float(grid.cell), config.free_cells,
+        config.free, found,
+    )  # fmt: skip
+    return Comparison(*found)
 
 
 def compared(
@@ -201,18 +190,3 @@ def compared(
         robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], sensor, config
     )
     return outcome, expected
-
-
-def _in_free(points: FloatArray, known: KnownMap, config: ContradictionConfig, near: FloatArray) -> BoolArray:
-    """Whether each point (n, 2) lies in free cells only, and at no wall within ``near`` (n,), m."""
-    grid, reach = known.grid, config.free_cells
-    cells = grid.cells(points)
-    is_free: BoolArray = np.all((cells >= reach) & (cells < np.array(grid.values.shape) - reach), axis=1)
-    for number in np.flatnonzero(is_free).tolist():
-        row, column = cells[number].tolist()
-        around = grid.values[row - reach : row + reach + 1, column - reach : column + reach + 1]
-        is_free[number] = around.min() >= config.free
-    found = np.flatnonzero(is_free)
-    if len(found) and len(known.segments):
-        is_free[found] = distances(points[found], known.segments).min(axis=1) > near[found]
-    return is_free

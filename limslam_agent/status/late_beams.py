@@ -6,7 +6,6 @@ and each of several delays, the readings of the last seconds are compared with b
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +14,6 @@ import numpy as np
 from limslam_agent.config.status import ContradictionConfig, LateBeamConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import RobotSpec
 
 if TYPE_CHECKING:
@@ -63,14 +61,18 @@ class LateBeam:
         return f"the beam at {math.degrees(self.angle):.0f} deg is late by {self.delay:.1f} s (+- {self.std:.1f} s)"
 
 
-class _Look(NamedTuple):
-    """Pose, increment, readings, usable readings, and variances of position and heading, in one step."""
+class _Steps(NamedTuple):
+    """Poses (n, 3), clipped readings (n, n_beams), those that count, and variances of position and heading (n, 2)."""
 
-    pose: FloatArray
-    increment: FloatArray
+    poses: FloatArray
     ranges: FloatArray
     usable: BoolArray
-    variances: tuple[float, float]
+    variances: FloatArray
+
+    @classmethod
+    def none(cls, beams: int) -> "_Steps":
+        """No steps of a robot with so many beams."""
+        return cls(np.zeros((0, 3)), np.zeros((0, beams)), np.zeros((0, beams), dtype=bool), np.zeros((0, 2)))
 
 
 class LateBeams:
@@ -96,7 +98,8 @@ class LateBeams:
         self._robot, self._config, self._walls = robot, config, contradictions
         longest = max(round(config.longest_delay / robot.control_period), 1)
         self._delays = np.unique(np.linspace(min(2, longest), longest, 10).round().astype(int))
-        self._looks: deque[_Look] = deque(maxlen=max(round(config.window / robot.control_period), longest + 2))
+        self._most = max(round(config.window / robot.control_period), longest + 2)
+        self._steps = _Steps.none(len(robot.beams))
         self._first_beam, self._lag, self._since = 0, 0, 0
         self.found: LateBeam | None = None
 
@@ -105,24 +108,35 @@ class LateBeams:
 
         What was seen before a large correction of the pose is forgotten: it does not fit the corrected map.
         """
-        variances = float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
-        for pose, increment, ranges, measured in looks:
-            if self._looks and self._is_corrected(self._looks[-1].pose, pose, increment):
-                self._looks.clear()
-            clipped = np.minimum(ranges, self._robot.max_ranges)
-            usable = measured & (clipped > self._robot.too_near)
-            self._since += 1
-            self._looks.append(_Look(pose, increment, clipped, usable, variances))
+        from limslam_agent.kernels.crossings import last_correction
+
+        poses, increments, ranges, measured = (np.array(each) for each in zip(*looks, strict=True))
+        known, config = self._steps, self._config
+        clipped = np.minimum(ranges, self._robot.max_ranges)
+        variances = np.empty((len(poses), 2))
+        variances[:] = covariance[0, 0] + covariance[1, 1], covariance[2, 2]
+        joined = np.concatenate((known.poses, poses))
+        moves = np.concatenate((np.zeros_like(known.poses[-1:]), increments))
+        tail = joined[len(joined) - len(moves) :]
+        corrected = last_correction(tail, moves, float(config.max_correction), float(config.max_turn_correction))
+        first = max(len(joined) - len(moves) + corrected if corrected else 0, len(joined) - self._most)
+        self._steps = _Steps(
+            joined[first:],
+            np.concatenate((known.ranges, clipped))[first:],
+            np.concatenate((known.usable, measured & (clipped > self._robot.too_near)))[first:],
+            np.concatenate((known.variances, variances))[first:],
+        )
+        self._since += len(poses)
 
     def forget(self) -> None:
         """Forget the steps so far, after which a step is missing."""
-        self._looks.clear()
+        self._steps = _Steps.none(len(self._robot.beams))
 
     def search(self, segments: FloatArray, sensor: RangeSensor) -> None:
         """Look for a late beam by the walls (k, 4), m, of the map, and the sensor, as they are known now."""
         from limslam_agent.kernels.crossings import evidence_of_delays, sum_gains
 
-        if len(self._looks) < 2 * self._delays[0] or not len(segments):
+        if len(self._steps.poses) < 2 * self._delays[0] or not len(segments):
             return
         if self.found is not None:
             seen = self._compared(segments, sensor, np.array([self.found.beam]))
@@ -134,7 +148,7 @@ class LateBeams:
         beams = np.unique((self._first_beam + np.arange(min(count, _MOST_BEAMS))) % count)
         self._first_beam = (self._first_beam + _MOST_BEAMS) % count
         seen = self._compared(segments, sensor, beams)
-        delays = self._delays[self._delays < len(self._looks) - 2]
+        delays = self._delays[self._delays < len(self._steps.poses) - 2]
         evidence = np.empty((len(delays), len(beams)))
         evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS, evidence)
         if evidence.size and evidence.max() > self._config.evidence:
@@ -144,16 +158,11 @@ class LateBeams:
             beam = int(beams[column])
             self.found = LateBeam(beam, float(self._robot.beam_angles[beam]), delay, std)
 
-    def _is_corrected(self, before: FloatArray, after: FloatArray, increment: FloatArray) -> bool:
-        off = after - compose(before, increment)
-        turned = abs(wrap_angle(float(off[2])))
-        return math.hypot(off[0], off[1]) > self._config.max_correction or turned > self._config.max_turn_correction
-
     def _compared(self, segments: FloatArray, sensor: RangeSensor, beams: IntArray) -> "Predicted":
         """The last steps beside the map, for some beams."""
         from limslam_agent.kernels.crossings import WALL_COLUMNS, Predicted, compare_steps
 
-        poses, ranges, usable, variances = (np.array([look[part] for look in self._looks]) for part in (0, 2, 3, 4))
+        poses, ranges, usable, variances = self._steps
         walls, table = self._walls, np.array(self._robot.beam_table[beams])
         ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
         rules = np.array([walls.inset, walls.least_cosine, *self._limits, self._config.beyond_end])

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from limslam_agent.config.status import ContradictionConfig, SuddenChangeConfig
+from limslam_agent.kernels.tables import NOTHING
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import Comparison, ExpectedRanges, KnownMap, Sight, compared
 from limslam_env.geometry import BoolArray, FloatArray
@@ -28,19 +28,6 @@ LASTING = 4
 
 _MAPS = 4
 _SHARP = 1.5  # a reading fits sharply if the map makes it so much likelier, as a logarithm
-_NOTHING = 0.5  # likelihood that a beam sees nothing at a random place
-_LEAST_STD = 0.01  # m
-# How much a reading changes with the distance driven, and with the angle turned times the range: standard deviations of
-# two kinds of walls, those that face the beam and those at a grazing angle, and the shares of both.
-_SLOPES, _SHARES = ((1.0, 0.7), (2.0, 2.0)), (0.75, 0.25)
-# A beam that turns along a straight wall goes on as its last two readings say: from this angle on, rad, and with this
-# standard deviation, m and m for each metre and radian.
-_SWEEPS, _BENT = 0.05, (0.03, 0.2)
-_ON_LINE = 0.6
-# A beam meets an edge with this likelihood in a step, and with so much more for each radian of the turn.
-_EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
-_APPEARS = 0.04  # likelihood that a wall comes into reach in a step
-_LIMITS = -1.5, 4.5  # of a single reading
 
 
 class Moment(NamedTuple):
@@ -288,7 +275,8 @@ def change_evidence(
 
     It is the logarithm of the likelihood of the reading at a random place, less that of the reading after the one
     before. The likelihoods are mixtures: a beam goes on along what it saw, within the slope of walls that the motion
-    allows for, or it meets an edge. Their constants are those of recorded explorations.
+    allows for, or it meets an edge. Their constants, in `limslam_agent.kernels.readings`, are those of recorded
+    explorations.
 
     Parameters
     ----------
@@ -299,30 +287,11 @@ def change_evidence(
     robot, sensor
         The beams, and how they measure.
     """
-    limits = robot.max_ranges
-    seen, nothing = np.minimum(ranges, limits), ranges >= robot.too_far
-    now, before, earlier = seen[2:], seen[1:-1], seen[:-2]
-    travel, turn = motions[2:, :1], motions[2:, 1:]
-    shorter = np.minimum(now, before)
-    variances = sensor.variances(shorter)
-    base = 2.0 * variances + _LEAST_STD**2
-    stds = [np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2) for drive, spin in _SLOPES]
-    edges = _EDGES + _EDGES_PER_TURN * np.minimum(turn, _FASTEST)
+    from limslam_agent.kernels.readings import weigh_changes
 
-    goes_on = sum(share * _normal(now - before, std) for share, std in zip(_SHARES, stds, strict=True))
-    bend = np.sqrt(6.0 * variances + _BENT[0] ** 2 + (_BENT[1] * turn * shorter) ** 2)
-    is_line = (np.minimum(turn, motions[1:-1, 1:]) > _SWEEPS) & ~(nothing[2:] | nothing[1:-1] | nothing[:-2])
-    goes_on = np.where(is_line, np.maximum(goes_on, _ON_LINE * _normal(now - 2.0 * before + earlier, bend)), goes_on)
-    changes = (1.0 - edges) * goes_on + edges / limits
-    vanishes = sum(share * ndtr((before - limits) / std) for share, std in zip(_SHARES, stds, strict=True))
-    vanishes = (1.0 - edges) * vanishes + _NOTHING * edges
-    comes = sum(share * _normal(limits - now, std) for share, std in zip(_SHARES, stds, strict=True))
-    comes = 2.0 * _APPEARS * (1.0 + 3.0 * (turn > 0.5 * _FASTEST)) * comes + edges / limits
-    here = np.where(nothing[2:], vanishes, np.where(nothing[1:-1], comes, changes))
-    elsewhere = np.where(nothing[2:], _NOTHING, _NOTHING / limits)
-    evidence = np.log(elsewhere / here)
-    evidence = np.where(nothing[2:] & nothing[1:-1], math.log(_NOTHING), evidence)
-    return np.where(usable[2:] & usable[1:-1], np.clip(evidence, *_LIMITS), 0.0)
+    evidence = np.empty((len(ranges) - 2, ranges.shape[1]))
+    weigh_changes(ranges, usable, motions, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
+    return evidence
 
 
 def dropouts(nothing: BoolArray) -> BoolArray:
@@ -333,10 +302,10 @@ def dropouts(nothing: BoolArray) -> BoolArray:
     nothing
         Whether each beam saw nothing in each of successive steps (m, n_beams).
     """
-    found = nothing.copy()
-    for first in range(len(nothing) - LASTING + 1):
-        lasts = nothing[first : first + LASTING].all(axis=0)
-        found[first : first + LASTING, lasts] = False
+    from limslam_agent.kernels.readings import mark_dropouts
+
+    found = np.empty(nothing.shape, dtype=bool)
+    mark_dropouts(nothing, LASTING, found)
     return found
 
 
@@ -346,9 +315,4 @@ def _counted(count: int, what: str) -> str:
 
 def _sharpness(stds: FloatArray, limits: FloatArray) -> FloatArray:
     """How much more likely a reading is where the map expects it than at a random place, as a logarithm."""
-    return np.asarray(-np.log(_NOTHING / limits * stds * math.sqrt(2.0 * math.pi)))
-
-
-def _normal(off: FloatArray, std: FloatArray) -> FloatArray:
-    """Density of a normal distribution."""
-    return np.asarray(np.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi)))
+    return np.asarray(-np.log(NOTHING / limits * stds * math.sqrt(2.0 * math.pi)))

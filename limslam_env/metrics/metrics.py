@@ -4,6 +4,7 @@ Poses are (x, y, theta) in m and rad, segments ``x1, y1, x2, y2`` in m, all in t
 A metric that does not apply (no door in the world, too short a drive) is None, never a made-up number.
 """
 
+import functools
 import math
 from typing import TypeAlias
 
@@ -92,6 +93,7 @@ def consistency_metrics(true: FloatArray, estimated: FloatArray, covariances: Fl
     return {"anees": float(np.mean(nees)) / 3.0, "nees_in_95": float(np.mean(inside))}
 
 
+@functools.lru_cache(maxsize=8)
 def visible_samples(world: World, radius: float, max_range: float, spacing: float = SAMPLE_SPACING) -> WallSamples:
     """Samples of the true walls that a robot could see: what a complete map holds.
 
@@ -99,6 +101,8 @@ def visible_samples(world: World, radius: float, max_range: float, spacing: floa
     line of at most ``max_range`` (m, from the robot's centre: a beam on the rim adds its radius) reaches it from
     where a disc of ``radius`` (m) can get to from the world's starts, or without starts in the largest
     closed region. Sides of obstacles shorter than 0.2 m block the sight but give no samples.
+
+    The latest results are kept, because a suite scores many runs in one world. The arrays are read-only.
     """
     edges = world.edges
     points, directions, owner = _samples(edges, spacing)
@@ -116,7 +120,10 @@ def visible_samples(world: World, radius: float, max_range: float, spacing: floa
         # The nearest places see most samples; few need the search through all that lie in range.
         batches = near[:_FIRST_STANDS], near[_FIRST_STANDS:]
         seen[index] = any(_in_sight(point, batch, edges[around]) for batch in batches)
-    return points[seen], directions[seen], owner[seen]
+    samples = points[seen], directions[seen], owner[seen]
+    for each in samples:
+        each.setflags(write=False)
+    return samples
 
 
 def wall_metrics(

@@ -185,7 +185,7 @@ class CloneEKF(LineEKF):
         else:
             by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
             move_pose(self.x, self.P, moved.start, increment, covariance, by_pose, by_increment)
-            self.F, self.Q = by_pose, by_increment @ covariance @ by_increment.T
+            self.F = by_pose
         for bias in self._biases:
             bias.predict(moved, by_pose)
         if by_calibration is not None and self._bias is not None:

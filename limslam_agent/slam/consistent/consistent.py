@@ -251,12 +251,12 @@ class ConsistentEstimator(Estimator):
 
         if not len(self._map):
             return
-        rays = np.empty((len(front.ranges), 2)), np.empty((len(front.ranges), 2)), np.empty(len(front.ranges))
-        at = POSE * number
-        count = aim_beams(self._filter.x[at : at + POSE], front.ranges, front.measured, self.robot.beam_table, *rays)
-        origins, towards, ranges = (each[:count] for each in rays)
+        beams, at, sensor = len(front.ranges), POSE * number, self.sensor
+        rays = np.empty((beams, 2)), np.empty((beams, 2)), np.empty(beams), np.empty(beams)
         x, y, heading = self._filter.P.diagonal()[at : at + POSE].tolist()
-        stds = np.sqrt(self.sensor.variances(ranges) + (x + y) + heading * ranges**2)
+        pose, variances = self._filter.x[at : at + POSE], (sensor.std**2, float(sensor.growth), x + y, heading)
+        count = aim_beams(pose, front.ranges, front.measured, self.robot.beam_table, variances, *rays)
+        origins, towards, ranges, stds = (each[:count] for each in rays)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 
     def _process(self, number: int, side: Side, step: int, *, has_ended: bool) -> None:
@@ -416,10 +416,14 @@ class ConsistentEstimator(Estimator):
 
     def _near(self, theta: float, point: FloatArray, angle: float, offset: float) -> list[int]:
         """Landmarks with a direction within ``angle``, rad, that pass a point (2,) at less than ``offset``, m."""
-        lines = self._filter.anchored
-        turn = np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
-        off = np.abs(np.sum((point - self._filter.anchors) * normal(lines), axis=1) - lines[:, 0])
-        return [int(index) for index in np.nonzero((turn < angle) & (off < offset))[0]]
+        from limslam_agent.kernels.nearness import lines_near
+
+        found, place = np.empty(len(self._map), dtype=np.int64), (float(point[0]), float(point[1]))
+        count = lines_near(
+            self._filter.anchored, self._filter.anchors, float(theta), place, float(angle), float(offset), found
+        )
+        near: list[int] = found[:count].tolist()
+        return near
 
     def _observe(self, robot: int, step: int, readings: Readings, segment: WallSegment, known: _Candidate) -> bool:
         """Update by a wall segment of a known landmark, if it fits; whether it did."""

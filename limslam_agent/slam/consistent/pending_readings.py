@@ -4,9 +4,10 @@ Readings are collected by side of the robot. Each is stored with the number of t
 from, so that it can correct that pose later.
 """
 
+import copy
 import math
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -31,10 +32,6 @@ class PendingReading(NamedTuple):
     beam: int
     distance: float
     driven: float
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "PendingReading":
-        # It never changes, so that copies can share it.
-        return self
 
 
 class PendingReadings:
@@ -61,12 +58,19 @@ class PendingReadings:
 
     def __init__(self, robot: RobotSpec, config: PendingReadingsConfig, most: int) -> None:
         self._robot, self._config = robot, config
-        self._beams = {side: thinned([beam.side == side for beam in robot.beams], most) for side in SIDES}
+        self._beams = {side: thinned([beam.side == side for beam in robot.beams], most).tolist() for side in SIDES}
         self.driven = self._turned = 0.0
         self._collected_at = (-math.inf, -math.inf)
         self.by_side: dict[Side, list[PendingReading]] = {side: [] for side in SIDES}
         self.fresh: dict[Side, int] = dict.fromkeys(SIDES, 0)
         self._last_hit: dict[Side, float] = dict.fromkeys(SIDES, 0.0)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        other = copy.copy(self)
+        other.by_side = {side: list(readings) for side, readings in self.by_side.items()}
+        for name in ("fresh", "_last_hit"):
+            setattr(other, name, dict(getattr(self, name)))
+        return other
 
     def move(self, increment: FloatArray) -> None:
         """Count a motion of the robot (3,), m and rad."""
@@ -75,7 +79,8 @@ class PendingReadings:
 
     def is_due(self, front: FrontEnd) -> bool:
         """Whether there are new hits, and the robot has moved far enough since the last collection."""
-        hit = [side for side, beams in self._beams.items() if front.hits[beams].any()]
+        hits = front.hits.tolist()
+        hit = [side for side, beams in self._beams.items() if any(hits[beam] for beam in beams)]
         for side in hit:
             self._last_hit[side] = self.driven
         driven, turned = self._collected_at
@@ -85,12 +90,12 @@ class PendingReadings:
     def collect(self, front: FrontEnd, clone: int) -> None:
         """Add the new hits, which were taken from the pose of a clone."""
         self._collected_at = self.driven, self._turned
+        hits, ranges = front.hits.tolist(), front.ranges.tolist()
         for side, beams in self._beams.items():
-            for beam in beams[front.hits[beams]].tolist():
-                self.by_side[side].append(
-                    PendingReading(clone, front.step, beam, float(front.ranges[beam]), self.driven)
-                )  # fmt: skip
-                self.fresh[side] += 1
+            for beam in beams:
+                if hits[beam]:
+                    self.by_side[side].append(PendingReading(clone, front.step, beam, ranges[beam], self.driven))
+                    self.fresh[side] += 1
 
     def forget(self) -> None:
         """Discard all pending readings."""

@@ -6,8 +6,9 @@ and with a share of residuals of any size. It is compared between the assumed no
 also grow with the squared range, as that of triangulating sensors does.
 """
 
+import copy
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.special import ndtr
@@ -79,25 +80,37 @@ class RangeNoise:
         rows = np.rint((self._ratios - math.log(_RATIOS[0])) / math.log(_RATIOS[1] / _RATIOS[0])).astype(int)
         logs_as_assumed = logs[np.argmin(np.abs(np.log(_RATIOS)))]
         gains = logs[np.clip(rows, 0, len(_RATIOS) - 1)] - logs_as_assumed
-        self._gains = gains.reshape(*self._ratios.shape[:2], -1)
-        self._least, self._differences = math.log(least_ratio), np.abs(self._ratios)
-        self._counts = np.zeros((NUM_RANGES, len(EDGES) - 1))
+        # By bin of ranges and of residuals, and by bin of ranges: what one residual adds to the sums below.
+        self._gains = np.ascontiguousarray(gains.transpose(2, 3, 0, 1))
+        self._differences = np.ascontiguousarray(np.abs(self._ratios).transpose(2, 0, 1))
+        self._least, self._total = math.log(least_ratio), 0
+        # For each noise that is considered: the likelihood ratio, and the sum of its differences from the assumed one.
+        self._likelihoods, self._off = np.zeros(self._ratios.shape[:2]), np.zeros(self._ratios.shape[:2])
 
     def count(self, residuals: FloatArray, ranges: FloatArray) -> None:
         """Count the residuals (n,) of a straight wall segment, in standard deviations, after its line was fitted."""
         freedom = (len(residuals) - _LINE) / len(residuals)
         places = np.searchsorted(EDGES, np.abs(residuals) / math.sqrt(freedom), side="right") - 1
         rows = np.ceil(np.log(np.maximum(ranges, NEAREST) / NEAREST) / math.log(RANGE_STEP)).astype(int)
-        counts = places < len(EDGES) - 1
-        np.add.at(self._counts, (np.minimum(rows, NUM_RANGES - 1)[counts], places[counts]), 1.0)
+        is_counted = places < len(EDGES) - 1
+        rows, places = np.minimum(rows, NUM_RANGES - 1)[is_counted], places[is_counted]
+        self._total += len(rows)
+        self._likelihoods += self._gains[rows, places].sum(axis=0)
+        self._off += self._differences[rows].sum(axis=0)
 
     @property
     def estimate(self) -> NoiseEstimate:
         """The likeliest noise that is not as assumed."""
-        total = self._counts.sum()
-        likelihoods = self._gains @ self._counts.ravel()
-        is_other = self._differences @ self._counts.sum(axis=1) >= self._least * total
-        if not (total and is_other.any()):
+        is_other = self._off >= self._least * self._total
+        if not (self._total and is_other.any()):
             return NoiseEstimate(float(self._stds[0]), 0.0, 0.0)
-        best = np.unravel_index(np.argmax(np.where(is_other, likelihoods, -np.inf)), likelihoods.shape)
-        return NoiseEstimate(float(self._stds[best[0]]), float(self._growths[best[1]]), 2.0 * float(likelihoods[best]))
+        best = np.unravel_index(np.argmax(np.where(is_other, self._likelihoods, -np.inf)), is_other.shape)
+        evidence = 2.0 * float(self._likelihoods[best])
+        return NoiseEstimate(float(self._stds[best[0]]), float(self._growths[best[1]]), evidence)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # A lost robot goes back to an earlier estimate, of which copies are made all the time. The tables never change.
+        other = copy.copy(self)
+        for name in ("_likelihoods", "_off"):
+            setattr(other, name, getattr(self, name).copy())
+        return other

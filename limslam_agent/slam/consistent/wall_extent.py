@@ -2,11 +2,13 @@
 
 import copy
 import math
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from limslam_env.geometry import FloatArray, IntArray
+
+Numbers = TypeVar("Numbers", FloatArray, IntArray)
 
 BIN = 0.05
 """Length of wall that one count stands for, m."""
@@ -130,7 +132,13 @@ class WallExtent:
         before, after = max(0, self._low - low), max(0, high - (self._low + len(self._hits) - 1))
         if before or after:
             self._low -= before
-            pad: IntArray = np.array([before, after])
-            self._hits, self._misses = np.pad(self._hits, pad), np.pad(self._misses, pad)
-            self._least = np.pad(self._least, pad, constant_values=np.inf)
-            self._most = np.pad(self._most, pad, constant_values=-np.inf)
+            self._hits, self._misses = padded(self._hits, before, after, 0), padded(self._misses, before, after, 0)
+            self._least = padded(self._least, before, after, math.inf)
+            self._most = padded(self._most, before, after, -math.inf)
+
+
+def padded(values: Numbers, before: int, after: int, value: float) -> Numbers:
+    """The values (n,) with so many others before and after them. ``np.pad`` takes ten times as long."""
+    found = np.full(before + len(values) + after, value, dtype=values.dtype)
+    found[before : before + len(values)] = values
+    return found

@@ -1,7 +1,9 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
+import copy
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -56,6 +58,10 @@ class Wall:
     seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
     behind: float = 0.0
     is_known: bool = False
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # Copies of the map are made all the time, so that a lost robot can go back to one.
+        return replace(self, extent=copy.deepcopy(self.extent, memo), seen=self.seen.copy())
 
     @property
     def board(self) -> float:

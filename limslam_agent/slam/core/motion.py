@@ -147,7 +147,7 @@ def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, o
 
 
 def _check(values: FloatArray, size: int, key: str) -> None:
-    if values.shape != (size,) or not np.isfinite(values).all():
+    if values.shape != (size,) or not all(map(math.isfinite, values.tolist())):
         raise ValueError(f"{key} must be {size} finite numbers, not {values!r}")
 
 

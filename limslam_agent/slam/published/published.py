@@ -17,7 +17,7 @@ from limslam_agent.slam.published.association import ObservedLine, associate, ex
 from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec, Side
 
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -45,11 +45,13 @@ class PublishedEstimator(Estimator):
         self._min_new_length = max(association.min_new_length, association.min_new_share * robot.reach)
         self._closed: set[tuple[int, int]] = set()
         self._drawn: FloatArray | None = None
+        self._shown: tuple[FloatArray, IntArray] | None = None
 
     def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Add points to the buffers, and use each buffer that is full."""
+        back, variance = inverse(motion.increment), float(motion.covariance[2, 2])
         for side, buffer in self._buffers[number].items():
-            buffer.move(motion.increment, float(motion.covariance[2, 2]))
+            buffer.move(motion.increment, variance, back)
             for scan in buffer.add(front.ranges, front.measured, front.hits, front.step):
                 self._use(number, front.step, side, scan)
 
@@ -100,7 +102,10 @@ class PublishedEstimator(Estimator):
 
     @property
     def _confirmed(self) -> IntArray:
-        return self._map.confirmed(self._all_segments, self._config.map)
+        segments = self._all_segments
+        if self._shown is None or self._shown[0] is not segments:
+            self._shown = segments, self._map.confirmed(segments, self._config.map)
+        return self._shown[1]
 
     def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
         lines = extract_lines(scan.points, self._config.hough, self._std)

@@ -9,14 +9,17 @@ from limslam_agent.kernels.crossings import (
     LEAST_COSINE,
     WALL_COLUMNS,
     Predicted,
+    compare_readings,
     compare_steps,
     evidence_of_delays,
+    last_correction,
     predict_ranges,
     sum_gains,
 )
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 
 ROBOT, STD, SEEDS = RobotSpec(), 0.02, range(5)
@@ -147,3 +150,51 @@ def test_evidence_of_delays(seed: int) -> None:
             total = sum_gains(seen, 1, lag, last, SIGMAS, CLIP)
             assert total == pytest.approx(gains[-last:, 1].sum(), abs=1e-9)
     assert found.max() > 0.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_readings_beside_a_map(seed: int) -> None:
+    generator, sensor = np.random.default_rng(seed), RangeSensor(STD, 0.02, 0.1, 0.01)
+    counts, (reach, least, cell), low = 0, (2, 4, 0.1), np.array([-3.0, -3.0])
+    values = np.where(generator.random((60, 60)) < 0.02, -5, 9).astype(np.int16)
+    for _ in range(40):
+        pose = np.array([*generator.uniform(-2.0, 2.0, 2), generator.uniform(-3.0, 3.0)])
+        segments, usable = generator.uniform(-3.0, 3.0, (3, 4)), generator.random(BEAMS) < 0.9
+        ranges = generator.choice([0.05, 0.4, 0.8, 1.2, 5.0], BEAMS) + generator.normal(0.0, 0.03, BEAMS)
+        predicted = np.where(generator.random(BEAMS) < 0.5, ranges + generator.normal(0.0, 0.15, BEAMS), np.inf)
+        stds, found = generator.uniform(0.01, 0.05, BEAMS), np.empty((5, BEAMS), dtype=bool)
+        compare_readings(
+            pose, ranges, usable, predicted, stds, ROBOT.beam_table, sensor.numbers, 3.0, 0.05, segments, values, low,
+            cell, reach, least, found,
+        )  # fmt: skip
+        counts_here = usable & (ranges > ROBOT.too_near)
+        expected, ended = counts_here & np.isfinite(predicted), counts_here & (ranges < ROBOT.too_far)
+        excess = np.where(expected, np.minimum(ranges, ROBOT.max_ranges) - np.where(expected, predicted, 0.0), 0.0)
+        limit, reached = 3.0 * stds + 0.05, ranges - sensor.bias
+        ends = transform_points(pose, ROBOT.beam_origins + reached[:, None] * ROBOT.beam_directions)
+        near = 3.0 * sensor.stds(reached) + 0.05 + sensor.cone * reached
+        in_free = ended & (distances(ends, segments).min(axis=1) > near)
+        for beam, (x, y) in enumerate(ends):
+            column, row = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell))
+            is_inside = reach <= row < 60 - reach and reach <= column < 60 - reach
+            around = values[row - reach : row + reach + 1, column - reach : column + reach + 1]
+            in_free[beam] &= is_inside and bool(around.min() >= least)
+        through, fits = expected & (excess > limit), expected & (np.abs(excess) <= limit)
+        np.testing.assert_array_equal(found, [expected, fits, through, ended, in_free])
+        counts = counts + found.sum(axis=1)
+    assert np.min(counts) > 5
+
+
+def test_the_last_correction() -> None:
+    generator = np.random.default_rng(0)
+    increments = generator.normal(0.0, 0.1, (8, 3))
+    poses = [np.array([1.0, 2.0, 3.0])]
+    for increment in increments[1:]:
+        poses.append(compose(poses[-1], increment))
+    assert last_correction(np.array(poses), increments, 0.05, 0.05) == 0
+    for part, change in ((1, 0.06), (2, -0.06)):
+        moved = np.array(poses)
+        moved[5, part] += change
+        assert last_correction(moved, increments, 0.05, 0.05) == 6
+        assert last_correction(moved[:6], increments[:6], 0.05, 0.05) == 5
+        assert last_correction(moved, increments, 0.3, 0.3) == 0

@@ -7,7 +7,9 @@ import pytest
 
 from limslam_agent.kernels.nearness import (
     aim_beams,
+    beams_on_robot,
     count_on_walls,
+    lines_near,
     passed_lines,
     place_readings,
     room_ahead,
@@ -93,10 +95,12 @@ def test_room_ahead() -> None:
 def test_lines_that_beams_pass_through(seed: int) -> None:
     generator, pose, ranges = drawn(seed)
     lines, anchors = generator.uniform(-2.0, 2.0, (9, 2)), generator.normal(0.0, 1.0, (9, 2))
-    measured, rays = generator.random(BEAMS) < 0.8, (np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS))
-    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, *rays)
+    measured = generator.random(BEAMS) < 0.8
+    rays = np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS), np.empty(BEAMS)
+    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, (0.02**2, 0.03, 0.01, 0.004), *rays)
     beams = np.flatnonzero(measured & (ranges > ROBOT.too_near))
-    origins, towards, reaches = (each[:count] for each in rays)
+    origins, towards, reaches, stds = (each[:count] for each in rays)
+    np.testing.assert_allclose(stds**2, 0.02**2 + (0.03 * reaches**2) ** 2 + 0.01 + 0.004 * reaches**2, rtol=1e-12)
     margins = generator.uniform(0.0, 0.1, count)
     headings = pose[2] + ROBOT.beam_angles[beams]
     np.testing.assert_allclose(origins, transform_points(pose, ROBOT.beam_origins[beams]), atol=1e-12)
@@ -113,3 +117,41 @@ def test_lines_that_beams_pass_through(seed: int) -> None:
     points = origins[rows] + ahead[rows, indices, None] * towards[rows]
     along = np.sum((points - anchors[indices]) * direction(lines)[indices], axis=1)
     np.testing.assert_allclose(places[:found], along, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_lines_near_a_point(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    lines, anchors = generator.uniform(-3.0, 3.0, (40, 2)), generator.normal(0.0, 1.0, (40, 2))
+    point, theta = generator.normal(0.0, 1.0, 2), float(generator.uniform(-3.0, 3.0))
+    turn = np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    normals = np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))
+    off = np.abs(np.sum((point - anchors) * normals, axis=1) - lines[:, 0])
+    expected, found = np.flatnonzero((turn < 0.8) & (off < 2.0)), np.empty(40, dtype=np.int64)
+    count = lines_near(lines, anchors, theta, tuple(point.tolist()), 0.8, 2.0, found)
+    np.testing.assert_array_equal(found[:count], expected)
+    assert len(expected)
+
+
+def test_beams_on_another_robot() -> None:
+    seen = 0
+    for seed in SEEDS:
+        generator, pose, _ = drawn(seed)
+        ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges)
+        other, root = pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0]), generator.normal(0.0, 0.1, (9, 9))
+        covariance, found = root @ root.T, np.zeros(BEAMS, dtype=bool)
+        beams_on_robot(
+            pose, other, ranges, ROBOT.beam_table, (0.02, 0.03, 0.1, 0.01), covariance, 6, 0, (0.1, 2.0, 0.05), found
+        )
+        reached = ranges - 0.01
+        ends = ends_of(pose, reached)
+        distance, arms = np.hypot(*(ends - other[:2]).T), ends - pose[:2]
+        toward = (ends - other[:2]) / distance[:, None]
+        turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
+        jacobian, columns = np.column_stack((toward, turning, -toward)), [6, 7, 8, 0, 1]
+        variance = np.einsum("ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian)
+        noise = 0.02**2 + (0.03 * reached**2) ** 2
+        expected = distance <= 0.1 + 2.0 * np.sqrt(variance + noise) + 0.05 + 0.1 * reached
+        np.testing.assert_array_equal(found, expected)
+        seen += np.count_nonzero(found)
+    assert 0 < seen < len(SEEDS) * BEAMS

@@ -1,4 +1,7 @@
-"""Frontiers, groups of cells and costs of steps: the compiled ones are the plain ones, on random grids."""
+"""Frontiers, groups of cells and paths: the compiled ones are the plain ones, on random grids."""
+
+import heapq
+import math
 
 import numpy as np
 import pytest
@@ -6,7 +9,7 @@ from scipy import ndimage
 
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.paths import price_steps
+from limslam_agent.kernels.paths import search_paths
 from limslam_agent.kernels.regions import group_around
 from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray
@@ -66,22 +69,55 @@ def test_groups(corners: bool) -> None:
         np.testing.assert_array_equal(group_around(cells, row, column, corners), labels == label)
 
 
-def test_costs_of_steps() -> None:
-    open_cells = random_values(2) > 0
+def searched(
+    open_cells: BoolArray, prices: FloatArray, start: int, limit: float
+) -> tuple[FloatArray, dict[int, int]]:  # fmt: skip
+    """Costs (n,) of all cells, and the cell before each of them, by Dijkstra's algorithm with a queue of pairs."""
     rows, columns = open_cells.shape
-    prices = np.random.default_rng(2).uniform(0.05, 1.0, open_cells.shape)
-    found, leads_to = np.empty((rows, columns, 8)), np.empty((rows, columns, 8), dtype=np.int32)
-    price_steps(open_cells, prices, found, leads_to)
-    for row in range(rows):
-        for column in range(columns):
-            for slot in range(8):
-                down, right, length = STEPS[slot] if slot < 4 else STEPS[7 - slot]
-                to_row, to_column = (row + down, column + right) if slot < 4 else (row - down, column - right)
-                is_inside = 0 <= to_row < rows and 0 <= to_column < columns
-                # Both cells beside a diagonal step must be open, too.
-                around = [(row, column), (to_row, to_column), (row, to_column), (to_row, column)]
-                is_open = is_inside and all(open_cells[place] for place in around)
-                price = 0.5 * length * (prices[row, column] + prices[to_row, to_column]) if is_open else np.inf
-                assert found[row, column, slot] == price
-                assert not is_inside or leads_to[row, column, slot] == to_row * columns + to_column
-    assert 0 <= leads_to.min() <= leads_to.max() < open_cells.size
+    cost, before, queue = np.full(open_cells.size, np.inf), dict[int, int](), [(0.0, -start)]
+    cost[start] = 0.0
+    while queue:
+        so_far, negative = heapq.heappop(queue)
+        row, column = divmod(-negative, columns)
+        if so_far > cost[-negative]:
+            continue
+        steps = [*STEPS, *((-down, -right, length) for down, right, length in reversed(STEPS))]
+        for down, right, length in steps:
+            to_row, to_column = row + down, column + right
+            is_inside = 0 <= to_row < rows and 0 <= to_column < columns
+            # Both cells beside a diagonal step must be open, too.
+            if not is_inside or not all(
+                open_cells[place] for place in [(to_row, to_column), (row, to_column), (to_row, column)]
+            ):
+                continue
+            to, reached = (
+                to_row * columns + to_column,
+                so_far + 0.5 * length * (prices[row, column] + prices[to_row, to_column]),
+            )
+            if reached <= limit and reached < cost[to]:
+                cost[to], before[to] = reached, -negative
+                heapq.heappush(queue, (reached, -to))
+    return cost, before
+
+
+@pytest.mark.parametrize("is_even", [True, False])
+@pytest.mark.parametrize("limit", [3.0, 1e9])
+def test_paths(is_even: bool, limit: float) -> None:
+    draws = np.random.default_rng(2)
+    open_cells = random_values(2) > -2
+    prices = np.full(open_cells.shape, 0.1) if is_even else draws.uniform(0.05, 1.0, open_cells.shape)
+    start, size = int(np.flatnonzero(open_cells)[40]), open_cells.size
+    expected, before = searched(open_cells, prices, start, limit)
+    assert np.count_nonzero(np.isfinite(expected)) > 20
+    wanted = draws.uniform(size=open_cells.shape) < 0.01
+    extra = draws.uniform(0.0, 0.5, open_cells.shape)
+    nothing, some = (np.zeros((0, 0), dtype=bool), np.zeros((0, 0))), (wanted, np.zeros((0, 0)))
+    for aims, added in (nothing, some, (wanted, extra)):
+        totals = expected + (added.ravel() if added.size else 0.0)
+        far = float(np.min(totals[wanted.ravel()])) if aims.size else math.inf
+        cost, found_before = np.full(size, np.inf), np.full(size, -1, dtype=np.int32)
+        scratch = np.empty((2, size), dtype=np.int32)
+        assert search_paths(open_cells, prices, aims, added, start, limit, *scratch, cost, found_before) == far
+        np.testing.assert_array_equal(cost, np.where(expected <= far, expected, np.inf))
+        for cell in np.flatnonzero(np.isfinite(cost)).tolist():
+            assert found_before[cell] == before.get(cell, -1)
