@@ -10,6 +10,7 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
+from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup, begin_lookup
@@ -163,6 +164,7 @@ class Mapper:
         self.slam, self._restarts = self._new_slam(), 0
         self._sensor = self.slam.sensor
         self._grid = OccupancyGrid(self.config.grid)
+        self._drawers = [ReadingDrawer(self.robot) for _ in starts]
         self._early = list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
         self.frame, self._revisions = 0, list[Revision]()
@@ -306,8 +308,8 @@ class Mapper:
         extraction, self._extraction = self._extraction, self.slam.last_extraction
         for number, motion in enumerate(motions):
             self._watch(number, poses[number], motion, is_busy=extraction is not self._extraction)
-        for pose, front in zip(poses, self.slam.robots, strict=True):
-            self._grid.update(pose, self.robot, front.ranges, front.measured)
+        for pose, front, drawer in zip(poses, self.slam.robots, self._drawers, strict=True):
+            drawer.draw(self._grid, self.frame, pose, front.ranges, front.measured)
         self._renew(observations[0])
         return motions
 

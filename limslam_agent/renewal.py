@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.dropouts import without_dropouts
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
@@ -105,10 +106,12 @@ class Renewal:
         # The joining with the map from before moves the stretch as a whole.
         moved = compose(self._slam.pose, inverse(poses[-1]))
         self._is_wanted, self.has_jumped, self.grid, self.poses = False, False, self._first_grid, []
-        for pose, (_, ranges, measured, believed, _) in zip(poses[1:], self._rows[1:], strict=True):
+        _, ranges, measured, believed, _ = zip(*self._rows[1:], strict=True)
+        drawn = without_dropouts(self._slam.robot, np.array(ranges), np.array(measured))
+        for pose, row, shown, before in zip(poses[1:], ranges, drawn, believed, strict=True):
             new = compose(moved, pose)
-            self.has_jumped |= math.hypot(*(new - believed)[:2]) > FAR
-            self.grid.update(new, self._slam.robot, ranges, measured)
+            self.has_jumped |= math.hypot(*(new - before)[:2]) > FAR
+            self.grid.update(new, self._slam.robot, row, shown)
             self.poses.append(new)
         return True
 

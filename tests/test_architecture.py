@@ -53,6 +53,7 @@ ENV = {
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
     "limslam_agent.readings": {GEOMETRY},
+    "limslam_agent.dropouts": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
@@ -69,7 +70,7 @@ AGENT = {
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
     "limslam_agent.slam.merging": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
-    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels")},
+    "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels", "slam.core")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {

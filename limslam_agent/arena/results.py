@@ -126,8 +126,17 @@ class Store:
 
     def append(self, row: Row) -> None:
         """Store a row durably."""
-        append_line(self.folder / RESULTS, json.dumps(asdict(row), allow_nan=False).encode() + b"\n")
+        append_line(self.folder / RESULTS, _line(row))
         self.rows[row.plan] = row
+
+    def forget_failed(self) -> None:
+        """Remove the rows with an error, so that their plans are run again."""
+        self.rows = {plan: row for plan, row in self.rows.items() if row.error is None}
+        replace_content(self.folder / RESULTS, b"".join(map(_line, self.rows.values())))
+
+
+def _line(row: Row) -> bytes:
+    return json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
 
 
 @contextmanager

@@ -67,6 +67,7 @@ def run_entry(
     is_secret: bool,
     jobs: int,
     keep: Keep | None = None,
+    retry_failed: bool = False,
     report: Report = lambda _row, _count: None,
 ) -> list[Row]:
     """Run the plans that have no row in a folder yet. Returns all rows of these plans.
@@ -83,6 +84,8 @@ def run_entry(
         Number of processes.
     keep
         Writes the folders of explorations. None keeps no folders, of the mapping track neither.
+    retry_failed
+        Run the plans again in which the entry failed.
     report
         Called with each new row.
 
@@ -96,6 +99,8 @@ def run_entry(
         raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
     stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
     with open_store(folder, stamp) as store:
+        if retry_failed:
+            store.forget_failed()
         todo = [
             Job(entry, plan, place / RUNS / f"{plan.number:03d}" if keep else None, stamp.versions, stamp.commit, keep)
             for plan in plans

@@ -34,6 +34,7 @@ def run(
     jobs: _Jobs = 2,
     *,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the folder of each run, for limslam inspect.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run plans again that failed.")] = False,
 ) -> None:
     """Run an entry on the plans of its track. A run that was stopped goes on where it was."""
     from limslam_agent.arena.entry import read_entry
@@ -48,7 +49,7 @@ def run(
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
             found, wanted, out, seed=seed, is_secret=seed != PUBLIC_SEED, jobs=jobs,
-            keep=write_kept_run if keep else None,
+            keep=write_kept_run if keep else None, retry_failed=retry_failed,
             report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
         )  # fmt: skip
     for row in rows:

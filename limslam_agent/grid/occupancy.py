@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.presets import GridConfig
+from limslam_agent.dropouts import without_dropouts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import RobotSpec
@@ -190,10 +191,11 @@ def drawn_grid(
     poses
         Poses (t, n, 3) of n robots, m and rad.
     ranges, measured
-        Readings (t, n, n_beams), m, and a mask of the readings that are new and of walls.
+        Readings (t, n, n_beams), m, and a mask of the readings that are new. Those that may be drop-outs are not drawn.
     """
     grid = OccupancyGrid(config)
+    drawn = [without_dropouts(robot, ranges[:, number], measured[:, number]) for number in range(ranges.shape[1])]
     for row in range(len(poses)):
         for number, pose in enumerate(poses[row]):
-            grid.update(pose, robot, ranges[row, number], measured[row, number])
+            grid.update(pose, robot, ranges[row, number], drawn[number][row])
     return grid.view

@@ -1,13 +1,20 @@
-"""What the ranges of one step mean, in one pass, and how likely it is that readings changed as they did.
+"""What the ranges of one step mean, how likely it is that readings changed as they did, and how many missed a wall.
 
-``limslam_agent.readings`` and ``limslam_agent.status.sudden_changes`` explain both.
+``limslam_agent.readings``, ``limslam_agent.status.sudden_changes`` and ``limslam_agent.dropouts`` explain them.
 """
 
 import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.tables import FARTHEST, NOTHING, TOO_FAR
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_agent.kernels.tables import FARTHEST, NOTHING, TOO_FAR, TOO_NEAR
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+_SAME_WALL = 0.1
+"""Two readings of a beam whose difference is smaller than this, m, ended at one wall."""
+
+_WELL_WITHIN = 0.9
+"""Share of a beam's longest range up to which a wall is not near the end of the range."""
+
 
 _LEAST_STD = 0.01  # m
 # How much a reading changes with the distance driven, and with the angle turned times the range: standard deviations of
@@ -151,3 +158,30 @@ def mark_dropouts(nothing: BoolArray, lasting: int, found: BoolArray) -> None:
             if row < nothing.shape[0]:
                 found[row, beam] = False
             begin = row + 1
+@lean_entry
+def count_misses(
+    ranges: FloatArray, measured: BoolArray, beams: FloatArray, last: FloatArray, in_a_row: IntArray, counts: IntArray
+) -> None:
+    """Count readings that saw nothing, and among them those between two readings of the same wall.
+
+    Parameters
+    ----------
+    ranges, measured, beams
+        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
+    last
+        The last two new readings of each beam (2, b), m, changed; NaN where there is none.
+    in_a_row
+        How many new readings of each beam (b,) in a row saw nothing, changed.
+    counts
+        Number of readings between two of the same wall, and of those among them that saw nothing (2,), changed.
+    """
+    for beam in range(len(ranges)):
+        if not measured[beam]:
+            continue
+        before, between, reading = last[0, beam], last[1, beam], ranges[beam]
+        near, far, limit = beams[beam, TOO_NEAR], beams[beam, TOO_FAR], _WELL_WITHIN * beams[beam, FARTHEST]
+        if near < before < limit and near < reading < limit and abs(before - reading) < _SAME_WALL:
+            counts[0] += 1
+            counts[1] += between >= far
+        in_a_row[beam] = in_a_row[beam] + 1 if reading >= far else 0
+        last[0, beam], last[1, beam] = between, reading

@@ -65,6 +65,19 @@ def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
     assert [check.differences for check in verify(folder, entry, short_plans, None, 1)] == [[], []]
 
 
+def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
+    folder, seen = tmp_path / "out", []
+    run_all(entry, short_plans[:1], folder)
+    kept = (folder / RESULTS).read_bytes()
+    with open_store(folder, read_stamp(folder)) as store:
+        store.append(replace(store.rows[0], plan=1, error="did not answer within 5 s"))
+    assert run_all(entry, short_plans[:2], folder)[1].error
+    rows = run_all(entry, short_plans[:2], folder, retry_failed=True, report=lambda row, _: seen.append(row.plan))
+    assert seen == [1]
+    assert [row.error for row in rows] == [None, None]
+    assert (folder / RESULTS).read_bytes().startswith(kept)
+
+
 def test_a_kept_run_can_be_inspected_although_its_world_has_a_decimal_size(tmp_path, entry, short_plans):
     assert short_plans[0].world.endswith("6x5.1")
     run_job(Job(entry, short_plans[0], tmp_path / "run", {}, "", write_kept_run))
