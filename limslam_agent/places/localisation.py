@@ -12,7 +12,7 @@ rate (A. Wald, "Sequential tests of statistical hypotheses", 1945). Rays on unkn
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -37,6 +37,7 @@ _REFINED, _SPREAD = 60, (0.25, math.radians(12.0))  # number of poses that are r
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_FAR, _FAR_TURN = 1.5, math.radians(30.0)  # m, rad: a robot that is off by more has not drifted, but was carried
 _RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
 
 
@@ -188,7 +189,7 @@ class Localisation:
 
 
 def localise(
-    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = ()
+    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = (), price: float = 0.0
 ) -> Localisation:
     """Search a map for the place of a drive, and decide whether it counts.
 
@@ -198,12 +199,18 @@ def localise(
         Rays (n, 6) of the drive.
     before
         Poses (3,) that were likely before.
+    price
+        What a place far from the pose that was believed costs of its evidence: its prior. The believed pose of the
+        drive's frame is the origin.
     """
     if not len(rays) or not len(known.segments):
         return Localisation(None, 0.0, np.zeros(2), "there is nothing to compare")
     middle = rays[:, :2].mean(axis=0)
     likely = np.concatenate((known.likely(rays), np.array(before).reshape(-1, 3)))
-    fits = sorted(known.weigh(known.refined(likely, rays), rays), key=lambda fit: -fit.evidence)
+    fits = known.weigh(known.refined(likely, rays), rays)
+    if price:
+        fits = [replace(fit, evidence=fit.evidence - price * is_far(fit.pose, middle)) for fit in fits]
+    fits.sort(key=lambda fit: -fit.evidence)
     if not fits:
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
     best = fits[0]
@@ -217,6 +224,12 @@ def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config:
     shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
     turn = abs(wrap_angle(float(first[2] - second[2])))
     return float(np.hypot(*shift[0])) > config.apart or turn > config.apart_turn
+
+
+def is_far(pose: FloatArray, middle: FloatArray) -> bool:
+    """Whether a pose (3,) of a drive places its middle (2,) so far from where it was believed to be, or turns it so."""
+    shift = transform_points(pose, middle[None])[0] - middle
+    return float(np.hypot(*shift)) > _FAR or abs(wrap_angle(float(pose[2]))) > _FAR_TURN
 
 
 def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> bool:

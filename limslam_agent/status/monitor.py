@@ -165,12 +165,10 @@ class StatusMonitor:
         changes = self._sudden_changes
         return changes.probable if self.status.level == "lost" else changes.certain
 
-    @property
-    def suspected(self) -> int | None:
-        """For how many steps it has been likely that the robot was carried away; None if there is little evidence."""
-        found = self._sudden_changes.strongest
-        is_likely = found is not None and found.evidence >= self._config.sudden_changes.unsure
-        return self._step - found.step if is_likely and found is not None else None
+    def changes(self, steps: int) -> list[tuple[int, Suspicion]]:
+        """The sudden changes of the readings in the latest steps, each with the number of steps ago."""
+        latest = [(self._step - each.step, each) for each in self._sudden_changes.latest]
+        return [(ago, each) for ago, each in latest if ago < steps]
 
     def _first_doubt(self) -> int:
         """The step of the first comparison in the last metres that contradicts the map, or the present step."""
