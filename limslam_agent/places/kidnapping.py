@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,6 +67,24 @@ class Doubt:
     status: Status
 
 
+class _Weighed(NamedTuple):
+    """A sudden change of the readings, the rays (n, 6) since then, and the map before it.
+
+    ``here`` is the evidence of the rays at the believed pose.
+    """
+
+    step: int
+    change: Suspicion
+    rays: FloatArray
+    place: KnownPlaces
+    here: float
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the likelihood ratio of ground without a map and of the believed pose."""
+        return self.change.change - self.here
+
+
 @dataclass(eq=False)
 class Kidnapping:
     """Weighs the sudden changes of one robot.
@@ -99,50 +118,48 @@ class Kidnapping:
             Distance since the last call, m. The whole map is searched now and then, and never if this is 0.
         """
         self._unsearched += driven
-        found = [(*self._here(step, change, log, sensor), step, change) for step, change in changes]
-        if not found:
+        if not changes:
             self._elsewhere = Status()
             return None
-        evidence, place, rays, step, change = max(found, key=lambda each: each[0])
-        if evidence >= self.config.suspected:
-            evidence = min(evidence, change.change - near_evidence(place, rays, covariance))
-        if evidence >= self.config.carried:
-            evidence = min(evidence, self._without_a_beam(step, change, place, log, sensor))
-        is_dated = change.change >= _DATED
-        if evidence >= self.config.carried:
-            return Doubt(step, evidence, is_dated, CARRIED)
-        if driven and self._unsearched >= self.config.search and len(rays) >= _FEWEST:
-            self._unsearched, self._elsewhere = 0.0, self._search(place, rays, change.change - evidence)
-        status = MAYBE_CARRIED if evidence >= self.config.suspected else self._elsewhere
-        return Doubt(step, evidence, is_dated, status)
+        found = (self._weigh(step, change, log.since(step), sensor) for step, change in changes)
+        likeliest = max(found, key=lambda each: each.evidence)
+        if likeliest.evidence >= self.config.suspected:
+            near = near_evidence(likeliest.place, likeliest.rays, covariance)
+            likeliest = likeliest._replace(here=max(likeliest.here, near))
+        status = self._by_evidence(likeliest, log, sensor)
+        if driven and status.level != "lost" and self._unsearched >= self.config.search:
+            self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
+        if status.level == "ok" or (status.level == "unsure" and self._elsewhere.level == "lost"):
+            status = self._elsewhere
+        return Doubt(likeliest.step, likeliest.evidence, likeliest.change.change >= _DATED, status)
 
-    def _here(
-        self, step: int, change: Suspicion, log: StepLog, sensor: RangeSensor
-    ) -> tuple[float, KnownPlaces, FloatArray]:
-        """The evidence of a change, the map before it, and the rays since then."""
+    def _weigh(self, step: int, change: Suspicion, steps: Sequence[LoggedStep], sensor: RangeSensor) -> _Weighed:
+        """Weigh a change by the steps since then."""
         place = KnownPlaces(change.known.segments, change.known.grid, sensor)
-        rays = rays_of(log.since(step), self.robot, sensor.bias)
-        return change.change - place.weigh(np.zeros((1, 3)), rays)[0].evidence, place, rays
+        rays = rays_of(steps, self.robot, sensor.bias)
+        return _Weighed(step, change, rays, place, place.weigh(np.zeros((1, 3)), rays)[0].evidence)
 
-    def _without_a_beam(
-        self, step: int, change: Suspicion, place: KnownPlaces, log: StepLog, sensor: RangeSensor
-    ) -> float:
-        """The least evidence without the rays of one beam, which may be broken."""
-        least = math.inf
+    def _by_evidence(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> Status:
+        """What follows from the evidence of a change. A beam alone is no proof, since it may be broken."""
+        if found.evidence < self.config.suspected:
+            return Status()
+        if found.evidence < self.config.carried:
+            return MAYBE_CARRIED
         for beam in range(len(self.robot.beams)):
-            rays = rays_of([_without(each, beam) for each in log.since(step)], self.robot, sensor.bias)
-            least = min(least, change.change - place.weigh(np.zeros((1, 3)), rays)[0].evidence)
-        # One beam may carry a part of the evidence, but not most of it.
-        return least + self.config.carried - self.config.suspected
+            steps = [_without(step, beam) for step in log.since(found.step)]
+            if self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected:
+                return MAYBE_CARRIED
+        return CARRIED
 
-    def _search(self, place: KnownPlaces, rays: FloatArray, here: float) -> Status:
-        """What follows from a search of the whole map, if the evidence of the believed pose is given."""
-        if here > self.config.supported:
+    def _by_search(self, found: _Weighed) -> Status:
+        """What follows from a search of the whole map before a change."""
+        config = self.config
+        if found.here > config.supported or len(found.rays) < _FEWEST:
             return Status()
-        config, found = self.config, localise(place, rays, self.config, [np.zeros(3)])
-        if found.fit is None or not found.is_accepted or not is_far(found.fit.pose, found.middle):
+        other = localise(found.place, found.rays, config, [np.zeros(3)])
+        if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()
-        is_clear = found.fit.evidence - max(here, 0.0) >= config.elsewhere and found.likeness <= config.runner_up
+        is_clear = other.fit.evidence - max(found.here, 0.0) >= config.elsewhere and other.likeness <= config.runner_up
         return ELSEWHERE if is_clear else MAYBE_ELSEWHERE
 
 
@@ -162,7 +179,7 @@ def near_evidence(place: KnownPlaces, rays: FloatArray, covariance: FloatArray) 
     precision = np.linalg.inv(_OWN**2 * covariance + least)
     costs = 0.5 * np.einsum("ni,ij,nj->n", off, precision, off)
     fits = place.weigh(np.concatenate((poses[is_near], np.zeros((1, 3)))), rays)
-    return max(fit.evidence - cost for fit, cost in zip(fits, [*costs[is_near], 0.0], strict=True))
+    return max(float(fit.evidence - cost) for fit, cost in zip(fits, [*costs[is_near], 0.0], strict=True))
 
 
 def _without(step: LoggedStep, beam: int) -> LoggedStep:
