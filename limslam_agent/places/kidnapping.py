@@ -54,7 +54,7 @@ class Doubt:
     step
         Number of the first step after that.
     evidence
-        Logarithm of the likelihood ratio of ground without a map and of the believed pose.
+        Logarithm of the likelihood ratio of ground without a map, and of the believed pose or one near by.
     is_dated
         Whether the readings of this step itself say so.
     status
@@ -123,15 +123,18 @@ class Kidnapping:
             return None
         found = (self._weigh(step, change, log.since(step), sensor) for step, change in changes)
         likeliest = max(found, key=lambda each: each.evidence)
-        if likeliest.evidence >= self.config.suspected:
+        is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence
+        if is_doubtful:
             near = near_evidence(likeliest.place, likeliest.rays, covariance)
-            likeliest = likeliest._replace(here=max(likeliest.here, near))
-        status = self._by_evidence(likeliest, log, sensor)
+            evidence = min(evidence, likeliest.change.change - near)
+        status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
+        if evidence >= self.config.carried and self._needs_no_beam(likeliest, log, sensor):
+            status = CARRIED
         if driven and status.level != "lost" and self._unsearched >= self.config.search:
             self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
         if status.level == "ok" or (status.level == "unsure" and self._elsewhere.level == "lost"):
             status = self._elsewhere
-        return Doubt(likeliest.step, likeliest.evidence, likeliest.change.change >= _DATED, status)
+        return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status)
 
     def _weigh(self, step: int, change: Suspicion, steps: Sequence[LoggedStep], sensor: RangeSensor) -> _Weighed:
         """Weigh a change by the steps since then."""
@@ -139,17 +142,13 @@ class Kidnapping:
         rays = rays_of(steps, self.robot, sensor.bias)
         return _Weighed(step, change, rays, place, place.weigh(np.zeros((1, 3)), rays)[0].evidence)
 
-    def _by_evidence(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> Status:
-        """What follows from the evidence of a change. A beam alone is no proof, since it may be broken."""
-        if found.evidence < self.config.suspected:
-            return Status()
-        if found.evidence < self.config.carried:
-            return MAYBE_CARRIED
+    def _needs_no_beam(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
+        """Whether a change has enough evidence without any one of the beams, which may be broken."""
         for beam in range(len(self.robot.beams)):
             steps = [_without(step, beam) for step in log.since(found.step)]
             if self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected:
-                return MAYBE_CARRIED
-        return CARRIED
+                return False
+        return True
 
     def _by_search(self, found: _Weighed) -> Status:
         """What follows from a search of the whole map before a change."""
