@@ -34,6 +34,7 @@ _EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number 
 _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
 _RAYS, _POSES = 90, 2000  # largest number of rays in the rough search, and of its best poses
 _REFINED, _SPREAD = 60, (0.25, math.radians(12.0))  # number of poses that are refined, and how far they are apart
+_KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
@@ -160,12 +161,16 @@ class Localisation:
         Middle (2,) of the drive, m, in its own frame.
     refusal
         Why the place does not count, in words. Empty if it counts.
+    open
+        Poses (3,) of the best places that the readings have not refuted. With more readings, each of them may be the
+        right one.
     """
 
     fit: PlaceFit | None
     runner_up: float
     middle: FloatArray
     refusal: str
+    open: Sequence[FloatArray] = ()
 
     @property
     def is_accepted(self) -> bool:
@@ -210,13 +215,25 @@ def localise(
     fits = known.weigh(known.refined(likely, rays), rays)
     if price:
         fits = [replace(fit, evidence=fit.evidence - price * is_far(fit.pose, middle)) for fit in fits]
-    fits.sort(key=lambda fit: -fit.evidence)
+    # Where the test of contradictions has said that the drive is not there, chance fits count no more.
+    fits.sort(key=lambda fit: (fit.is_on_map < -config.on_map, -fit.evidence))
     if not fits:
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
-    best = fits[0]
-    others = (fit.evidence for fit in fits if are_apart(fit.pose, best.pose, middle, config))
-    runner_up = max(next(others, 0.0), 0.0)
-    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config))
+    places = _places(fits, middle, config)
+    best, runner_up = places[0], max([0.0, *(fit.evidence for fit in places[1:])])
+    kept = [fit.pose for fit in places[:_KEPT]]
+    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config), kept)
+
+
+def _places(fits: Sequence[PlaceFit], middle: FloatArray, config: PlaceConfig) -> list[PlaceFit]:
+    """The fit of each place, the best ones first, without places that the readings have refuted."""
+    places = [fits[0]]
+    for fit in fits[1:]:
+        if fit.is_on_map < -config.on_map:
+            break
+        if all(are_apart(fit.pose, place.pose, middle, config) for place in places):
+            places.append(fit)
+    return places
 
 
 def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config: PlaceConfig) -> bool:

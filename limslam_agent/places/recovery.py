@@ -335,7 +335,7 @@ class Recovery:
         absence.place.sensor = sensor
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
-        likely = [found.fit.pose for found in earlier if found.fit is not None]
+        likely = [pose for found in earlier for pose in found.open]
         # A robot that was not carried away has drifted, and is near.
         price = 0.0 if absence.is_carried else self._config.elsewhere
         decision = localise(absence.place, rays, self._config, likely, price)
