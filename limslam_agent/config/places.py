@@ -58,7 +58,10 @@ class PlaceConfig(Bounded):
     supported, elsewhere
         Another place of the map makes a robot lost only if its readings have at most the evidence ``supported`` at the
         believed pose, at least ``elsewhere`` more at the other place, and at any third place at most the share
-        ``runner_up`` of that. A robot that has drifted is believed to be far away with so much evidence only.
+        ``runner_up`` of that.
+    far
+        For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot
+        was carried away.
     checkpoint, checkpoints, margin
         Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by
         which a copy must be older than the first doubt about the estimate.
@@ -99,6 +102,7 @@ class PlaceConfig(Bounded):
     carried: Positive = 10.0
     supported: NonNegative = 15.0
     elsewhere: NonNegative = 250.0
+    far: Share = 0.3
     checkpoint: Count = 50
     checkpoints: Count = 6
     margin: Count = 100

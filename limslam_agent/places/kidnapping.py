@@ -142,6 +142,10 @@ class Kidnapping:
         rays = rays_of(steps, self.robot, sensor.bias)
         return _Weighed(step, change, rays, place, place.weigh(np.zeros((1, 3)), rays)[0].evidence)
 
+    def is_refuted(self, step: int, change: Suspicion, log: StepLog, sensor: RangeSensor) -> bool:
+        """Whether the readings since a sudden change fit the believed pose, so that it was none."""
+        return self._weigh(step, change, log.since(step), sensor).evidence < 0.0
+
     def _needs_no_beam(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
         """Whether a change has enough evidence without any one of the beams, which may be broken."""
         for beam in range(len(self.robot.beams)):

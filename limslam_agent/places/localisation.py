@@ -12,7 +12,7 @@ rate (A. Wald, "Sequential tests of statistical hypotheses", 1945). Rays on unkn
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -156,7 +156,8 @@ class Localisation:
     fit
         The best place; None if there is none.
     runner_up
-        The largest evidence of another place, at least 0, which is that of a random place.
+        The largest evidence of another place, at least 0, which is that of a random place. It is larger by so much as
+        the best place counts for less.
     middle
         Middle (2,) of the drive, m, in its own frame.
     refusal
@@ -194,7 +195,7 @@ class Localisation:
 
 
 def localise(
-    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = (), price: float = 0.0
+    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = (), far: float = 1.0
 ) -> Localisation:
     """Search a map for the place of a drive, and decide whether it counts.
 
@@ -204,25 +205,27 @@ def localise(
         Rays (n, 6) of the drive.
     before
         Poses (3,) that were likely before.
-    price
-        What a place far from the pose that was believed costs of its evidence: its prior. The believed pose of the
-        drive's frame is the origin.
+    far
+        For what share of its evidence a place counts that is far from the pose that was believed, the origin. It is
+        less than 1 for a robot that has probably drifted, and was not carried away.
     """
     if not len(rays) or not len(known.segments):
         return Localisation(None, 0.0, np.zeros(2), "there is nothing to compare")
     middle = rays[:, :2].mean(axis=0)
     likely = np.concatenate((known.likely(rays), np.array(before).reshape(-1, 3)))
     fits = known.weigh(known.refined(likely, rays), rays)
-    if price:
-        fits = [replace(fit, evidence=fit.evidence - price * is_far(fit.pose, middle)) for fit in fits]
-    # Where the test of contradictions has said that the drive is not there, chance fits count no more.
-    fits.sort(key=lambda fit: (fit.is_on_map < -config.on_map, -fit.evidence))
     if not fits:
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
+    shares = {id(fit): far if is_far(fit.pose, middle) else 1.0 for fit in fits}
+    # Where the test of contradictions has said that the drive is not there, chance fits count no more.
+    fits.sort(key=lambda fit: (fit.is_on_map < -config.on_map, -fit.evidence * shares[id(fit)]))
     places = _places(fits, middle, config)
-    best, runner_up = places[0], max([0.0, *(fit.evidence for fit in places[1:])])
-    kept = [fit.pose for fit in places[:_KEPT]]
-    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config), kept)
+    best, share = places[0], shares[id(places[0])]
+    # A far place is compared with others that count in full, and a near one with far ones that do not.
+    rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
+    runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
+    refusal, kept = _refusal(best, runner_up, config), [fit.pose for fit in places[:_KEPT]]
+    return Localisation(best, runner_up, middle, refusal, kept)
 
 
 def _places(fits: Sequence[PlaceFit], middle: FloatArray, config: PlaceConfig) -> list[PlaceFit]:

@@ -303,12 +303,17 @@ class Recovery:
         is_own, was_carried = own.status.level == "lost", self.absence is not None and self.absence.is_carried
         if self.absence is not None and not is_own:
             return WRONG_PLACE, self.absence.first, self.absence.is_dated, was_carried
-        if is_own and own.carried is None and self.absence is None:
+        change = own.carried if is_own else None
+        first, is_dated = self.log.end - 1 - own.doubted, change is not None
+        kept = max(first, self.log.begin)
+        if change is not None and self._kidnapping.is_refuted(kept, change, self.log, slam.range_sensor):
+            # What contradicts the map now has also spoken for an earlier change.
+            first, is_dated = self.log.end - 1 - own.contradicted, False
+        if is_own and not is_dated and self.absence is None:
             self._doubt = self._weigh(own, slam)
         doubt, self._doubt = self._doubt, None
-        if is_own and (doubt is None or doubt.evidence < self._config.suspected or own.carried is not None):
-            is_dated = own.carried is not None
-            return own.status, self.log.end - 1 - own.doubted, is_dated, is_dated or was_carried
+        if is_own and (doubt is None or doubt.evidence < self._config.suspected or is_dated):
+            return own.status, first, is_dated, change is not None or was_carried
         assert doubt is not None  # noqa: S101 (the monitor or a doubt says that the robot is lost)
         return own.status if is_own else doubt.status, doubt.step, doubt.is_dated, True
 
@@ -337,8 +342,8 @@ class Recovery:
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
         likely = [pose for found in earlier for pose in found.open]
         # A robot that was not carried away has drifted, and is near.
-        price = 0.0 if absence.is_carried else self._config.elsewhere
-        decision = localise(absence.place, rays, self._config, likely, price)
+        far = 1.0 if absence.is_carried else self._config.far
+        decision = localise(absence.place, rays, self._config, likely, far)
         absence.decisions.append((self.log.end - 1, decision))
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None

@@ -90,13 +90,12 @@ def test_ground_that_the_map_does_not_have_is_no_proof_but_another_place_may_be(
     assert doubt(log, [changed(whole, 5, CONFIG.suspected)], driven=0.0).status == MAYBE_CARRIED
 
 
-def test_the_evidence_of_far_places_is_less_for_a_robot_that_has_drifted(whole):
+def test_far_places_count_less_for_a_robot_that_has_drifted(whole):
     rays = rays_of(drive(PART, HALL, (3.0, -2.0, 1.3)), ROBOT)
-    free, priced = localise(whole, rays, CONFIG), localise(whole, rays, CONFIG, price=1e4)
-    assert free.is_accepted
-    assert not priced.is_accepted
+    assert localise(whole, rays, CONFIG).is_accepted
+    assert not localise(whole, rays, CONFIG, far=0.0).is_accepted
     near = rays_of(drive(PART, HALL, (0.3, -0.2, 0.1)), ROBOT)
-    assert localise(whole, near, CONFIG, price=1e4).is_accepted
+    assert localise(whole, near, CONFIG, far=0.0).is_accepted
 
 
 @pytest.mark.parametrize(("frame", "is_wrong"), [((0.0, 0.0, 0.0), False), (AWAY, True)])
