@@ -421,7 +421,7 @@ class Mapper:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
         recovery.note(LoggedStep.of(observation, self.slam, motion), self.slam, self._grid)
         own = self._monitors[0]
-        if own.status.level == "lost" or recovery.is_elsewhere(own):
+        if own.status.level == "lost" or recovery.is_elsewhere(own, self.slam):
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
             recovery.lose(own, self.slam, self._grid)

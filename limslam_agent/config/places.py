@@ -49,9 +49,19 @@ class PlaceConfig(Bounded):
     on_map
         Least logarithm of the likelihood ratio of the contradictions at a place: of the right place, and of ground that
         the map does not have.
-    recheck
-        A robot that may have been carried away compares its readings since then with the map of a while ago each time
-        that it has driven so far, m.
+    recheck, search
+        A robot whose readings changed suddenly weighs its readings since then each time that it has driven so far, and
+        searches its whole map for another place less often, m.
+    suspected, carried
+        It is unsure, or lost, if the evidence that it was carried away is at least this: a logarithm of a likelihood
+        ratio that outweighs the prior.
+    supported, elsewhere
+        Another place of the map makes a robot lost only if its readings have at most the evidence ``supported`` at the
+        believed pose, at least ``elsewhere`` more at the other place, and at any third place at most the share
+        ``runner_up`` of that.
+    far
+        For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot
+        was carried away.
     checkpoint, checkpoints, margin
         Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by
         which a copy must be older than the first doubt about the estimate.
@@ -86,7 +96,13 @@ class PlaceConfig(Bounded):
     lead: NonNegative = 25.0
     likeness: Share = 0.85
     on_map: NonNegative = 6.0
-    recheck: Positive = 1.0
+    recheck: Positive = 0.3
+    search: Positive = 1.0
+    suspected: Positive = 6.0
+    carried: Positive = 10.0
+    supported: NonNegative = 15.0
+    elsewhere: NonNegative = 250.0
+    far: Share = 0.3
     checkpoint: Count = 50
     checkpoints: Count = 6
     margin: Count = 100

@@ -34,9 +34,11 @@ _EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number 
 _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
 _RAYS, _POSES = 90, 2000  # largest number of rays in the rough search, and of its best poses
 _REFINED, _SPREAD = 60, (0.25, math.radians(12.0))  # number of poses that are refined, and how far they are apart
+_KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_FAR, _FAR_TURN = 1.5, math.radians(30.0)  # m, rad: a robot that is off by more has not drifted, but was carried
 _RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
 
 
@@ -154,17 +156,22 @@ class Localisation:
     fit
         The best place; None if there is none.
     runner_up
-        The largest evidence of another place, at least 0, which is that of a random place.
+        The largest evidence of another place, at least 0, which is that of a random place. It is larger by so much as
+        the best place counts for less.
     middle
         Middle (2,) of the drive, m, in its own frame.
     refusal
         Why the place does not count, in words. Empty if it counts.
+    open
+        Poses (3,) of the best places that the readings have not refuted. With more readings, each of them may be the
+        right one.
     """
 
     fit: PlaceFit | None
     runner_up: float
     middle: FloatArray
     refusal: str
+    open: Sequence[FloatArray] = ()
 
     @property
     def is_accepted(self) -> bool:
@@ -188,7 +195,7 @@ class Localisation:
 
 
 def localise(
-    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = ()
+    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = (), far: float = 1.0
 ) -> Localisation:
     """Search a map for the place of a drive, and decide whether it counts.
 
@@ -198,18 +205,38 @@ def localise(
         Rays (n, 6) of the drive.
     before
         Poses (3,) that were likely before.
+    far
+        For what share of its evidence a place counts that is far from the pose that was believed, the origin. It is
+        less than 1 for a robot that has probably drifted, and was not carried away.
     """
     if not len(rays) or not len(known.segments):
         return Localisation(None, 0.0, np.zeros(2), "there is nothing to compare")
     middle = rays[:, :2].mean(axis=0)
     likely = np.concatenate((known.likely(rays), np.array(before).reshape(-1, 3)))
-    fits = sorted(known.weigh(known.refined(likely, rays), rays), key=lambda fit: -fit.evidence)
+    fits = known.weigh(known.refined(likely, rays), rays)
     if not fits:
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
-    best = fits[0]
-    others = (fit.evidence for fit in fits if are_apart(fit.pose, best.pose, middle, config))
-    runner_up = max(next(others, 0.0), 0.0)
-    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config))
+    shares = {id(fit): far if is_far(fit.pose, middle) else 1.0 for fit in fits}
+    # Where the test of contradictions has said that the drive is not there, chance fits count no more.
+    fits.sort(key=lambda fit: (fit.is_on_map < -config.on_map, -fit.evidence * shares[id(fit)]))
+    places = _places(fits, middle, config)
+    best, share = places[0], shares[id(places[0])]
+    # A far place is compared with others that count in full, and a near one with far ones that do not.
+    rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
+    runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
+    refusal, kept = _refusal(best, runner_up, config), [fit.pose for fit in places[:_KEPT]]
+    return Localisation(best, runner_up, middle, refusal, kept)
+
+
+def _places(fits: Sequence[PlaceFit], middle: FloatArray, config: PlaceConfig) -> list[PlaceFit]:
+    """The fit of each place, the best ones first, without places that the readings have refuted."""
+    places = [fits[0]]
+    for fit in fits[1:]:
+        if fit.is_on_map < -config.on_map:
+            break
+        if all(are_apart(fit.pose, place.pose, middle, config) for place in places):
+            places.append(fit)
+    return places
 
 
 def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config: PlaceConfig) -> bool:
@@ -217,6 +244,12 @@ def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config:
     shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
     turn = abs(wrap_angle(float(first[2] - second[2])))
     return float(np.hypot(*shift[0])) > config.apart or turn > config.apart_turn
+
+
+def is_far(pose: FloatArray, middle: FloatArray) -> bool:
+    """Whether a pose (3,) of a drive places its middle (2,) so far from where it was believed to be, or turns it so."""
+    shift = transform_points(pose, middle[None])[0] - middle
+    return float(np.hypot(*shift)) > _FAR or abs(wrap_angle(float(pose[2]))) > _FAR_TURN
 
 
 def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> bool:

@@ -19,7 +19,8 @@ from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
-from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, are_apart, localise
+from limslam_agent.places.kidnapping import Doubt, Kidnapping
+from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
 from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
@@ -31,11 +32,8 @@ from limslam_env.interface import RobotSpec
 
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
-_OLDER = 3  # the map of a while ago is the oldest of at least so many copies of the estimate
-_APART, _APART_TURN = 1.0, math.radians(30.0)  # m, rad: a robot that is off by less has drifted, and was not carried
-_FEWEST = 3  # number of readings that must contradict the map, so that other places are searched
-
-ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
+WRONG_PLACE = Status("lost", "the readings contradict the map at the place that was found")
+_WATCHED = 300  # number of steps after a sudden change in which it is weighed
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +184,8 @@ class Recovery:
         self.breaks: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._arrival: Absence | None = None
-        self._rechecked, self._doubted = 0.0, 0
+        self._rechecked, self._kidnapping = 0.0, Kidnapping(robot, places)
+        self._doubt: Doubt | None = None
 
     @property
     def is_lost(self) -> bool:
@@ -202,7 +201,7 @@ class Recovery:
         """The status of the robot, whose own status in its frame is given."""
         found = self.absence or self._arrival
         if found is None:
-            return own
+            return own if own.level != "ok" or self._doubt is None else self._doubt.status
         if not found.is_placed:
             return Status("lost", found.reason)
         if own.level != "ok":
@@ -222,6 +221,7 @@ class Recovery:
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it."""
         self.log.steps.append(step)
+        self._rechecked += math.hypot(*step.motion[:2].tolist())
         absence = self.absence or self._arrival
         if absence is not None:
             x, y, turn = step.motion.tolist()
@@ -235,7 +235,6 @@ class Recovery:
                 kept = [copy for copy in self._local_copies if copy.step > self.log.begin]
                 self._local_copies = [*kept, self._copy(slam, grid)]
             return
-        self._rechecked += math.hypot(*step.motion[:2].tolist())
         if not self._copies or self.log.end % self._config.checkpoint == 0:
             self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
             self.log.forget_before(self._copies[0].step)
@@ -254,11 +253,8 @@ class Recovery:
         A robot that had found its place without being sure of it goes back to the frame as it was before. If the
         readings have said in which step the robot was carried away, the map until then is good.
         """
-        if own.status.level == "lost":
-            status, first, is_dated = own.status, self.log.end - 1 - own.doubted, own.carried is not None
-        else:
-            status, first, is_dated = ELSEWHERE, self._doubted, False
-        jump, is_carried = math.sqrt(own.added_covariance[0, 0]), is_dated or status is ELSEWHERE
+        status, first, is_dated, is_carried = self._first_doubt(own, slam)
+        jump = math.sqrt(own.added_covariance[0, 0])
         before, self._arrival = self.absence, None
         if before is None:
             margin = 1 if is_dated else self._config.margin
@@ -281,30 +277,53 @@ class Recovery:
         self._copies, self._local_copies = [], []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
-    def is_elsewhere(self, own: StatusMonitor) -> bool:
-        """Whether the robot may have been carried away, and its readings since then fit the map at another place only.
+    def is_elsewhere(self, own: StatusMonitor, slam: LineSlam) -> bool:
+        """Whether the readings since a sudden change say that the robot was carried away, or that its place is wrong.
 
         A robot may be carried to a place that looks at first like the one before. If it then draws its own walls, no
-        reading contradicts its present map. The readings are therefore compared with the map of a while ago. In a
-        building with many rooms alike, a new room fits the map at the place of an earlier one. So there must also be a
-        suspicion by readings that changed at once, and readings that contradict the earlier map.
+        reading contradicts its present map. The readings are therefore compared with the map of that time.
         """
-        if self._rechecked < self._config.recheck or len(self._copies) < _OLDER or self.absence is not None:
+        if self._rechecked < self._config.recheck:
             return False
-        ago, self._rechecked = own.suspected, 0.0
-        if ago is None:
+        driven, self._rechecked = self._rechecked, 0.0
+        if self.absence is not None:
+            return self.is_placed and self._is_refuted(self.absence, slam.range_sensor)
+        self._doubt = self._weigh(own, slam, driven)
+        return self._doubt is not None and self._doubt.status.level == "lost"
+
+    def _weigh(self, own: StatusMonitor, slam: LineSlam, driven: float = 0.0) -> Doubt | None:
+        """The likeliest moment at which the robot was carried away."""
+        last, changes = self.log.end - 1, []
+        if self.log.largest_correction <= self._config.apart:  # a closed loop moves robot and map alike
+            changes = [(last - ago, each) for ago, each in own.changes(_WATCHED) if last - ago > self.log.begin]
+        return self._kidnapping.doubt(changes, self.log, slam.covariance, slam.range_sensor, driven)
+
+    def _first_doubt(self, own: StatusMonitor, slam: LineSlam) -> tuple[Status, int, bool, bool]:
+        """Why the robot is lost and since when, whether that step is certain, and whether it was carried away."""
+        is_own, was_carried = own.status.level == "lost", self.absence is not None and self.absence.is_carried
+        if self.absence is not None and not is_own:
+            return WRONG_PLACE, self.absence.first, self.absence.is_dated, was_carried
+        change = own.carried if is_own else None
+        first, is_dated = self.log.end - 1 - own.doubted, change is not None
+        kept = max(first, self.log.begin)
+        if change is not None and self._kidnapping.is_refuted(kept, change, self.log, slam.range_sensor):
+            # What contradicts the map now has also spoken for an earlier change.
+            first, is_dated = self.log.end - 1 - own.contradicted, False
+        if is_own and not is_dated and self.absence is None:
+            self._doubt = self._weigh(own, slam)
+        doubt, self._doubt = self._doubt, None
+        if is_own and (doubt is None or doubt.evidence < self._config.suspected or is_dated):
+            return own.status, first, is_dated, change is not None or was_carried
+        assert doubt is not None  # noqa: S101 (the monitor or a doubt says that the robot is lost)
+        return own.status if is_own else doubt.status, doubt.step, doubt.is_dated, True
+
+    def _is_refuted(self, absence: Absence, sensor: RangeSensor) -> bool:
+        """Whether the readings since the robot was placed contradict the map in which it was."""
+        if absence.place is None or absence.rays is None:
             return False
-        self._doubted = max(self.log.end - 1 - ago, self.log.begin + 1)
-        place, here = self._copies[0].places, np.zeros(3)
-        rays = rays_of(self.log.since(self._doubted), self._robot, place.sensor.bias)
-        (fit,) = place.weigh(here[None], rays)
-        if fit.contradictions < _FEWEST or fit.is_on_map >= 0.0:
-            return False
-        if self.log.largest_correction > self._config.apart:
-            return False  # a closed loop has moved robot and map alike
-        found = localise(place, rays, self._config, [here])
-        far = replace(self._config, apart=_APART, apart_turn=_APART_TURN)
-        return found.is_accepted and found.fit is not None and are_apart(found.fit.pose, here, found.middle, far)
+        rays = np.concatenate((absence.rays, rays_of(self.log.since(absence.first), self._robot, sensor.bias)))
+        (fit,) = absence.place.weigh(np.zeros((1, 3)), rays)
+        return fit.is_on_map < -self._config.on_map
 
     def is_due(self) -> bool:
         """Whether the known map is to be searched now, or a place to be confirmed."""
@@ -321,8 +340,10 @@ class Recovery:
         absence.place.sensor = sensor
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
-        likely = [found.fit.pose for found in earlier if found.fit is not None]
-        decision = localise(absence.place, rays, self._config, likely)
+        likely = [pose for found in earlier for pose in found.open]
+        # A robot that was not carried away has drifted, and is near.
+        far = 1.0 if absence.is_carried else self._config.far
+        decision = localise(absence.place, rays, self._config, likely, far)
         absence.decisions.append((self.log.end - 1, decision))
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None

@@ -21,6 +21,7 @@ UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 
 _MOST_SIGHTS = 100
 _FEWEST_BEAMS = 2
+_RATES = 0.02, 0.12  # shares of readings that contradict the map at the right pose, and at a wrong one
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ class StatusMonitor:
         self._late_beams = LateBeams(robot, config.late_beams, config.contradictions)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
-        self._doubted = 0
+        self._doubted, self._contradicted = 0, 0
         self._sudden_changes = SuddenChanges(robot, config.sudden_changes, config.contradictions)
         self.status = Status()
 
@@ -157,6 +158,11 @@ class StatusMonitor:
         return self._step - self._doubted
 
     @property
+    def contradicted(self) -> int:
+        """The same by the share of contradictions alone, even if readings changed suddenly before."""
+        return self._step - self._contradicted
+
+    @property
     def carried(self) -> Suspicion | None:
         """The suspicion by which the robot was carried away; None if nothing suffices to say so.
 
@@ -165,20 +171,22 @@ class StatusMonitor:
         changes = self._sudden_changes
         return changes.probable if self.status.level == "lost" else changes.certain
 
-    @property
-    def suspected(self) -> int | None:
-        """For how many steps it has been likely that the robot was carried away; None if there is little evidence."""
-        found = self._sudden_changes.strongest
-        is_likely = found is not None and found.evidence >= self._config.sudden_changes.unsure
-        return self._step - found.step if is_likely and found is not None else None
+    def changes(self, steps: int) -> list[tuple[int, Suspicion]]:
+        """The sudden changes of the readings in the latest steps, each with the number of steps ago."""
+        latest = [(self._step - each.step, each) for each in self._sudden_changes.latest]
+        return [(ago, each) for ago, each in latest if ago < steps]
 
     def _first_doubt(self) -> int:
-        """The step of the first comparison in the last metres that contradicts the map, or the present step."""
+        """The step since which the readings of the last metres contradict the map, or the present step."""
         if self._jump:
             return self._step
-        if self.carried is not None:
-            return self.carried.step
-        return next(check.step for check in self._recent(self._config.window) if check.counts[1])
+        return self._contradicted if self.carried is None else self.carried.step
+
+    def _likeliest_change(self) -> int:
+        """The step at which the share of contradictions has most likely changed. One long before it says nothing."""
+        recent = self._recent(self._config.window)
+        sums = np.cumsum([_contradiction_evidence(check) for check in reversed(recent)])[::-1]
+        return recent[int(sums.argmax())].step
 
     def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap, usable: BoolArray) -> None:
         """Follow the suspicions that the robot was carried away, until it is lost."""
@@ -232,6 +240,7 @@ class StatusMonitor:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
         self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
         if self.status.level == "lost":
+            self._contradicted = self._likeliest_change()
             self._doubted = self._first_doubt()
             self._reference = self.carried.known if self.carried is not None else present.frozen
             self._driven, self._since = 0.0, self._place
@@ -311,6 +320,14 @@ class StatusMonitor:
 def _sums(checks: list[_Check]) -> tuple[int, ...]:
     """The sums of ``_Check.counts``."""
     return tuple(map(sum, zip(*(check.counts for check in checks), strict=True)))
+
+
+def _contradiction_evidence(check: _Check) -> float:
+    """Logarithm of the likelihood ratio of the contradictions of a comparison: of a wrong pose and of the right one."""
+    count, contradicting, _, _ = check.counts
+    right, wrong = _RATES
+    fitting = (count - contradicting) * math.log((1.0 - wrong) / (1.0 - right))
+    return contradicting * math.log(wrong / right) + fitting
 
 
 def _has_places(points: FloatArray, apart: float) -> bool:

@@ -26,7 +26,7 @@ from limslam_env.interface import RobotSpec
 LASTING = 4
 """Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
 
-_MAPS = 4
+_MAPS, _LATEST = 4, 8
 _SHARP = 1.5  # a reading fits sharply if the map makes it so much likelier, as a logarithm
 
 
@@ -120,6 +120,8 @@ class SuddenChanges:
     ----------
     suspicions
         The suspicions that the map has not refuted so far.
+    latest
+        The latest suspicions, also those that were given up.
     weighed
         Number of the latest step in which a sudden change would have been noticed; -1 before the first one.
     """
@@ -131,6 +133,7 @@ class SuddenChanges:
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.suspicions: list[Suspicion] = []
+        self.latest: deque[Suspicion] = deque(maxlen=_LATEST)
 
     @property
     def strongest(self) -> Suspicion | None:
@@ -219,6 +222,7 @@ class SuddenChanges:
         suspicion = Suspicion(step, known, change, change, changed, moment.place, places)
         self._count(suspicion, sight, outcome, expected)
         self.suspicions.append(suspicion)
+        self.latest.append(suspicion)
 
     def _unexplained(self, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> FloatArray:
         """The evidence (n_beams,) that the map alone would give for each reading, at least 0."""

@@ -1,75 +1,28 @@
 """The place of a drive follows from its readings; places that look alike, and ground without a map, are refused."""
 
 from dataclasses import replace
-from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known, poses_along
 
 from limslam_agent import preset
-from limslam_agent.config.exploration import GridConfig
 from limslam_agent.config.places import PlaceConfig
-from limslam_agent.config.status import ContradictionConfig
-from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.localisation import KnownPlaces, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
-from limslam_agent.places.recovery import KnownFrame, Recovery
+from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
-from limslam_env.interface import RobotSpec
 
-CONFIG, ROBOT, STD = PlaceConfig(), RobotSpec(), 0.01
-# An L-shaped hall with a niche and a pillar: no two places look alike.
-HALL = np.array([
-    [0, 0, 6, 0], [6, 0, 6, 2.4], [6, 2.4, 2.6, 2.4], [2.6, 2.4, 2.6, 5], [2.6, 5, 0, 5], [0, 5, 0, 3.4],
-    [0, 3.4, 0.7, 3.4], [0.7, 3.4, 0.7, 2.6], [0.7, 2.6, 0, 2.6], [0, 2.6, 0, 0],
-    [4.2, 0.9, 4.8, 0.9], [4.8, 0.9, 4.8, 1.4], [4.8, 1.4, 4.2, 1.4], [4.2, 1.4, 4.2, 0.9],
-], dtype=float)  # fmt: skip
-SQUARE = np.array([[0, 0, 3, 0], [3, 0, 3, 3], [3, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
-PART = [[1.6, 0.9], [1.6, 1.8], [1.6, 3.6]]
-SENSOR = RangeSensor(STD)
-
-
-def poses_along(corners, spacing=0.03):
-    """Poses (n, 3) along straight lines between corners (k, 2)."""
-    rows = []
-    for start, end in pairwise(corners):
-        way = np.subtract(end, start)
-        shares = np.arange(0.0, 1.0, spacing / np.hypot(*way))
-        rows += [[*(start + share * way), np.arctan2(*way[::-1])] for share in shares]
-    return np.array(rows)
-
-
-def readings(poses, segments, sensor=SENSOR):
-    found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, sensor, ContradictionConfig(inset=0.0)).ranges
-    return np.minimum(found, ROBOT.max_ranges)
-
-
-def drive(corners, segments, frame=(0.0, 0.0, 0.0), sensor=SENSOR):
-    """The steps of a drive, in the frame of a pose (3,)."""
-    poses = poses_along(corners)
-    local = compose(inverse(np.array(frame)), poses)
-    return [
-        LoggedStep({}, *each)
-        for each in zip(local, np.zeros_like(local), readings(poses, segments, sensor), strict=True)
-    ]
-
-
-def known(corners, segments):
-    """The map of a drive."""
-    poses = poses_along(corners)
-    ranges = readings(poses, segments)[:, None]
-    grid = drawn_grid(GridConfig(), ROBOT, poses[:, None], ranges, np.ones(ranges.shape, dtype=bool))
-    return KnownPlaces(segments, grid, SENSOR)
+CONFIG = PlaceConfig()
 
 
 @pytest.fixture(scope="module")
 def whole():
-    return known([[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]], HALL)
+    return known(WAY, HALL)
 
 
 @pytest.mark.parametrize("frame", [(0.0, 0.0, 0.0), (2.0, -1.0, 1.3), (-3.0, 4.0, -2.9)])
@@ -148,28 +101,6 @@ def test_readings_that_say_nothing_have_no_ray():
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()
-
-
-def test_a_robot_whose_readings_fit_another_place_only_is_elsewhere(whole):
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
-    earlier = SimpleNamespace(segments=whole.segments, range_sensor=SENSOR), SimpleNamespace(view=whole.grid)
-    steps = drive(PART, HALL)
-    begin = len(steps) - 60
-
-    def is_elsewhere(poses, suspected=60):
-        recovery.log.steps = [replace(step, pose=pose) for step, pose in zip(steps, poses, strict=True)]
-        recovery._copies = [KnownFrame(step, *earlier) for step in (0, begin, begin + 30)]
-        recovery._rechecked = CONFIG.recheck
-        return recovery.is_elsewhere(SimpleNamespace(suspected=suspected))
-
-    right = np.array([step.pose for step in steps])
-    wrong = compose(np.array([3.5, -1.0, -0.4]), right)
-    assert not is_elsewhere(right)
-    assert is_elsewhere(wrong)
-    assert not is_elsewhere(np.concatenate((wrong[:-5], right[-5:])))
-    assert not is_elsewhere(wrong, suspected=None), "the readings did not change at once"
-    assert is_elsewhere(wrong)
-    assert not recovery.is_elsewhere(SimpleNamespace(suspected=60)), "the robot has not driven since then"
 
 
 def test_the_largest_correction_of_a_log_is_that_of_the_estimator():

@@ -1,0 +1,191 @@
+"""Whether a robot was carried away, by all readings since its readings changed suddenly.
+
+Each step at which readings changed suddenly is a possible beginning. The readings since then are weighed with the map
+of that moment, which a wrong pose cannot change any more. Three explanations of them are compared:
+
+- The robot is where it is believed to be, or as far from there as the covariance of its pose allows.
+- The robot was carried to ground that the map does not have. Every reading is then that of a random place.
+- The robot was carried to another place of the map, and the readings fit there.
+
+The first two differ by the logarithm of a likelihood ratio: the evidence of the change, less that of the readings at
+the believed pose. It must outweigh the prior probability that a robot is carried away in a step. The third explanation
+is judged strictly, because rooms look alike: that a new room fits at the place of an earlier one is usual in an office
+building, and that a robot is carried away is not.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.places.history import LoggedStep, StepLog
+from limslam_agent.places.localisation import KnownPlaces, is_far, localise
+from limslam_agent.places.rays import rays_of
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.status import Status
+from limslam_agent.status.sudden_changes import Suspicion
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose
+from limslam_env.interface import RobotSpec
+
+_NEAR, _NEAR_TURN = 0.5, math.radians(15.0)  # m, rad: a robot that is off by less than this may have drifted
+_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
+_LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
+_OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
+_FEWEST = 60  # number of rays for which the map is searched
+_DATED = 3.0  # evidence of a change that says when the robot was carried away
+
+CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
+MAYBE_CARRIED = Status("unsure", CARRIED.reason)
+ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
+MAYBE_ELSEWHERE = Status("unsure", ELSEWHERE.reason)
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """That a robot may have been carried away.
+
+    Attributes
+    ----------
+    step
+        Number of the first step after that.
+    evidence
+        Logarithm of the likelihood ratio of ground without a map, and of the believed pose or one near by.
+    is_dated
+        Whether the readings of this step itself say so.
+    status
+        What follows from it.
+    """
+
+    step: int
+    evidence: float
+    is_dated: bool
+    status: Status
+
+
+class _Weighed(NamedTuple):
+    """A sudden change of the readings, the rays (n, 6) since then, and the map before it.
+
+    ``here`` is the evidence of the rays at the believed pose.
+    """
+
+    step: int
+    change: Suspicion
+    rays: FloatArray
+    place: KnownPlaces
+    here: float
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the likelihood ratio of ground without a map and of the believed pose."""
+        return self.change.change - self.here
+
+
+@dataclass(eq=False)
+class Kidnapping:
+    """Weighs the sudden changes of one robot.
+
+    Attributes
+    ----------
+    robot, config
+        Body and beams, and settings.
+    """
+
+    robot: RobotSpec
+    config: PlaceConfig
+    _unsearched: float = field(default=math.inf, init=False)
+    _elsewhere: Status = field(default=Status(), init=False)
+
+    def doubt(
+        self,
+        changes: Sequence[tuple[int, Suspicion]],
+        log: StepLog,
+        covariance: FloatArray,
+        sensor: RangeSensor,
+        driven: float = 0.0,
+    ) -> Doubt | None:
+        """The likeliest of the changes, with the steps (numbers of the log) at which they began; None without a change.
+
+        Parameters
+        ----------
+        covariance
+            Covariance (3, 3) of the pose.
+        driven
+            Distance since the last call, m. The whole map is searched now and then, and never if this is 0.
+        """
+        self._unsearched += driven
+        if not changes:
+            self._elsewhere = Status()
+            return None
+        found = (self._weigh(step, change, log.since(step), sensor) for step, change in changes)
+        likeliest = max(found, key=lambda each: each.evidence)
+        is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence
+        if is_doubtful:
+            near = near_evidence(likeliest.place, likeliest.rays, covariance)
+            evidence = min(evidence, likeliest.change.change - near)
+        status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
+        if evidence >= self.config.carried and self._needs_no_beam(likeliest, log, sensor):
+            status = CARRIED
+        if driven and status.level != "lost" and self._unsearched >= self.config.search:
+            self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
+        if status.level == "ok" or (status.level == "unsure" and self._elsewhere.level == "lost"):
+            status = self._elsewhere
+        return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status)
+
+    def _weigh(self, step: int, change: Suspicion, steps: Sequence[LoggedStep], sensor: RangeSensor) -> _Weighed:
+        """Weigh a change by the steps since then."""
+        place = KnownPlaces(change.known.segments, change.known.grid, sensor)
+        rays = rays_of(steps, self.robot, sensor.bias)
+        return _Weighed(step, change, rays, place, place.weigh(np.zeros((1, 3)), rays)[0].evidence)
+
+    def is_refuted(self, step: int, change: Suspicion, log: StepLog, sensor: RangeSensor) -> bool:
+        """Whether the readings since a sudden change fit the believed pose, so that it was none."""
+        return self._weigh(step, change, log.since(step), sensor).evidence < 0.0
+
+    def _needs_no_beam(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
+        """Whether a change has enough evidence without any one of the beams, which may be broken."""
+        for beam in range(len(self.robot.beams)):
+            steps = [_without(step, beam) for step in log.since(found.step)]
+            if self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected:
+                return False
+        return True
+
+    def _by_search(self, found: _Weighed) -> Status:
+        """What follows from a search of the whole map before a change."""
+        config = self.config
+        if found.here > config.supported or len(found.rays) < _FEWEST:
+            return Status()
+        other = localise(found.place, found.rays, config, [np.zeros(3)])
+        if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
+            return Status()
+        is_clear = other.fit.evidence - max(found.here, 0.0) >= config.elsewhere and other.likeness <= config.runner_up
+        return ELSEWHERE if is_clear else MAYBE_ELSEWHERE
+
+
+def near_evidence(place: KnownPlaces, rays: FloatArray, covariance: FloatArray) -> float:
+    """The largest evidence of rays (n, 6) near the believed pose, less the cost of being off by so much.
+
+    ``covariance`` (3, 3) is that of the pose.
+    """
+    middle = rays[:, :2].mean(axis=0)
+    shifts = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
+    about = np.array([*middle, 0.0])
+    starts = compose(compose(about, shifts), np.array([*-middle, 0.0]))
+    poses = place.refined(starts, rays)
+    off = compose(compose(np.array([*-middle, 0.0]), poses), about)
+    is_near = (np.hypot(off[:, 0], off[:, 1]) < _NEAR) & (np.abs(off[:, 2]) < _NEAR_TURN)
+    least = np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
+    precision = np.linalg.inv(_OWN**2 * covariance + least)
+    costs = 0.5 * np.einsum("ni,ij,nj->n", off, precision, off)
+    fits = place.weigh(np.concatenate((poses[is_near], np.zeros((1, 3)))), rays)
+    return max(float(fit.evidence - cost) for fit, cost in zip(fits, [*costs[is_near], 0.0], strict=True))
+
+
+def _without(step: LoggedStep, beam: int) -> LoggedStep:
+    ranges = step.ranges.copy()
+    ranges[beam] = np.nan
+    return replace(step, ranges=ranges)

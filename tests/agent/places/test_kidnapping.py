@@ -1,0 +1,112 @@
+"""A robot was carried away if its readings since a sudden change say so: not one beam alone, and not a room like it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
+
+from limslam_agent import preset
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.places.history import StepLog
+from limslam_agent.places.kidnapping import CARRIED, ELSEWHERE, MAYBE_CARRIED, MAYBE_ELSEWHERE, Kidnapping
+from limslam_agent.places.localisation import localise
+from limslam_agent.places.rays import rays_of
+from limslam_agent.places.recovery import WRONG_PLACE, Absence, Recovery
+from limslam_agent.status.contradictions import KnownMap
+from limslam_agent.status.sudden_changes import Suspicion
+from limslam_env.geometry.se2 import compose
+
+CONFIG = PlaceConfig()
+COVARIANCE = np.diag([0.03**2, 0.03**2, 0.01**2])
+AWAY = np.array([3.5, -1.0, -0.4])
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return known(WAY, HALL)
+
+
+def changed(place, step, change=4.0):
+    """A sudden change of the readings before a step."""
+    return step, Suspicion(step, KnownMap(place.segments, place.grid), change, change, 3, 0.0, set())
+
+
+def believed(poses=None, ranges=None):
+    """The steps of a drive with the poses that the robot believes in."""
+    steps = drive(PART, HALL)
+    poses = [step.pose for step in steps] if poses is None else poses
+    ranges = [step.ranges for step in steps] if ranges is None else ranges
+    return StepLog(0, [replace(step, pose=p, ranges=r) for step, p, r in zip(steps, poses, ranges, strict=True)])
+
+
+def doubt(log, changes, config=CONFIG, covariance=COVARIANCE, driven=5.0):
+    return Kidnapping(ROBOT, config).doubt(changes, log, covariance, SENSOR, driven)
+
+
+def moved_log(frame):
+    log = believed()
+    return believed([compose(np.array(frame), step.pose) for step in log.steps])
+
+
+def test_readings_that_fit_the_believed_pose_speak_against_a_kidnapping(whole):
+    found = doubt(believed(), [changed(whole, 5)])
+    assert found.status.level == "ok"
+    assert found.evidence < -50.0
+    assert doubt(believed(), []) is None, "without a sudden change, a robot was not carried away"
+
+
+def test_the_likeliest_of_several_changes_says_when(whole):
+    """The robot is carried to another place of its map before step 40."""
+    right = np.array([step.pose for step in believed().steps])
+    poses = np.concatenate((right[:40], compose(AWAY, right[40:])))
+    found = doubt(believed(poses), [changed(whole, 2), changed(whole, 40), changed(whole, 70)])
+    assert (found.step, found.status, found.is_dated) == (40, CARRIED, True)
+    weak = doubt(believed(poses), [changed(whole, 40, 1.5)])
+    assert (weak.status, weak.is_dated) == (CARRIED, False), "the readings of that step alone say little"
+
+
+def test_a_robot_that_has_drifted_a_little_was_not_carried_away(whole):
+    log = moved_log([0.12, 0.10, 0.0])
+    assert doubt(log, [changed(whole, 5)], covariance=np.diag([0.2**2, 0.2**2, 0.05**2])).status.level == "ok"
+
+
+def test_a_broken_beam_alone_is_no_proof(whole):
+    ranges = np.array([step.ranges for step in believed().steps])
+    ranges[:, 0] = np.where(np.arange(len(ranges)) % 2, 0.35, 0.55)
+    found = doubt(believed(ranges=ranges), [changed(whole, 5)])
+    assert found.status not in {CARRIED, ELSEWHERE}
+
+
+def test_ground_that_the_map_does_not_have_is_no_proof_but_another_place_may_be(whole):
+    """The robot believes that it is on ground without a map, and its readings fit another place."""
+    log, changes = moved_log([20.0, 0.0, 0.3]), [changed(whole, 5)]
+    found = localise(whole, rays_of(log.since(5), ROBOT), CONFIG)
+    enough = replace(CONFIG, elsewhere=0.9 * found.fit.evidence)
+    assert doubt(log, changes, enough).status == ELSEWHERE
+    assert doubt(log, changes, replace(enough, elsewhere=1.1 * found.fit.evidence)).status == MAYBE_ELSEWHERE
+    assert doubt(log, changes, enough, driven=0.0).status.level == "ok", "nothing is searched"
+    assert doubt(log, [changed(whole, 5, CONFIG.suspected)], driven=0.0).status == MAYBE_CARRIED
+
+
+def test_far_places_count_less_for_a_robot_that_has_drifted(whole):
+    rays = rays_of(drive(PART, HALL, (3.0, -2.0, 1.3)), ROBOT)
+    assert localise(whole, rays, CONFIG).is_accepted
+    assert not localise(whole, rays, CONFIG, far=0.0).is_accepted
+    near = rays_of(drive(PART, HALL, (0.3, -0.2, 0.1)), ROBOT)
+    assert localise(whole, near, CONFIG, far=0.0).is_accepted
+
+
+@pytest.mark.parametrize(("frame", "is_wrong"), [((0.0, 0.0, 0.0), False), (AWAY, True)])
+def test_a_place_that_the_readings_contradict_is_left_again(whole, frame, is_wrong):
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery.log = moved_log(frame)
+    rays = rays_of(recovery.log.since(0)[:10], ROBOT)
+    recovery.absence = Absence(None, 1, "", 1.0, whole, is_carried=True, placed=0.0, rays=rays)
+    recovery._rechecked = CONFIG.recheck
+    slam = SimpleNamespace(range_sensor=SENSOR, covariance=COVARIANCE)
+    own = SimpleNamespace(status=SimpleNamespace(level="ok"), changes=lambda _: [], carried=None)
+    assert recovery.is_elsewhere(own, slam) is is_wrong
+    assert not recovery.is_elsewhere(own, slam), "the robot has not driven since then"
+    assert recovery._first_doubt(own, slam) == (WRONG_PLACE, 1, False, True)

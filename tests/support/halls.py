@@ -1,0 +1,60 @@
+"""A hall in which no two places look alike, drives in it, and the map of a drive."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from limslam_agent.config.exploration import GridConfig
+from limslam_agent.config.status import ContradictionConfig
+from limslam_agent.grid.occupancy import drawn_grid
+from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.contradictions import expected_ranges
+from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.interface import RobotSpec
+
+ROBOT, STD = RobotSpec(), 0.01
+SENSOR = RangeSensor(STD)
+# An L-shaped hall with a niche and a pillar: no two places look alike.
+HALL = np.array([
+    [0, 0, 6, 0], [6, 0, 6, 2.4], [6, 2.4, 2.6, 2.4], [2.6, 2.4, 2.6, 5], [2.6, 5, 0, 5], [0, 5, 0, 3.4],
+    [0, 3.4, 0.7, 3.4], [0.7, 3.4, 0.7, 2.6], [0.7, 2.6, 0, 2.6], [0, 2.6, 0, 0],
+    [4.2, 0.9, 4.8, 0.9], [4.8, 0.9, 4.8, 1.4], [4.8, 1.4, 4.2, 1.4], [4.2, 1.4, 4.2, 0.9],
+], dtype=float)  # fmt: skip
+SQUARE = np.array([[0, 0, 3, 0], [3, 0, 3, 3], [3, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
+WAY = [[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]]
+PART = [[1.6, 0.9], [1.6, 1.8], [1.6, 3.6]]
+
+
+def poses_along(corners, spacing=0.03):
+    """Poses (n, 3) along straight lines between corners (k, 2)."""
+    rows = []
+    for start, end in pairwise(corners):
+        way = np.subtract(end, start)
+        shares = np.arange(0.0, 1.0, spacing / np.hypot(*way))
+        rows += [[*(start + share * way), np.arctan2(*way[::-1])] for share in shares]
+    return np.array(rows)
+
+
+def readings(poses, segments, sensor=SENSOR):
+    found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, sensor, ContradictionConfig(inset=0.0)).ranges
+    return np.minimum(found, ROBOT.max_ranges)
+
+
+def drive(corners, segments, frame=(0.0, 0.0, 0.0), sensor=SENSOR):
+    """The steps of a drive, in the frame of a pose (3,)."""
+    poses = poses_along(corners)
+    local = compose(inverse(np.array(frame)), poses)
+    return [
+        LoggedStep({}, *each)
+        for each in zip(local, np.zeros_like(local), readings(poses, segments, sensor), strict=True)
+    ]
+
+
+def known(corners, segments):
+    """The map of a drive."""
+    poses = poses_along(corners)
+    ranges = readings(poses, segments)[:, None]
+    grid = drawn_grid(GridConfig(), ROBOT, poses[:, None], ranges, np.ones(ranges.shape, dtype=bool))
+    return KnownPlaces(segments, grid, SENSOR)
