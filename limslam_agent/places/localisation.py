@@ -30,11 +30,10 @@ from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
 
 _CELL = 0.05  # m: of the rough search
+_GROUND = 100.0  # m^2: the following numbers of poses are those of a map with so much ground, and grow with it
 _EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number of turns
 _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
-_RAYS = 90  # largest number of rays in the rough search
-_GROUND = 100.0  # m^2: a map of this size has the following numbers of poses, and a larger map has more
-_POSES = 2000  # best poses of the rough search
+_RAYS, _POSES = 90, 2000  # largest number of rays in the rough search, and of its best poses
 _REFINED, _SPREAD = 60, (0.25, math.radians(12.0))  # number of poses that are refined, and how far they are apart
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground

@@ -12,11 +12,10 @@ from limslam_agent.config.exploration import GridConfig
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
-from limslam_agent.kernels.rays import scan_poses
 from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.localisation import KnownPlaces, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
-from limslam_agent.places.recovery import Absence, KnownFrame, Recovery
+from limslam_agent.places.recovery import KnownFrame, Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
@@ -196,40 +195,3 @@ def test_a_renewal_moves_the_latest_steps_of_a_recovery():
     np.testing.assert_array_equal([step.pose for step in recovery.log.steps], [*before[:-2], *renewed])
     recovery.move([np.zeros(3)] * (len(before) + 5))
     assert not np.any([step.pose for step in recovery.log.steps])
-
-
-def test_the_rough_search_adds_up_the_cells_of_ends_and_ways(whole):
-    _, fields, tried = whole._rough
-    cells = fields.transpose(0, 3, 1, 4, 2).reshape(2, 2 * tried.shape[0], 2 * tried.shape[1])
-    rays, turns = rays_of(drive(PART, HALL), ROBOT)[:40], np.array([0.4, -2.0])
-    middle, scores = rays[:, :2].mean(axis=0), np.empty((2, *tried.shape), dtype=np.float32)
-    scan_poses(turns, rays, middle, fields, 0.05, np.empty(rays.shape, dtype=np.int64), scores)
-    ended = rays[:, 4] < rays[:, 5]
-    inner = np.where(ended, np.maximum(rays[:, 4] - 0.2, 0.0), rays[:, 4])
-    for number, turn in enumerate(turns):
-        for place in ((30, 20), (4, 51), (45, 70)):
-            total = 0.0
-            for kind, along in ((0, rays[:, 4]), (1, inner), (1, 0.5 * inner)):
-                points = transform_points(
-                    np.array([0.0, 0.0, turn]), rays[:, :2] - middle + along[:, None] * rays[:, 2:4]
-                )
-                column, row = (2 * np.array(place)[::-1] + np.floor(points / 0.05 + 0.5)).astype(int).T
-                inside = (row >= 0) & (row < cells.shape[1]) & (column >= 0) & (column < cells.shape[2])
-                inside &= ended | (kind == 1)
-                total += cells[kind, row[inside], column[inside]].sum()
-            assert scores[(number, *place)] == pytest.approx(total, abs=1e-3)
-
-
-def test_more_places_of_a_large_map_are_weighed_and_its_searches_are_farther_apart(whole):
-    walls = np.array([[0.0, y, 25.0, y] for y in (1.0, 4.0, 8.0, 13.0, 19.0)])
-    large = KnownPlaces(walls, GridView(np.zeros(2), 0.1, np.full((200, 250), 9, dtype=np.int16)), SENSOR)
-    rays = rays_of(drive([[3.0, 0.5], [6.0, 0.5]], walls), ROBOT)
-    assert (whole.size, len(whole.likely(rays))) == (1.0, 60)
-    assert large.size == pytest.approx(5.9, abs=0.1)
-    assert len(large.likely(rays)) == round(60 * large.size)
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
-    for place, spacing in ((whole, 1.0), (large, np.sqrt(large.size))):
-        recovery.absence = Absence(None, 0, "", 0.0, place, moved=CONFIG.lost_spacing * spacing - 1e-6)
-        assert not recovery.is_due()
-        recovery.absence.moved += 2e-6
-        assert recovery.is_due()
