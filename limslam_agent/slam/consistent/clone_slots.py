@@ -16,12 +16,18 @@ _MORE, _MOST_FREE = 12, 24
 
 
 class CloneSlots:
-    """The slots of all clones. Clones are numbered in the order in which they were made."""
+    """The slots of all clones. Clones are numbered in the order in which they were made.
+
+    Attributes
+    ----------
+    next
+        Number of the next clone.
+    """
 
     def __init__(self) -> None:
         self._slots: dict[int, int] = {}
         self._free: list[int] = []
-        self._next = 0
+        self.next = 0
         self._found = ((0, 0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
@@ -45,8 +51,8 @@ class CloneSlots:
 
     def fill(self) -> tuple[int, int]:
         """The number of a new clone, and the slot that it has taken."""
-        number, slot = self._next, self._free.pop()
-        self._slots[number], self._next = slot, number + 1
+        number, slot = self.next, self._free.pop()
+        self._slots[number], self.next = slot, number + 1
         return number, slot
 
     def keep(self, wanted: set[int], size: int) -> bool:
@@ -69,7 +75,7 @@ class CloneSlots:
     def of(self, clones: IntArray) -> IntArray:
         """Slots (n,) of clones (n,)."""
         # Numbers only grow, so the next one and the number of clones tell whether any clone has come or gone.
-        key = len(self._slots), self._next
+        key = len(self._slots), self.next
         if self._found[0] != key:
             self._found = key, self.numbers, np.array(list(self._slots.values()), dtype=np.int64)
         _, numbers, slots = self._found
