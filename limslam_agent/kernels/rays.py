@@ -25,7 +25,6 @@ _BESIDE = 0.15  # m: a reading that differs by less than this and three standard
 _ROUGH = 0.08  # m: standard deviation of the place of a wall that is known by occupied cells only
 _UNSEEN = 0.2  # m: a wall may lie so far beyond the first cell that is not free
 _ROUNDS, _FAR, _NEAR, _PRIOR = 8, 0.30, 0.12, 1e-2  # of refinements: distances from walls, m, first and last
-_TRIED = -8.0  # a pose with less evidence than this by its first readings is not tried any further
 
 
 @compiled
@@ -189,14 +188,14 @@ def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[
 
     The normal is zero if there is no such wall.
     """
-    normal_x, normal_y, offset = 0.0, 0.0, 0.0
+    normal_x, normal_y, offset, least = 0.0, 0.0, 0.0, most**2
     for wall in range(len(walls)):
         away_x, away_y = x - walls[wall, 0], y - walls[wall, 1]
         tangent_x, tangent_y, length = walls[wall, 2], walls[wall, 3], walls[wall, 4]
         along = min(max(away_x * tangent_x + away_y * tangent_y, 0.0), length)
-        distance = math.hypot(away_x - along * tangent_x, away_y - along * tangent_y)
-        if distance < most:
-            most, normal_x, normal_y = distance, -tangent_y, tangent_x
+        squared = (away_x - along * tangent_x) ** 2 + (away_y - along * tangent_y) ** 2
+        if squared < least:
+            least, normal_x, normal_y = squared, -tangent_y, tangent_x
             offset = -(normal_x * away_x + normal_y * away_y)
     return normal_x, normal_y, offset
 
@@ -280,51 +279,53 @@ def fill_offsets(turn: float, rays: FloatArray, middle: FloatArray, cell: float,
 
 
 @compiled
-def rough_evidence(
-    row: int, column: int, rays: FloatArray, offsets: IntArray, ends: NDArray[np.float32], ways: NDArray[np.float32]
-) -> float:
-    """The evidence of rays whose middle is in a cell, or what it was when it fell below a limit."""
-    rows, columns, total = ends.shape[0], ends.shape[1], 0.0
-    for i in range(len(rays)):
-        for point in range(0, 6, 2):
-            down, right = row + offsets[i, point], column + offsets[i, point + 1]
-            if not (0 <= down < rows and 0 <= right < columns):
-                continue
-            if point > 0:
-                total += ways[down, right]
-            elif rays[i, RAY_LENGTH] < rays[i, RAY_REACH]:
-                total += ends[down, right]
-        if total < _TRIED:
-            break
-    return total
+def add_row(row: NDArray[np.float32], field: NDArray[np.float32], shift: int) -> None:
+    """Add a row of a field, which begins ``shift`` cells before it, to a row; nothing where the field has ended."""
+    low, high = max(0, -shift), min(len(row), len(field) - shift)
+    # With slices, the compiler knows that no index is negative, and adds many cells at once.
+    if low < high:
+        into, added = row[low:high], field[low + shift : high + shift]
+        for column in range(high - low):
+            into[column] += added[column]
 
 
 @lean_entry
 def scan_poses(
-    places: IntArray, turns: FloatArray, rays: FloatArray, middle: FloatArray, ends: NDArray[np.float32],
-    ways: NDArray[np.float32], cell: float, offsets: IntArray, scores: NDArray[np.float32],
+    turns: FloatArray, rays: FloatArray, middle: FloatArray, fields: NDArray[np.float32], cell: float,
+    offsets: IntArray, scores: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Roughly weigh poses on a grid: a ray counts by the cell of its end, and by two cells on its way.
 
+    All places of a row are weighed at once, so that memory is read in order.
+
     Parameters
     ----------
-    places, turns
-        Rows and columns (m, 2) of the cells in whose middle the middle of the rays is placed, and the turns (t,), rad.
+    turns
+        The turns (t,), rad.
     rays, middle
-        Rays (n, 6) in an order in which the first ones are spread over the drive, and the point (2,), m.
-    ends, ways
-        Evidence of an end of a ray in each cell (rows, columns), and of a ray on its way there.
+        Rays (n, 6), and the point (2,), m, which is placed in the middle of every second cell of every second row.
+    fields
+        Evidence (2, 2, 2, rows, columns) of an end of a ray in each cell, and of a ray on its way there. The second and
+        the third index say whether the cells have odd rows and odd columns.
     cell
-        Side of these cells, m.
+        Side of the cells, m.
     offsets
         Scratch (n, 6).
     scores
-        Set to the evidence (t, m), or to what it was when it fell below a limit.
+        Set to the evidence (t, rows, columns).
     """
+    rows = fields.shape[3]
     for turn in range(len(turns)):
         fill_offsets(turns[turn], rays, middle, cell, offsets)
-        for place in range(len(places)):
-            scores[turn, place] = rough_evidence(places[place, 0], places[place, 1], rays, offsets, ends, ways)
+        for place in range(rows):
+            row = scores[turn, place]
+            row[:] = 0.0
+            for i in range(len(rays)):
+                for point in range(0, 6, 2):
+                    down, right = offsets[i, point], offsets[i, point + 1]
+                    at, kind = place + (down >> 1), 1 if point > 0 else 0
+                    if 0 <= at < rows and (kind == 1 or rays[i, RAY_LENGTH] < rays[i, RAY_REACH]):
+                        add_row(row, fields[kind, down & 1, right & 1, at], right >> 1)
 
 
 @lean_entry

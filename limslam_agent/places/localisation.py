@@ -25,11 +25,12 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_REACH
 from limslam_agent.places.rays import have_ended
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
 
 _CELL = 0.05  # m: of the rough search
+_GROUND = 100.0  # m^2: the following numbers of poses are those of a map with so much ground, and grow with it
 _EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number of turns
 _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
 _RAYS, _POSES = 90, 2000  # largest number of rays in the rough search, and of its best poses
@@ -56,6 +57,15 @@ class KnownPlaces:
     def __init__(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> None:
         self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
 
+    @cached_property
+    def size(self) -> float:
+        """Ground of the map in units of a small map's, at least 1. The time of a search grows with it.
+
+        A large map has so many places that are alike along their walls that the true place may be far behind the best
+        ones of a rough search. So the number of places that are weighed exactly grows with the map.
+        """
+        return max(1.0, np.count_nonzero(self._rough[2]) * (_EVERY * _CELL) ** 2 / _GROUND)
+
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list["PlaceFit"]:
         """How well rays (n, 6) fit the map, for poses (m, 3) of their frame."""
         from limslam_agent.kernels.rays import weigh_poses
@@ -81,26 +91,32 @@ class KnownPlaces:
         """Poses (m, 3) at which the latest rays (n, 6) may fit, by a rough search of the whole map."""
         from limslam_agent.kernels.rays import choose_apart, scan_poses
 
-        low, ends, ways, places = self._rough
+        low, fields, is_tried = self._rough
         latest = rays[-_RAYS:]
         latest = np.ascontiguousarray(latest[np.random.default_rng(0).permutation(len(latest))])
         middle, turns = latest[:, :2].mean(axis=0), np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
-        scores = np.empty((len(turns), len(places)), dtype=np.float32)
-        scan_poses(places, turns, latest, middle, ends, ways, _CELL, np.empty(latest.shape, dtype=np.int64), scores)
-        count = min(_POSES, scores.size)
-        best = np.argpartition(scores, scores.size - count, axis=None)[scores.size - count :]
-        best = best[np.argsort(-scores.ravel()[best], kind="stable")]
-        turn, place = np.divmod(best[scores.ravel()[best] > 0.0], len(places))
-        centred = np.column_stack((low + (places[place][:, ::-1] + 0.5) * _CELL, turns[turn]))
+        scores = np.empty((len(turns), *is_tried.shape), dtype=np.float32)
+        scan_poses(turns, latest, middle, fields, _CELL, np.empty(latest.shape, dtype=np.int64), scores)
+        good = np.flatnonzero((scores > 0.0) & is_tried)
+        values = scores.ravel()[good]
+        count = min(round(self.size * _POSES), len(good))
+        best = np.argpartition(values, len(good) - count)[len(good) - count :]
+        best = best[np.argsort(-values[best], kind="stable")]
+        turn, row, column = np.unravel_index(good[best], scores.shape)
+        places = np.column_stack((column, row))
+        centred = np.column_stack((low + (_EVERY * places + 0.5) * _CELL, turns[turn]))
         chosen = np.zeros(len(centred), dtype=bool)
-        choose_apart(centred, *_SPREAD, chosen, _REFINED)
+        choose_apart(centred, *_SPREAD, chosen, round(self.size * _REFINED))
         return np.asarray(compose(centred[chosen], np.array([*-middle, 0.0])))
 
     @cached_property
-    def _rough(self) -> tuple[FloatArray, NDArray[np.float32], NDArray[np.float32], IntArray]:
-        """The map of the rough search: its corner, the evidence of ends and ways in each cell, and cells to try."""
+    def _rough(self) -> tuple[FloatArray, NDArray[np.float32], BoolArray]:
+        """The map of the rough search: its corner, the evidence of ends and ways as :func:`scan_poses` takes it, and
+        the places to try.
+        """
         low: FloatArray = np.asarray(self.grid.low - _MARGIN, dtype=np.float64)
-        rows, columns = np.ceil((np.array(self.grid.values.shape) * self.grid.cell + 2.0 * _MARGIN) / _CELL).astype(int)
+        size = np.array(self.grid.values.shape) * self.grid.cell + 2.0 * _MARGIN
+        rows, columns = (_EVERY * np.ceil(size / (_EVERY * _CELL))).astype(int)
         cells = np.indices((rows, columns)).reshape(2, -1).T
         centres = low + (cells[:, ::-1] + 0.5) * _CELL
         values, known = np.zeros(len(cells), dtype=np.int16), self.grid.cells(centres)
@@ -115,9 +131,9 @@ class KnownPlaces:
         at_wall = _HIT[0] - (_HIT[0] - _HIT[1]) * (away / _WALL) ** 2
         ends = np.where(away < _WALL, at_wall, np.where(free & (away > 0.25), _MISS, 0.0))
         ways = np.where(away < 0.8 * _CELL, _CROSSED, np.where(free, _FREE, 0.0))
-        is_tried = np.zeros_like(free)
-        is_tried[::_EVERY, ::_EVERY] = distance_transform_edt(~free)[::_EVERY, ::_EVERY] * _CELL < _MARGIN
-        return low, ends.astype(np.float32), ways.astype(np.float32), np.argwhere(is_tried)
+        fields = np.stack((ends, ways)).astype(np.float32).reshape(2, rows // _EVERY, _EVERY, columns // _EVERY, _EVERY)
+        is_tried = distance_transform_edt(~free)[::_EVERY, ::_EVERY] * _CELL < _MARGIN
+        return low, np.ascontiguousarray(fields.transpose(0, 2, 4, 1, 3)), is_tried
 
 
 @dataclass(frozen=True, eq=False)

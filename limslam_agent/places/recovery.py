@@ -326,10 +326,16 @@ class Recovery:
         return fit.is_on_map < -self._config.on_map
 
     def is_due(self) -> bool:
-        """Whether the known map is to be searched now, or a place to be confirmed."""
+        """Whether the known map is to be searched now, or a place to be confirmed.
+
+        A search takes longer in a larger map, and searches are farther apart there.
+        """
         absence = self.absence or self._arrival
+        if absence is None:
+            return False
         spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
-        return absence is not None and absence.moved - absence.sought >= spacing
+        size = 1.0 if absence.place is None else absence.place.size
+        return absence.moved - absence.sought >= spacing * math.sqrt(size)
 
     def seek(self, sensor: RangeSensor) -> Placement | None:
         """Search the known map for the place. The placement if two searches in succession find the same place."""

@@ -96,9 +96,9 @@ def fill_filter(ekf: Filter, plain: CloneEKF) -> None:
     for row in range(size):
         ekf.rest[row * (row + 1) // 2 : row * (row + 1) // 2 + row + 1] = plain.P[row, : row + 1]
     ekf.anchors[: plain.num_lines] = plain.anchors
-    ekf.clones[: plain.num_clones] = plain._clones
+    ekf.clones[: plain.num_clones] = plain._clones.numbers
     ekf.counts[LINES], ekf.counts[CLONES] = plain.num_lines, plain.num_clones
-    ekf.counts[NEXT_CLONE] = plain._next_clone
+    ekf.counts[NEXT_CLONE] = plain._clones.next
 
 
 def fill_walls(state: States, plain: WallMap) -> None:
@@ -132,4 +132,4 @@ def assert_same(ekf: Filter, plain: CloneEKF, tolerance: float = 1e-9) -> None:
     np.testing.assert_allclose(ekf.x[:size], plain.x, rtol=0.0, atol=tolerance)
     np.testing.assert_allclose(covariance_of(ekf), plain.P, rtol=0.0, atol=tolerance)
     np.testing.assert_array_equal(ekf.anchors[: plain.num_lines], plain.anchors)
-    assert ekf.clones[: plain.num_clones].tolist() == plain._clones
+    assert ekf.clones[: plain.num_clones].tolist() == plain._clones.numbers.tolist()

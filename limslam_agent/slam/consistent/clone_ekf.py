@@ -8,12 +8,13 @@ once.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dgemm
 
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_of
+from limslam_agent.slam.consistent.clone_slots import CloneSlots
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors, RangeErrors, SeparateBias
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_agent.slam.core.ekf import POSE, LineEKF
@@ -78,9 +79,7 @@ class CloneEKF(LineEKF):
         self._range_errors = None if range_errors is None else RangeErrors(self._poses_end, range_errors)
         self._anchors = np.zeros((0, 2))
         self._memory = [np.empty(0), np.empty(0)]
-        self._clones: list[int] = []
-        self._next_clone = 0
-        self._clone_numbers = ((0, 0), np.zeros(0, dtype=np.int64))
+        self._clones = CloneSlots()
 
     @property
     def num_lines(self) -> int:
@@ -89,12 +88,12 @@ class CloneEKF(LineEKF):
 
     @property
     def clones_from(self) -> int:
-        """Index in the state at which the clones begin."""
+        """Index in the state at which the slots of the clones begin."""
         return self._first + 2 * self.num_lines
 
     @property
     def num_clones(self) -> int:
-        """How many clones the state holds."""
+        """How many clones the state holds, without free slots."""
         return len(self._clones)
 
     @property
@@ -199,35 +198,26 @@ class CloneEKF(LineEKF):
 
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""
-        moved, old = slice(POSE * robot, POSE * robot + POSE), len(self.x)
-        P = self._spare(old + POSE)
-        P[:old, :old] = self.P
-        P[old:, :old] = self.P[moved]
-        P[:old, old:] = self.P[moved].T
-        P[old:, old:] = self.P[moved, moved]
-        self.x, self.P = np.concatenate((self.x, self.x[moved])), P
+        self._add_slots(self._clones.missing(self.clones_from))
+        (number, slot), moved = self._clones.fill(), slice(POSE * robot, POSE * robot + POSE)
+        part = slice(self.clones_from + POSE * slot, self.clones_from + POSE * slot + POSE)
+        self.x[part] = self.x[moved]
+        self.P[part] = self.P[moved]
+        self.P[:, part] = self.P[part].T
+        self.P[part, part] = self.P[moved, moved]
         for bias in self._biases:
-            bias.insert(old, bias.by_errors[moved])
-        self._clones.append(self._next_clone)
-        self._next_clone += 1
-        return self._clones[-1]
+            bias.copy(part, moved)
+        return number
 
     def keep_clones(self, wanted: set[int]) -> None:
         """Marginalise all clones but the wanted ones. What they contributed to other states remains."""
-        kept = [place for place, number in enumerate(self._clones) if number in wanted]
-        if len(kept) == len(self._clones):
-            return
-        places = (self.clones_from + POSE * np.array(kept, dtype=int)[:, None] + np.arange(POSE)).ravel()
-        self._keep(np.concatenate((np.arange(self.clones_from), places)))
-        self._clones = [self._clones[place] for place in kept]
+        if self._clones.keep(wanted, self.clones_from):
+            of_clones = self._columns_of(self._clones.close())
+            self._keep(np.concatenate((np.arange(self.clones_from), of_clones.ravel())))
 
     def places(self, clones: IntArray) -> IntArray:
-        """Places (n,) of clones (n,) among those in the state."""
-        # Numbers of clones only grow, so the last one and the number of clones tell whether any has come or gone.
-        key = len(self._clones), self._next_clone
-        if self._clone_numbers[0] != key:
-            self._clone_numbers = key, np.array(self._clones, dtype=np.int64)
-        return self._clone_numbers[1].searchsorted(clones)
+        """Slots (n,) of clones (n,)."""
+        return self._clones.of(clones)
 
     def points(self, places: IntArray, readings: FloatArray, theta: float = math.nan) -> FloatArray:
         """Estimated end points (n, 2), m, of readings.
@@ -235,7 +225,7 @@ class CloneEKF(LineEKF):
         Parameters
         ----------
         places, readings
-            Places of the clones that they were taken from (n,), and ``Readings.rows`` (n, 5).
+            Slots of the clones that they were taken from (n,), and ``Readings.rows`` (n, 5).
         theta
             Direction, rad, of the normal of the wall that they show. Without it, the points are on the middle of each
             beam.
@@ -358,7 +348,8 @@ class CloneEKF(LineEKF):
         P[part, part] = self.P[part, part]
         P[np.ix_(kept, kept)] = covariance
         self.x = np.concatenate((poses.ravel(), self.x[part], lines.ravel()))
-        self.P, self.dim_x, self._anchors, self._clones = P, size, np.array(anchors), []
+        self.P, self.dim_x, self._anchors = P, size, np.array(anchors)
+        self._clones.clear()
         for bias in self._biases:
             bias.restart(size)
         self._restore_angles()
@@ -461,12 +452,27 @@ class CloneEKF(LineEKF):
             self._memory[0] = np.empty(2 * size**2)
         return self._memory[0][: size**2].reshape(size, size)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies of an estimate are made all the time, and need no spare memory.
+        return {**self.__dict__, "_memory": [np.empty(0), np.empty(0)]}
+
+    def _add_slots(self, count: int) -> None:
+        """Append free slots for clones."""
+        if count:
+            old, size = len(self.x), len(self.x) + POSE * count
+            P = self._spare(size)
+            P[:old, :old], P[old:], P[:old, old:] = self.P, 0.0, 0.0
+            self.x, self.P, self.dim_x = np.concatenate((self.x, np.zeros(POSE * count))), P, size
+            self._clones.append(count)
+            for bias in self._biases:
+                bias.insert_independent(old, POSE * count)
+
     def _keep(self, places: IntArray) -> None:
-        """Marginalise all of the state but some places of it, in ascending order."""
+        """Marginalise all of the state but some places of it."""
         P = self._spare(len(places))
         # Usually the last states are removed. Copying a block is five times as fast as indexing rows and columns.
-        is_block = int(places[-1]) == len(places) - 1
-        P[:] = self.P[: len(places), : len(places)] if is_block else self.P[np.ix_(places, places)]
+        is_block = bool(np.array_equal(places, np.arange(len(places))))
+        P[:] = self.P[: len(places), : len(places)] if is_block else self.P.take(places, axis=0).take(places, axis=1)
         # Rounding makes P asymmetric over thousands of updates. P is copied here in any case.
         P[:] = 0.5 * (P + P.T)
         self.x, self.P, self.dim_x = self.x[places], P, len(places)
@@ -475,7 +481,11 @@ class CloneEKF(LineEKF):
 
     def _columns(self, clones: IntArray) -> IntArray:
         """Indices (n, 3) of clones (n,) in the state."""
-        return np.asarray(self.clones_from + POSE * self.places(clones)[:, None] + np.arange(POSE))
+        return self._columns_of(self.places(clones))
+
+    def _columns_of(self, slots: IntArray) -> IntArray:
+        """Indices (n, 3) of slots (n,) in the state."""
+        return np.asarray(self.clones_from + POSE * slots[:, None] + np.arange(POSE))
 
     def _equality(self, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
         first, second = self._part(older), self._part(younger)

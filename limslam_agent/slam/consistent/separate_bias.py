@@ -59,6 +59,10 @@ class SeparateBias:
         """States were inserted before ``place`` that do not depend on the errors."""
         self.insert(place, np.zeros((count, len(self._score))))
 
+    def copy(self, part: slice, other: slice) -> None:
+        """A part of the state has become a copy of another part."""
+        self._by_errors[part] = self._by_errors[other]
+
     def keep(self, places: IntArray) -> None:
         """All states but these were removed."""
         self._by_errors = self._by_errors[places]

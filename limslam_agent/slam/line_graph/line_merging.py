@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.core import wall_faces
+from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE
 from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -39,8 +40,8 @@ def merge_lines(
     Parameters
     ----------
     lines, anchors, ends, seen, covariance
-        (m, 2), (m, 2), (m, 2), (m, 2, 2) and (2 m, 2 m): ``seen`` has the ends of the part that was read from each
-        side. All but the anchors are changed.
+        (m, 2), (m, 2), (m, 2), (m, 2, 2) and (2 m, 2 m), or (3 m, 3 m) with the places of the anchors along the lines:
+        ``seen`` has the ends of the part that was read from each side. All but the anchors are changed.
     limits, kinds
         The largest chi-square, offset (m) and angle (rad), and the least overlap (m). Lengths of the known boards and
         walls, m.
@@ -51,7 +52,7 @@ def merge_lines(
         Output array (m,): for each line, the line that it was merged into, or the line itself if it was not merged.
     """
     begin, work, count = lines.copy(), np.zeros((2, 8)), 0
-    spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
+    spread = np.sqrt(np.diag(covariance))[: 2 * len(lines)].reshape(-1, 2)
     for line in range(len(lines)):
         merged_into[line] = line
     loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
@@ -220,10 +221,13 @@ def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArra
             for i in range(4):
                 column = 2 * (first if i < 2 else second) + i % 2
                 crossed[row, j] += covariance[row, column] * work[j, i]
+        if work[0, 7] != 0.0:
+            crossed[row, 0] += covariance[row, 2 * len(lines) + second] * work[0, 7]
         gain[row, 0] = crossed[row, 0] * work[0, 5] + crossed[row, 1] * work[1, 5]
         gain[row, 1] = crossed[row, 0] * work[0, 6] + crossed[row, 1] * work[1, 6]
     for row in range(size):
-        lines[row // 2, row % 2] -= gain[row, 0] * work[0, 4] + gain[row, 1] * work[1, 4]
+        if row < 2 * len(lines):
+            lines[row // 2, row % 2] -= gain[row, 0] * work[0, 4] + gain[row, 1] * work[1, 4]
         for column in range(size):
             covariance[row, column] -= gain[row, 0] * crossed[column, 0] + gain[row, 1] * crossed[column, 1]
 
@@ -272,10 +276,22 @@ def _agreement(
 ) -> tuple[float, float]:
     """Squared Mahalanobis distance of two lines, and the logarithm of the determinant of their difference's covariance.
 
-    On return, ``work`` (2, 8) holds the Jacobian, the difference's offset and angle, and its information matrix.
+    On return, ``work`` (2, 8) holds the Jacobian, the difference's offset and angle, its information matrix, and the
+    derivative of the offset by the place of the second line's anchor.
     """
     work[0, 4], work[1, 4] = _difference(first, second, lines, anchors, work[:, :4])
     a, b, c = _REGULAR[0], 0.0, _REGULAR[1]
+    work[0, 7], place = 0.0, 2 * len(lines) + second
+    if len(covariance) > 2 * len(lines):
+        by_place = -work[0, 0] * math.sin(lines[first, 1] - lines[second, 1])
+        variance = by_place * by_place * covariance[place, place]
+        if variance >= KNOWN_PLACE:
+            work[0, 7] = by_place
+            a += variance
+            for i in range(4):
+                value = covariance[place, 2 * (first if i < 2 else second) + i % 2]
+                a += 2.0 * by_place * value * work[0, i]
+                b += by_place * value * work[1, i]
     for i in range(4):
         row = 2 * (first if i < 2 else second) + i % 2
         for j in range(4):

@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.smoother import ReassociationConfig
+from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
-from limslam_agent.slam.line_graph.elimination import DegenerateError
+from limslam_agent.slam.line_graph.elimination import POSE, DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import (
     GRAZING,
     Problem,
@@ -26,7 +27,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
 )
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import normal
+from limslam_env.geometry.line import direction, normal
 
 _MOST_MERGES = 30
 _LEAST_SPREAD = 100.0  # 1/rad^2: keeps the direction of a line whose readings are all in one place
@@ -86,7 +87,7 @@ def with_kinds(
     found = solve_labels(problem, state, labels, config.fewest)
     limits = np.array([np.inf, THICKEST, config.max_angle, config.min_overlap])
     ends, seen = ends_of(problem, found.state, found.labels), seen_ends(problem, found.state, found.labels)
-    covariance = found.solution.factored.lines
+    covariance = with_anchors(problem, found, config.max_angle)
     kinds = merging.wall_kinds(found.state.lines, found.state.anchors, ends, seen, covariance, limits)
     if are_boards(kinds):
         return replace(problem, kinds=kinds), labels
@@ -321,7 +322,8 @@ def merge(
         state = found.state
         merged_into = np.empty(len(state.lines), dtype=np.int64)
         lines, ends = state.lines.copy(), ends_of(problem, state, found.labels)
-        covariance, seen = found.solution.factored.lines.copy(), seen_ends(problem, state, found.labels)
+        covariance = with_anchors(problem, found, limits.max_angle)
+        seen = seen_ends(problem, state, found.labels)
         count = merging.merge_lines(
             lines, state.anchors, ends, seen, covariance, np.array(limits), np.array(problem.kinds),
             np.array(_MOST_MOVED), merged_into,
@@ -332,6 +334,40 @@ def merge(
         labels = np.where(found.labels >= 0, rooted(merged_into)[found.labels], -1)
         found = solve_again(problem, state, labels, fewest, tolerance=tolerance)
     return found, has_merged
+
+
+def with_anchors(problem: Problem, found: Association, max_angle: float) -> FloatArray:
+    """Joint covariance of the lines (2 m), and of the places of their anchors along them (m) where these are uncertain.
+
+    :mod:`limslam_agent.slam.core.carried_anchors` says why two lines are compared at a place that moves with the world.
+    In the filter it moves with the robot. Here it moves with a pose near the last reading of the line: of the poses
+    that the elimination keeps, the first one after this reading. The places are left out if lines that differ by at
+    most ``max_angle``, rad, are compared exactly enough without them.
+    """
+    factored = found.solution.factored
+    covariance, first_line = factored.covariance, factored.first_line
+    poses, by_pose = carriers(problem, found)
+    moved = np.einsum("mi,mij->mj", by_pose, covariance[poses])
+    places = np.einsum("mnj,nj->mn", moved[:, poses], by_pose)
+    if max_angle**2 * np.diag(places).max(initial=0.0) < KNOWN_PLACE:
+        return factored.lines.copy()
+    beside = moved[:, first_line:]
+    return np.block([[factored.lines, beside.T], [beside, places]])
+
+
+def carriers(problem: Problem, found: Association) -> tuple[IntArray, FloatArray]:
+    """Indices (m, 3) of the pose with which each line's anchor moves, among the variables that the elimination keeps.
+
+    Also the derivative (m, 3) of the anchor's place along its line by this pose, when pose and world move together.
+    """
+    state, blocks, used = found.state, found.solution.factored.blocks, found.labels >= 0
+    last = np.zeros(len(state.lines), dtype=np.int64)
+    np.maximum.at(last, found.labels[used], problem.readings.places[used])
+    ends = np.array([block.robot * problem.steps + block.last for block in blocks])
+    chosen = np.minimum(np.searchsorted(ends, last), len(blocks) - 1)
+    away = state.anchors - state.flat_poses[ends[chosen], :2]
+    by_pose = np.column_stack((direction(state.lines), np.sum(normal(state.lines) * away, axis=1)))
+    return POSE * chosen[:, None] + np.arange(POSE), by_pose
 
 
 def rooted(merged_into: IntArray) -> IntArray:

@@ -143,7 +143,7 @@ def test_motions(recorded: ConsistentEstimator) -> None:
 def drawn(ekf: CloneEKF, shape: str, seed: int) -> tuple[Readings, FloatArray]:
     """Readings of a straight, bent or ending wall beside the clones, and a line through them."""
     generator = np.random.default_rng(seed)
-    clones = np.sort(generator.choice(np.array(ekf._clones), 40))
+    clones = np.sort(generator.choice(ekf._clones.numbers, 40))
     poses, origins = ekf.clone_poses(clones), generator.normal(0.0, 0.05, (40, 2))
     heading = float(poses[:, 2].mean()) + 0.5 * math.pi
     anchor = poses[:, :2].mean(axis=0) + 0.8 * normal(np.array([0.0, heading]))

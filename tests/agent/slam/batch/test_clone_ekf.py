@@ -81,7 +81,7 @@ def test_predictions_and_clones(state: States, plain: CloneEKF) -> None:
 
 def test_marginalised_clones(state: States, plain: CloneEKF) -> None:
     wanted = np.random.default_rng(2).random(plain.num_clones) < 0.5
-    kept = {plain._clones[place] for place in np.flatnonzero(wanted)}
+    kept = {int(plain._clones.numbers[place]) for place in np.flatnonzero(wanted)}
     assert 0 < len(kept) < plain.num_clones
     plain.keep_clones(kept)
     keep_clones(state.filter, wanted)

@@ -31,7 +31,7 @@ def readings_of_walls(
     estimator: ConsistentEstimator, shape: str, seed: int, cone: float = 0.0
 ) -> tuple[Readings, FloatArray]:
     """Readings, as rows of the batch too, that beams of the estimator's clones would take of a wall of some shape."""
-    generator, clones = np.random.default_rng(seed), np.array(estimator._filter._clones)
+    generator, clones = np.random.default_rng(seed), estimator._filter._clones.numbers
     chosen = np.sort(generator.choice(clones, 40))
     poses = estimator._filter.clone_poses(chosen)
     origins, angles = generator.normal(0.0, 0.05, (40, 2)), generator.uniform(0.9, 2.2, 40)
@@ -51,7 +51,7 @@ def readings_of_walls(
 
 
 def places_of(estimator: ConsistentEstimator, readings: Readings) -> IntArray:
-    return np.searchsorted(estimator._filter._clones, readings.clones)
+    return estimator._filter.places(readings.clones)
 
 
 @pytest.mark.parametrize("shape", ["straight", "corner", "end"])
@@ -89,7 +89,7 @@ def test_beam_model(estimator: ConsistentEstimator, cone: float) -> None:
     readings, rows = readings_of_walls(estimator, "straight", 3, cone)
     ekf, places = state_from(estimator).filter, places_of(estimator, readings)
     start, poses = POSE + 2 * int(ekf.counts[LINES]), estimator._filter.clone_poses(readings.clones)
-    assert ekf.counts[CLONES] == len(estimator._filter._clones)
+    assert ekf.counts[CLONES] == estimator._filter.num_clones
     line, anchor, out = np.array([0.1, 0.7]), np.array([1.0, -2.0]), np.empty((40, 7))
     predicted(ekf.x, start, places, rows, np.arange(40), tuple(line), tuple(anchor), out)
     expected = expected_ranges(poses, readings, line, anchor)

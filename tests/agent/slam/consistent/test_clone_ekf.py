@@ -85,7 +85,7 @@ def ranges_from(state: FloatArray, ekf: CloneEKF, readings: Readings, index: int
     anchor = ekf.anchors[index]
     results = []
     for clone, (x, y), angle in zip(readings.clones, readings.origins, readings.angles, strict=True):
-        begin = ekf._first + 2 * ekf.num_lines + 3 * ekf._clones.index(clone)
+        begin = ekf._first + 2 * ekf.num_lines + 3 * int(ekf.places(np.array([clone]))[0])
         px, py, heading = state[begin : begin + 3]
         start = (px + x * np.cos(heading) - y * np.sin(heading), py + x * np.sin(heading) + y * np.cos(heading))
         ray = (np.cos(heading + angle), np.sin(heading + angle))

@@ -61,3 +61,22 @@ def test_lines_that_share_a_side():
     for second, wanted in ((POSITIVE, True), (NEGATIVE, False)):
         lines, anchors, _, seen = parallel(0.1, second)
         assert share_side(np.array([[0, 1]]), lines, anchors, seen).tolist() == [wanted]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_world_whose_place_is_unknown_does_not_merge_two_walls(turned):
+    """The lines are known to 0.02 m beside each other, but the world may be shifted by 2.5 m along them."""
+    lines, anchors, ends, seen = parallel(0.13, POSITIVE, turned=turned)
+    lines[1, 1] += 0.04
+    normals = np.stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])), axis=1)
+    by_shift = np.zeros((6, 2))
+    by_shift[:4:2], by_shift[4:] = normals, normals[:, ::-1] * [-1.0, 1.0]
+    covariance = np.diag([0.02**2, 1e-4] * 2 + [0.0, 0.0]) + by_shift @ np.diag([2.5**2, 0.0]) @ by_shift.T
+    merges = [
+        merge_lines(
+            lines.copy(), anchors, ends.copy(), seen.copy(), covariance[:size, :size].copy(), LIMITS, np.zeros(2),
+            np.array([9.0, 9.0]), np.empty(2, dtype=np.int64),
+        )
+        for size in (4, 6)
+    ]  # fmt: skip
+    assert merges == [1, 0]

@@ -7,7 +7,16 @@ from support.smoother_runs import noisy_run, position_error, true_labels
 from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_motions
 from limslam_agent.slam.line_graph.mending import split
-from limslam_agent.slam.line_graph.reassociation import OneWall, merge, reassociate, renumbered, rooted, solve_labels
+from limslam_agent.slam.line_graph.reassociation import (
+    OneWall,
+    carriers,
+    merge,
+    reassociate,
+    renumbered,
+    rooted,
+    solve_labels,
+    with_anchors,
+)
 
 CONFIG = ReassociationConfig()
 LIMITS = OneWall(CONFIG.one_wall_gate, CONFIG.max_offset, CONFIG.max_angle, CONFIG.min_overlap)
@@ -48,6 +57,24 @@ def test_lines_of_one_wall_are_merged():
     assert has_merged
     assert len(found.state.lines) == 4
     assert agreeing(found, wanted) == 1.0
+
+
+def test_anchors_move_with_the_world():
+    problem, poses = noisy_run(2)
+    found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6)
+    kept, by_pose = carriers(problem, found)
+    ends = [block.last for block in found.solution.factored.blocks]
+    shift, turn = np.array([0.3, -0.2]), 1e-6
+    for line, anchor, index, row in zip(found.state.lines, found.state.anchors, kept, by_pose, strict=True):
+        x, y = anchor - found.state.poses[0, ends[index[0] // 3], :2]
+        along = np.array([-np.sin(line[1]), np.cos(line[1])])
+        moved = np.array([np.cos(turn) * x - np.sin(turn) * y - x, np.sin(turn) * x + np.cos(turn) * y - y])
+        assert row @ [*shift, turn] == pytest.approx(along @ (shift + moved), abs=1e-9)
+    # Up to now, the place of the world is known, and then the lines alone say enough.
+    assert with_anchors(problem, found, 1e-3).shape == (8, 8)
+    joint = with_anchors(problem, found, 1e3)
+    assert joint.shape == (12, 12)
+    assert np.linalg.eigvalsh(joint).min() > -1e-12
 
 
 def test_lines_of_different_walls_are_not_merged():
