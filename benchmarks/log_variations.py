@@ -15,6 +15,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import Relations, read_relations, relation_errors, summary
+from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.replay.trust import PathSignals
 from limslam_agent.slam.graph.key_poses import LogData, integrate
@@ -209,7 +210,8 @@ def outcome(path: str, known: str, how: Variation) -> Outcome:
     data, relations = varied(log_data(log, log.odometry, how.noise), read_relations(known), how)
     config = GraphConfig()
     begin = time.process_time()
-    found, _, signals = trusted_path(data, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
+    directed = with_reversing(data, config)
+    found, _, signals = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
     return Outcome(found, signals, errors, seconds)

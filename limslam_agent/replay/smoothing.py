@@ -18,6 +18,7 @@ from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.reversing import reversed_distance, with_reversing
 from limslam_agent.replay.trust import PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
@@ -82,10 +83,11 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     """
     log = replay.log
     begin = time.process_time()
-    data = log_data(log, replay.odometry, replay.config.range_std)
+    recorded = log_data(log, replay.odometry, replay.config.range_std)
+    data = with_reversing(recorded, config)
     found, landmarks, signals = trusted_path(data, log.start_pose, config, report)
     seconds = time.process_time() - begin
-    figures = {**_figures(found), **signals.figures}
+    figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
     graph = _graph(found, log)
     smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found)
     grid = draw_grid(replay, found.poses)
@@ -249,6 +251,11 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "loops_kept": sum(verdict.kept for verdict in found.verdicts),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
+
+
+def _reversing_figures(recorded: LogData, data: LogData) -> dict[str, Any]:
+    metres, places = reversed_distance(recorded, data)
+    return {"smoothed_reversed_m": metres, "smoothed_reversed_places": places}
 
 
 def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:
