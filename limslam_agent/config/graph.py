@@ -476,9 +476,9 @@ class RoundConfig(Bounded):
         smoothed again, at most this number of times. The result is kept if its score is higher.
     """
 
-    hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8, 1.0, 0.8)
-    iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8)
-    wide_search: Count = 6
+    hops: tuple[float, ...] = (1.0, 0.8) * 5
+    iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
+    wide_search: Count = 10
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
     tried: Count = 3
     finished: Count = 2
