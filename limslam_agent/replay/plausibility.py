@@ -6,9 +6,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.replay.misreading import misread
 from limslam_agent.replay.replay import Replay
-from limslam_agent.replay.smoothing import log_data
 from limslam_env.geometry import FloatArray, se2
 
 MOSTLY_NOTHING = 0.95
@@ -92,7 +90,14 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
     if per_metre > MOST_TURNS:
         return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
-    found = misread(log_data(log, log.odometry, 0.0), GraphConfig())
+    return _misread(log, log.odometry)
+
+
+def _misread(log: RecordedLog, odometry: FloatArray) -> list[str]:
+    from limslam_agent.replay.misreading import misread
+    from limslam_agent.replay.smoothing import log_data
+
+    found = misread(log_data(log, odometry, 0.0), GraphConfig())
     return [found] if found else []
 
 
