@@ -15,13 +15,16 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import Relations, read_relations, relation_errors, summary
-from limslam_agent.replay.smoothing import log_data
+from limslam_agent.replay.reversing import with_reversing
+from limslam_agent.replay.smoothing import log_data, trusted_path
+from limslam_agent.replay.trust import PathSignals
 from limslam_agent.slam.graph.key_poses import LogData, integrate
-from limslam_agent.slam.graph.smooth import smooth_log
+from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_env.geometry import FloatArray, se2
 
 _ABOUT = np.array([0.0, 0.0, np.pi])
 _POSITION_NOISE = 0.02  # m per square root of a metre
+_SLIP = np.radians(15.0)
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,15 @@ class Variation:
         Whether left and right are exchanged, and whether the robot drives the same way back.
     turn, gain, scale
         Errors added to odometry: heading per metre, deg; share of turns; share of distances.
-    odometry_noise, range_noise, seed
+    odometry_noise, range_noise, clock_noise, seed
         Standard deviations of noise that is added: of the heading in deg per square root of a metre (and 2 cm per
-        square root of a metre of both components), and of the ranges, m; and the seed of both.
+        square root of a metre of both components), of the ranges, m, and of the times of odometry, s; and the seed of
+        all that is drawn.
+    drop_outs, slips
+        Share of the readings that are lost; and number of places where the robot turns without odometry noticing it,
+        by 15 deg (standard deviation).
+    begin, end
+        The part of the log that is used, as shares of its time.
     """
 
     beams: tuple[float, ...] = (90.0, 54.0, 18.0, -18.0, -54.0, -90.0)
@@ -56,7 +65,12 @@ class Variation:
     scale: float = 0.0
     odometry_noise: float = 0.0
     range_noise: float = 0.0
+    clock_noise: float = 0.0
     seed: int = 1
+    drop_outs: float = 0.0
+    slips: int = 0
+    begin: float = 0.0
+    end: float = 1.0
 
 
 def variation(text: str) -> Variation:
@@ -82,11 +96,23 @@ def variation(text: str) -> Variation:
 
 def varied(data: LogData, relations: Relations, how: Variation) -> tuple[LogData, Relations]:
     """The log and its relations in a variation."""
+    data = _part(data, how.begin, how.end)
     if how.backwards:
         data, relations = _backwards(data, relations)
     if how.mirrored:
         data, relations = _mirrored(data, relations)
     generator = np.random.default_rng(how.seed)
+    moves = _with_errors(data, how, generator)
+    ranges = np.where(
+        data.hit, data.ranges + how.range_noise * generator.standard_normal(data.ranges.shape), data.ranges
+    )
+    hit = data.hit & (generator.random(data.hit.shape) >= how.drop_outs) if how.drop_outs else data.hit
+    odometry = integrate(np.zeros(3), moves)
+    return replace(data, odometry=odometry, ranges=ranges, hit=hit, range_std=how.noise), relations
+
+
+def _with_errors(data: LogData, how: Variation, generator: np.random.Generator) -> FloatArray:
+    """Motions (n - 1, 3) of odometry with the errors of a variation."""
     moves = _moves(data)
     root = np.sqrt(np.hypot(moves[:, :1], moves[:, 1:2]))
     moves[:, 2] += np.radians(how.turn) * moves[:, 0] + how.gain * moves[:, 2]
@@ -94,14 +120,34 @@ def varied(data: LogData, relations: Relations, how: Variation) -> tuple[LogData
     if how.odometry_noise:
         stds = root * np.array([_POSITION_NOISE, _POSITION_NOISE, np.radians(how.odometry_noise)])
         moves += stds * generator.standard_normal(moves.shape)
-    ranges = np.where(
-        data.hit, data.ranges + how.range_noise * generator.standard_normal(data.ranges.shape), data.ranges
-    )
-    return replace(data, odometry=integrate(np.zeros(3), moves), ranges=ranges, range_std=how.noise), relations
+    if how.slips:
+        places = generator.choice(len(moves), how.slips, replace=False)
+        moves[places, 2] += _SLIP * generator.standard_normal(how.slips)
+    if how.clock_noise:
+        moves = _at_times(integrate(np.zeros(3), moves), data.time, how.clock_noise, generator)
+    return moves
+
+
+def _at_times(odometry: FloatArray, time: FloatArray, noise: float, generator: np.random.Generator) -> FloatArray:
+    """Motions (n - 1, 3) of odometry that was read at slightly other times."""
+    read = time + noise * generator.standard_normal(len(time))
+    nodes = np.maximum.accumulate(time)
+    columns = [*odometry[:, :2].T, np.unwrap(odometry[:, 2])]
+    poses = np.column_stack([np.interp(read, nodes, each) for each in columns])
+    poses[:, 2] = se2.wrap_angle(poses[:, 2])
+    return se2.between(poses[:-1], poses[1:])
 
 
 def _moves(data: LogData) -> FloatArray:
     return se2.between(data.odometry[:-1], data.odometry[1:])
+
+
+def _part(data: LogData, begin: float, end: float) -> LogData:
+    """The events between two shares of the log's time."""
+    share = (data.time - data.time.min()) / max(float(np.ptp(data.time)), 1e-9)
+    kept = (share >= begin) & (share <= end)
+    rows = {name: getattr(data, name)[kept] for name in ("time", "odometry", "ranges", "hit")}
+    return replace(data, **rows)
 
 
 def _mirrored(data: LogData, relations: Relations) -> tuple[LogData, Relations]:
@@ -135,27 +181,47 @@ def _turned_about(motions: FloatArray) -> FloatArray:
     return se2.compose(se2.compose(about, motions), about)
 
 
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came out of a variation: the smoothed log, its signals, its errors, and the processor time, s."""
+
+    found: GraphResult
+    signals: PathSignals
+    errors: dict[str, Any]
+    seconds: float
+
+    @property
+    def words(self) -> str:
+        """One line for the screen."""
+        metres, degrees, loops = (
+            np.nan if (value := self.errors[f"{name}"]) is None else value
+            for name in ("relation_error_m", "relation_error_deg", "loop_relation_error_m")
+        )
+        share, status = self.signals.contradicted_share, self.signals.status
+        signs = f"{self.signals.crossings_per_100_m:.1f} crossings in 100 m, {share:.3f} contradicted"
+        where = f"{signs}, G {self.found.score:.3f}, {self.found.start}, {self.seconds:.0f} s"
+        return f"{metres:.3f} m / {degrees:.2f} deg, loops {loops:.3f} m, {status.level}, {where}"
+
+
+def outcome(path: str, known: str, how: Variation) -> Outcome:
+    """Smooth a log in a variation, and compare the path with the relations in the file ``known``."""
+    log = read_log(path, how.beams, how.max_range)
+    assert log.odometry is not None  # noqa: S101 (relations belong to logs of odometry poses)
+    data, relations = varied(log_data(log, log.odometry, how.noise), read_relations(known), how)
+    config = GraphConfig()
+    begin = time.process_time()
+    directed = with_reversing(data, config)
+    found, _, signals = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
+    seconds = time.process_time() - begin
+    errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
+    return Outcome(found, signals, errors, seconds)
+
+
 def main(arguments: list[str]) -> None:
     """Print a line for each variation."""
     path, known, *texts = arguments
     for text in texts or [""]:
-        how = variation(text)
-        log = read_log(path, how.beams, how.max_range)
-        assert log.odometry is not None  # noqa: S101 (relations belong to logs of odometry poses)
-        data, relations = varied(log_data(log, log.odometry, how.noise), read_relations(known), how)
-        config = GraphConfig()
-        begin = time.process_time()
-        found = smooth_log(data, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
-        seconds = time.process_time() - begin
-        errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
-        metres, degrees, loops = (
-            errors[f"{name}"] for name in ("relation_error_m", "relation_error_deg", "loop_relation_error_m")
-        )
-        print(
-            f"{text or 'as recorded'}: {metres:.3f} m / {degrees:.2f} deg, loops {loops:.3f} m, "
-            f"G {found.score:.3f}, {found.start}, {seconds:.0f} s",
-            flush=True,
-        )
+        print(f"{text or 'as recorded'}: {outcome(path, known, variation(text)).words}", flush=True)
 
 
 if __name__ == "__main__":

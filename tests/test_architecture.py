@@ -295,10 +295,10 @@ def test_importing_the_agent_loads_no_simulator():
     compiled += [
         "limslam_agent.policies.learned.look_ahead",
         "limslam_agent.wrappers.vector",
-        "limslam_agent.replay.smoothing",
         *PLACES["limslam_agent.slam.merging"],
     ]
-    compiled += [f"limslam_agent.replay.{name}" for name in ("joined_lines", "two_logs", "two_logs_output")]
+    replay = ("joined_lines", "local_views", "misreading", "reversing", "smoothing", "two_logs", "two_logs_output")
+    compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
     unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")

@@ -406,6 +406,42 @@ class AgreementConfig(Bounded):
 
 
 @dataclass(frozen=True)
+class ReversingConfig(Bounded):
+    """The search for stretches that were driven backwards although odometry never says so.
+
+    Attributes
+    ----------
+    unsigned
+        Odometry counts as never reporting it if at most this share of the path is driven backwards by odometry.
+    slow
+        The robot may turn round where it is slower than this share of its median speed.
+    least
+        Stretches between such events that are shorter than this are not judged, m.
+    before, after, beyond
+        The last metres before a stretch are compared with its first metres, and with this distance beyond a short
+        stretch, m.
+    window, turn_window
+        The window of a match, m and rad.
+    score, lead, lead_per_metre
+        A stretch was driven backwards if this fits with at least this score, and better than driving ahead by ``lead``
+        and by ``lead_per_metre`` for each metre. Robots rarely drive backwards over long distances, and in a corridor
+        both directions fit.
+    """
+
+    unsigned: NonNegative = 1e-3
+    slow: NonNegative = 0.35
+    least: NonNegative = 0.15
+    before: Positive = 3.5
+    after: Positive = 2.0
+    beyond: NonNegative = 1.0
+    window: Positive = 0.4
+    turn_window: Angle = 9.0 * _DEGREE
+    score: NonNegative = 0.45
+    lead: NonNegative = 0.12
+    lead_per_metre: NonNegative = 0.06
+
+
+@dataclass(frozen=True)
 class RoundConfig(Bounded):
     """Rounds in which all loops are tested anew.
 
@@ -440,9 +476,9 @@ class RoundConfig(Bounded):
         smoothed again, at most this number of times. The result is kept if its score is higher.
     """
 
-    hops: tuple[float, ...] = (1.0, 0.8, 1.0, 0.8, 1.0, 0.8)
-    iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8)
-    wide_search: Count = 6
+    hops: tuple[float, ...] = (1.0, 0.8) * 5
+    iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
+    wide_search: Count = 10
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
     tried: Count = 3
     finished: Count = 2
@@ -461,6 +497,7 @@ class RoundConfig(Bounded):
 class GraphConfig(Bounded):
     """All settings of the graph of local maps."""
 
+    reversing: ReversingConfig = field(default_factory=ReversingConfig)
     keys: KeyPoseConfig = field(default_factory=KeyPoseConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     links: LinkConfig = field(default_factory=LinkConfig)

@@ -97,7 +97,7 @@ class RecordedLog:
             jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
             if np.any(jumps > LONGEST_JUMP):
                 row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
-                raise ValueError(f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}")
+                raise ValueError(f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?")
 
     def __len__(self) -> int:
         """Number of events."""

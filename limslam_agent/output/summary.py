@@ -154,7 +154,7 @@ def _limit(metrics: Mapping[str, Any]) -> list[str]:
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
-    lines = _status(metrics) + _smoothed_status(metrics) + _errors(metrics)
+    lines = _status(metrics) + _smoothed_status(metrics) + _reversing(metrics) + _errors(metrics)
     trajectories = {
         "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs", "": "filter, while driving",
         "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
@@ -200,6 +200,15 @@ def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
         shown = ", ".join(f"{time:.0f}" for time in times[:_MOST_TIMES]) + (", ..." if times[_MOST_TIMES:] else "")
         lines.append(f"            may be wrong where the path passes through walls, after {shown} s")
     return lines
+
+
+def _reversing(metrics: Mapping[str, Any]) -> list[str]:
+    """How far the robot drove backwards although odometry reports driving ahead."""
+    if not _has(metrics, "smoothed_reversed_m", "smoothed_reversed_places") or not metrics["smoothed_reversed_places"]:
+        return []
+    count = metrics["smoothed_reversed_places"]
+    where = f"{metrics['smoothed_reversed_m']:.1f} m at {count} place{'s' if count > 1 else ''}"
+    return [f"            driven backwards over {where}, which odometry reports as driven ahead"]
 
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:

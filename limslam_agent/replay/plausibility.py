@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 
+from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.replay import Replay
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, se2
 
 MOSTLY_NOTHING = 0.95
 """Above this share of readings that saw nothing, the ranges are probably not in metres."""
@@ -23,10 +24,21 @@ SOME_NOTHING = 0.01
 LEAST_DRIVEN = 1.0
 """Walls cannot be expected in a log over less driving than this, m."""
 
+FASTEST = 20.0
+"""A robot that is faster than this on average, m/s, has odometry in another unit, or times in another unit."""
+
+MOST_TURNS = 4.0
+"""If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
+0.4 to 0.7 rad/m."""
+
+LEAST_SPREAD = 0.5
+"""If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
+
 
 def log_warnings(log: RecordedLog) -> list[str]:
-    """What is unlikely about the times and the ranges of a log, one sentence for each finding."""
-    return [*_about_times(log), *_about_ranges(log)]
+    """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
+    about_times = _about_times(log)
+    return [*about_times, *_about_ranges(log), *(() if about_times else _about_odometry(log))]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -59,6 +71,45 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
         return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
     return []
+
+
+def _about_odometry(log: RecordedLog) -> list[str]:
+    if log.odometry is None:
+        return []
+    reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
+    if reach < LEAST_DRIVEN:
+        spread = _spread(log)
+        if spread < LEAST_SPREAD:
+            return []
+        text = f"by odometry the robot stays within {reach:.2f} m, but its readings change by {spread:.2f} m"
+        return [f"{text}: is odometry missing, or not in metres?"]
+    driven = float(np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum())
+    speed = driven / max(float(np.ptp(log.time)), 1e-9)
+    if speed > FASTEST:
+        return [f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"]
+    per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
+    if per_metre > MOST_TURNS:
+        return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
+    return _misread(log, log.odometry)
+
+
+def _misread(log: RecordedLog, odometry: FloatArray) -> list[str]:
+    from limslam_agent.replay.misreading import misread
+    from limslam_agent.replay.smoothing import log_data
+
+    found = misread(log_data(log, odometry, 0.0), GraphConfig())
+    return [found] if found else []
+
+
+def _spread(log: RecordedLog) -> float:
+    """The range of the middle half of a beam's readings of walls, m: the largest of all beams."""
+    readings = log.ranges[log.has_scan].astype(np.float64)
+    seen = np.where(np.isfinite(readings) & (readings < log.robot.too_far), readings, np.nan)
+    seen = seen[:, np.isfinite(seen).any(axis=0)] if seen.size else seen
+    if not seen.size:
+        return 0.0
+    low, high = np.nanquantile(seen, (0.25, 0.75), axis=0)
+    return float((high - low).max())
 
 
 def _seen(log: RecordedLog) -> tuple[FloatArray, float]:

@@ -18,6 +18,7 @@ from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.reversing import reversed_distance, with_reversing
 from limslam_agent.replay.trust import PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
@@ -80,39 +81,39 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
 
     ``report`` is called with each stage of the smoothing, in words.
     """
-    log, range_std = replay.log, replay.config.range_std
+    log = replay.log
     begin = time.process_time()
-    found = smooth_log(log_data(log, replay.odometry, range_std), log.start_pose, config, report)
-    found, landmarks, signals = _trusted(found, config, log, range_std)
+    recorded = log_data(log, replay.odometry, replay.config.range_std)
+    data = with_reversing(recorded, config)
+    found, landmarks, signals = trusted_path(data, log.start_pose, config, report)
     seconds = time.process_time() - begin
-    figures = {**_figures(found), **signals.figures}
+    figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
     graph = _graph(found, log)
     smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found)
     grid = draw_grid(replay, found.poses)
     return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
 
 
-def _trusted(
-    found: GraphResult, config: GraphConfig, log: RecordedLog, range_std: float
+def trusted_path(
+    data: LogData, start: FloatArray, config: GraphConfig, report: Callable[[str], None] | None = None
 ) -> tuple[GraphResult, list[Landmark], PathSignals]:
     """The smoothed log with its walls and signals, or odometry alone if its signals are clearly better."""
-    landmarks, signals = _signals(found, config, log, range_std)
+    found = smooth_log(data, start, config, report)
+    landmarks, signals = _signals(found, config, data)
     if signals.status.level == "ok":
         return found, landmarks, signals
-    plain = without_loops(found, log.start_pose)
-    others, of_odometry = _signals(plain, config, log, range_std)
+    plain = without_loops(found, start)
+    others, of_odometry = _signals(plain, config, data)
     return (plain, others, of_odometry) if signals.is_worse_than(of_odometry) else (found, landmarks, signals)
 
 
-def _signals(
-    found: GraphResult, config: GraphConfig, log: RecordedLog, range_std: float
-) -> tuple[list[Landmark], PathSignals]:
+def _signals(found: GraphResult, config: GraphConfig, data: LogData) -> tuple[list[Landmark], PathSignals]:
     """The walls through the points of a path, and what speaks for or against the path."""
     keys, trajectory = found.keys, found.trajectory
-    landmarks = draw_walls(point_cloud(keys, trajectory, config.links, range_std), range_std)
-    reach, loops = float(log.robot.max_ranges.max()), sum(verdict.kept for verdict in found.verdicts)
-    agreement = agreement_of_visits(keys, trajectory, config, reach) if len(keys) > 1 else (0.0, 0.0)
-    time = log.time[keys.first_event] - log.time[0]
+    landmarks = draw_walls(point_cloud(keys, trajectory, config.links, data.range_std), data.range_std)
+    loops = sum(verdict.kept for verdict in found.verdicts)
+    agreement = agreement_of_visits(keys, trajectory, config, data.max_range) if len(keys) > 1 else (0.0, 0.0)
+    time = data.time[keys.first_event] - data.time[0]
     crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     return landmarks, PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *agreement, loops)
 
@@ -250,6 +251,11 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "loops_kept": sum(verdict.kept for verdict in found.verdicts),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
+
+
+def _reversing_figures(recorded: LogData, data: LogData) -> dict[str, Any]:
+    metres, places = reversed_distance(recorded, data)
+    return {"smoothed_reversed_m": metres, "smoothed_reversed_places": places}
 
 
 def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:

@@ -15,6 +15,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import Unplaced
 from limslam_agent.replay.joined_lines import NotJoined, grid_of, joined_by_lines
 from limslam_agent.replay.replay import Replay, replay_log
+from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import draw_walls, ends_of, log_data
 from limslam_agent.replay.trust import PathSignals, crossings
 from limslam_agent.slam.core.line_map import Landmark
@@ -200,7 +201,8 @@ def _chain(replay: Replay, config: GraphConfig) -> Chain:
     smoothed = replay.smoothed
     assert smoothed is not None  # noqa: S101 (the caller has looked)
     assert isinstance(smoothed.basis, GraphResult)  # noqa: S101
-    return Chain.of(log_data(replay.log, replay.odometry, replay.config.range_std), smoothed.basis, config)
+    data = with_reversing(log_data(replay.log, replay.odometry, replay.config.range_std), config)
+    return Chain.of(data, smoothed.basis, config)
 
 
 def _signals(

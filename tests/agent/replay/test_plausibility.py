@@ -1,14 +1,19 @@
 """Warnings about logs in other units, sensors that see less far than was told, and maps without walls."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.command_line import call
+from support.corridors import SIX_BEAMS, corridor_log
 
 from limslam_agent.cli.main import main
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
 from limslam_agent.replay.replay import replay_log
+from limslam_env.geometry import se2
 
 
 def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60, beams=(-90, 90)):
@@ -97,3 +102,39 @@ def test_the_command_warns_on_standard_error_and_succeeds(tmp_path):
     assert "are the ranges in metres?" in warnings[0]
     assert "the map has 0 walls" in warnings[1]
     assert (tmp_path / "out" / "result.json").is_file()
+
+
+@pytest.fixture(scope="module")
+def laps():
+    """Two laps of a corridor, by odometry poses."""
+    data, truth = corridor_log(laps=2)
+    everywhere = np.ones(len(data.time), dtype=bool)
+    return RecordedLog(SIX_BEAMS, data.time, data.ranges.astype(np.float32), everywhere, truth[0], data.odometry)
+
+
+@pytest.mark.parametrize(
+    ("factors", "order", "said"),
+    [
+        ((1.0, 1.0, 1.0), 1, ""),
+        ((1.0, -1.0, -1.0), -1, ""),
+        ((1.0, 1.0, 1.0), -1, "with left and right exchanged"),
+        ((1.0, -1.0, -1.0), 1, "with left and right exchanged"),
+        ((1.0, 1.0, -1.0), 1, "with a heading of the other sign"),
+        ((1.0, -1.0, 1.0), 1, "with y of the other sign"),
+        ((1.0, 1.0, 180.0 / np.pi), 1, "is its heading in radians?"),
+        ((300.0, 300.0, 1.0), 1, "is odometry in metres?"),
+        ((0.0, 0.0, 0.0), 1, "is odometry missing"),
+        ((1e-3, 1e-3, 1.0), 1, "is odometry missing, or not in metres?"),
+    ],
+)
+def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said):
+    read = replace(laps, odometry=laps.odometry * np.array(factors), ranges=laps.ranges[:, ::order].copy())
+    warnings = log_warnings(read)
+    assert len(warnings) == bool(said)
+    assert all(said in warning for warning in warnings)
+
+
+def test_a_sensor_that_looks_backwards_is_noticed(laps):
+    about = se2.compose(laps.odometry, np.array([0.0, 0.0, np.pi]))
+    (warning,) = log_warnings(replace(laps, odometry=about))
+    assert "is the sensor mounted backwards" in warning

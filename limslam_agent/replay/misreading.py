@@ -1,0 +1,99 @@
+"""Whether the ranges of a log fit its odometry better if the log is read in another way.
+
+A wrong order of the beams, a laser that is mounted backwards, or a heading that counts clockwise makes a map that is
+wrong everywhere, and nothing in the log says so. But what is seen next then does not fit what was seen just before, and
+it does if the log is read rightly. On ``csail`` and ``fr079`` the mean score of this comparison is 0.35 to 0.49 with
+four to six beams, and 0.18 to 0.30 for logs that were read wrongly.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.replay.local_views import LocalViews
+from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.matching import NO_MATCH, Window
+from limslam_env.geometry import FloatArray, se2
+
+_BEFORE, _AFTER, _APART = 3.5, 2.0, 4.0  # m of driving
+_MOST_PLACES = 60
+_WINDOW = Window(0.2, np.radians(4.0), np.radians(2.0))
+
+FEWEST_PLACES = 10
+"""Fewer comparisons than these say nothing."""
+
+LEAST_LEAD, LEAST_SIGMAS = 0.08, 2.5
+"""Another reading is better if its mean score leads by this, and by so many standard errors of the difference."""
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Another way to read a log: the log as it would be then, and the question to its owner."""
+
+    read: Callable[[LogData], LogData]
+    question: str
+
+
+def misread(data: LogData, config: GraphConfig) -> str:
+    """What fits better than the log as it was read, as a sentence; empty if nothing does."""
+    places = _places(data, config)
+    if len(places) < FEWEST_PLACES:
+        return ""
+    plain = _scores(data, places, config)
+    best, found = 0.0, ""
+    for other in _OTHERS:
+        leads = _scores(other.read(data), places, config) - plain
+        leads = leads[np.isfinite(leads)]
+        if len(leads) < FEWEST_PLACES:
+            continue
+        mean, error = float(leads.mean()), float(leads.std()) / np.sqrt(len(leads))
+        if mean > max(best, LEAST_LEAD, LEAST_SIGMAS * error):
+            best, found = mean, f"the ranges fit odometry better {other.question}"
+    return found
+
+
+def _places(data: LogData, config: GraphConfig) -> list[int]:
+    """Events at which what is seen next is compared with what was seen before."""
+    travel = LocalViews(data, config, _WINDOW).travel
+    apart = max(_APART, travel[-1] / _MOST_PLACES)
+    return [int(each) for each in np.searchsorted(travel, np.arange(_BEFORE, travel[-1] - _AFTER, apart))]
+
+
+def _scores(data: LogData, places: list[int], config: GraphConfig) -> FloatArray:
+    """The score (k,) at each event; NaN where too little was seen."""
+    views = LocalViews(data, config, _WINDOW)
+    return np.array([_score(views, place) for place in places])
+
+
+def _score(views: LocalViews, place: int) -> float:
+    known, last = views.known(place, _BEFORE), views.last_event(place, _AFTER)
+    if known is None or last <= place:
+        return np.nan
+    score = views.score(known, place, views.moves[place:last])
+    return score if score > NO_MATCH else np.nan
+
+
+def _mirrored(data: LogData) -> LogData:
+    return replace(data, angles=-data.angles, origins=data.origins * np.array([1.0, -1.0]))
+
+
+def _looking_back(data: LogData) -> LogData:
+    return replace(data, angles=se2.wrap_angle(data.angles + np.pi), origins=-data.origins)
+
+
+def _clockwise(data: LogData) -> LogData:
+    return replace(data, odometry=data.odometry * np.array([1.0, 1.0, -1.0]))
+
+
+def _mirrored_places(data: LogData) -> LogData:
+    return replace(data, odometry=data.odometry * np.array([1.0, -1.0, 1.0]))
+
+
+_OTHERS = (
+    _Reading(_mirrored, "with left and right exchanged: are the beams in the wrong order, or is odometry mirrored?"),
+    _Reading(_looking_back, "if the beams look the other way: is the sensor mounted backwards, or ahead negative?"),
+    _Reading(_clockwise, "with a heading of the other sign: does the heading of odometry count clockwise?"),
+    _Reading(_mirrored_places, "with y of the other sign: does y of odometry point to the right?"),
+)

@@ -1,0 +1,58 @@
+"""Stretches that were driven backwards are found in logs whose odometry counts every distance as driven ahead."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.corridors import EVERY, FOUR_BEAMS, SIX_BEAMS, corridor_log, walls
+from support.drives import drive, straight, turn
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.replay.reversing import reversed_distance, with_reversing
+from limslam_agent.slam.graph.key_poses import LogData, integrate
+from limslam_env.geometry import se2
+
+CONFIG = GraphConfig()
+STOP = [(0.0, 0.0)] * 12
+START = np.array([1.0, 1.0, 0.0])
+
+
+def there_and_back(robot=SIX_BEAMS, noise=0.01):
+    """A log with true odometry: ahead to a corner, back and round it, back once more, and on."""
+    turned = turn(90.0, robot)
+    wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turned + straight(3.0) + STOP
+    wheels += straight(-0.6) + STOP + straight(3.0)
+    observations, poses = drive(walls(), START, wheels, robot, noise)
+    rows = np.arange(0, len(poses), EVERY)
+    ranges = np.array([observations[row]["ranges"] for row in rows], dtype=float)
+    hit = (ranges > robot.too_near) & (ranges < robot.too_far)
+    time = 0.1 * np.asarray(rows, dtype=float)
+    return LogData(time, poses[rows], ranges, hit, robot.beam_origins, robot.beam_angles, 5.0, noise)
+
+
+def without_signs(log):
+    moves = se2.between(log.odometry[:-1], log.odometry[1:])
+    moves[moves[:, 0] < 0.0, :2] *= -1.0
+    return replace(log, odometry=integrate(log.odometry[0], moves))
+
+
+@pytest.mark.parametrize("robot", [SIX_BEAMS, FOUR_BEAMS])
+def test_both_stretches_are_found(robot):
+    signed = there_and_back(robot)
+    recorded = without_signs(signed)
+    directed = with_reversing(recorded, CONFIG)
+    assert reversed_distance(recorded, directed) == (pytest.approx(2.2, abs=0.3), 2)
+    assert np.hypot(*(recorded.odometry - signed.odometry)[-1, :2]) > 3.0
+    assert np.hypot(*(directed.odometry - signed.odometry)[-1, :2]) < 0.5
+
+
+def test_odometry_that_reports_driving_backwards_is_believed():
+    signed = there_and_back()
+    assert with_reversing(signed, CONFIG) is signed
+
+
+def test_a_drive_ahead_stays_as_it_is():
+    log, _ = corridor_log(laps=1)
+    assert with_reversing(log, CONFIG) is log
+    blind = replace(log, hit=np.zeros_like(log.hit))
+    assert with_reversing(blind, CONFIG) is blind
