@@ -1,73 +1,37 @@
 """The simulation of many environments at once."""
 
+import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from limslam_env.batch.noise import BatchNoise
 from limslam_env.batch.places import Places
 from limslam_env.batch.progress import cores
-from limslam_env.config import NoiseConfig
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_env.config import NoiseConfig, TaskConfig
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.batch_state import Episodes, Measurements, Robots, scratch_for
-from limslam_env.kernels.batch_step import BEGIN, NUM_NOISES, SKIP, STEP, advance
-from limslam_env.kernels.coverage import RAY_MARGIN
+from limslam_env.kernels.batch_rays import MOST_LANES
+from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
+from limslam_env.kernels.batch_state import Episodes, Results, Robots, Task, fan_of, lanes_for, scratch_for
+from limslam_env.kernels.batch_step import NUM_NOISES, advance
+from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys
 from limslam_env.kernels.tiles import LONGEST_LOOK
 from limslam_env.simulation.coverage import CELL
 from limslam_env.simulation.sensors import beam_table
 
+__all__ = ["BatchSimulation", "Results"]
+
 THREADS_FROM = 1024
 """Number of robots from which on a second thread is worth its waking."""
 
-_SLICE = 512
+# Environments that a thread takes at once.
+_PORTION = 512
 
 _SETTINGS, _PLACES = 1, 2
-
-
-class BatchReadings(NamedTuple):
-    """The measurements in all environments, in new arrays.
-
-    Attributes
-    ----------
-    ranges
-        (n, m, n_beams), float32, m.
-    wheels
-        (n, m, 2), float32, m.
-    """
-
-    ranges: ReadingArray
-    wheels: ReadingArray
-
-
-class BatchTruth(NamedTuple):
-    """The ground truth of all environments, in new arrays: the fields of ``simulation.Truth``.
-
-    Attributes
-    ----------
-    poses
-        (n, m, 3), m and rad.
-    time
-        (n,), s.
-    coverage
-        (n,), 0 to 1.
-    new_area
-        (n, m), m^2.
-    contact
-        (n, m).
-    wall_seen
-        (n, m, n_beams).
-    """
-
-    poses: FloatArray
-    time: FloatArray
-    coverage: FloatArray
-    new_area: FloatArray
-    contact: BoolArray
-    wall_seen: IntArray
 
 
 class BatchSimulation:
@@ -81,31 +45,47 @@ class BatchSimulation:
         The specification of all robots.
     noise
         One setting for all environments or one for each; ranges in it are drawn from at each reset.
+    task, max_steps
+        What steps are worth, and when episodes end; None for no largest number of steps.
     num_threads
         How many threads to use at most; None for one a core. The result is the same to the last bit.
     """
 
     def __init__(
-        self, places: Places, robot: RobotSpec, noise: Sequence[NoiseConfig], num_threads: int | None = None
+        self,
+        places: Places,
+        robot: RobotSpec,
+        noise: Sequence[NoiseConfig],
+        task: TaskConfig,
+        max_steps: int | None = None,
+        num_threads: int | None = None,
     ) -> None:
         count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
         self.robot, self.num_envs, self.num_robots = robot, count, robots
         self._places, self._noise = places, BatchNoise(noise, robot)
         beams = beam_table(robot)
         longest = max(float((beams[:, 3] + beams[:, 5]).max()), 2.0 * robot.radius)
-        is_small = longest / CELL - RAY_MARGIN <= LONGEST_LOOK
-        self._robots = Robots(robot.max_wheel_speed * robot.control_period, robot.radius, beams, is_small)
+        is_small = longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
+        period = robot.control_period
+        self._robots = Robots(
+            robot.max_wheel_speed * period,
+            robot.radius,
+            period,
+            beams,
+            fan_of(beams, robot.radius - BODY_MARGIN),
+            is_small,
+        )
+        self._task = _as_numbers(task, max_steps)
         self._homes: Words = np.zeros(count, dtype=np.uint64)
-        self._numbers, self._covered = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        self._episodes = _no_episodes(places.world_of, robots)
-        self._measured = _no_measurements(count, robots, num_beams)
+        self._numbers = np.zeros(count, dtype=np.int64)
+        self._episodes = _no_episodes(places.world_of, robots, num_beams)
         self._scratch = scratch_for(robots, num_beams)
         self._threads = num_threads or cores()
         self._pool: ThreadPoolExecutor | None = None
 
     def reset(
         self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
-    ) -> tuple[BatchReadings, BatchTruth]:
+    ) -> Results:
         """Begin new episodes, as :meth:`begin` does, and observe them."""
         self.begin(mask, start, seeds)
         tasks = np.where(mask, BEGIN, SKIP)
@@ -143,12 +123,12 @@ class BatchSimulation:
         episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
         episodes.noise[envs] = self._noise.drawn(envs, settings)
-        self._covered[envs] = 0
+        episodes.covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
         if width > episodes.unseen.shape[1]:
             self._episodes = episodes._replace(unseen=_padded(episodes.unseen, width))
 
-    def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> tuple[BatchReadings, BatchTruth]:
+    def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> Results:
         """Drive for one control period.
 
         Parameters
@@ -182,52 +162,33 @@ class BatchSimulation:
         unseen = self._episodes.unseen
         self._episodes = self._episodes._replace(unseen=_padded(unseen, unseen.shape[1]))
 
-    def _advance(self, tasks: IntArray, actions: FloatArray) -> tuple[BatchReadings, BatchTruth]:
-        worlds = self._places.sites.worlds
-        arguments: tuple[Any, ...] = tasks, actions, self._robots, worlds, self._episodes, self._measured
+    def _advance(self, tasks: IntArray, actions: FloatArray) -> Results:
+        results = _no_results(self.num_envs, self.num_robots, len(self.robot.beams))
+        begun, worlds = np.zeros(1, dtype=np.int64), self._places.sites.worlds
+        shared: tuple[Any, ...] = tasks, actions, self._robots, worlds, self._episodes, self._task, results
+        others: list[Future[None]] = []
         if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
-            self._advance_in_threads(arguments)
-        else:
-            advance(0, self.num_envs, self._scratch, *arguments)
-        return self._result(tasks)
-
-    def _advance_in_threads(self, arguments: tuple[Any, ...]) -> None:
-        # Each idle thread takes the next slice, so that a thread whose core is busy does not hold up the others.
-        waiting = iter(range(0, self.num_envs, _SLICE))
-
-        def work() -> None:
-            scratch = scratch_for(self.num_robots, len(self.robot.beams))
-            for first in waiting:
-                advance(first, min(first + _SLICE, self.num_envs), scratch, *arguments)
-
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._threads - 1)
-        others = [self._pool.submit(work) for _ in range(self._threads - 1)]
-        work()
+            self._pool = self._pool or ThreadPoolExecutor(self._threads - 1)
+            for _ in range(self._threads - 1):
+                scratch = scratch_for(self.num_robots, len(self.robot.beams))
+                others.append(self._pool.submit(advance, begun, _PORTION, scratch, *shared))
+        advance(begun, _PORTION, self._scratch, *shared)
         for other in others:
             # A thread that has not started by now has nothing left to do.
             if not other.cancel():
                 other.result()
-
-    def _result(self, tasks: IntArray) -> tuple[BatchReadings, BatchTruth]:
-        measured, episodes = self._measured, self._episodes
-        new_cells = measured.new_cells
-        if (tasks == SKIP).any():
-            new_cells = np.where(tasks[:, None] == SKIP, 0, new_cells)
-        # A sum over rows of one number takes ten times as long.
-        self._covered += new_cells[:, 0] if self.num_robots == 1 else new_cells.sum(axis=1)
-        truth = BatchTruth(
-            episodes.poses.copy(),
-            np.asarray(episodes.steps * self.robot.control_period),
-            self._covered / self._places.sites.totals[self._places.world_of],
-            np.asarray(new_cells * CELL**2),
-            measured.contact.copy(),
-            measured.hits.copy(),
-        )
-        return BatchReadings(measured.ranges.copy(), measured.wheels.copy()), truth
+        return results
 
 
-def _no_episodes(world_of: IntArray, num_robots: int) -> Episodes:
+def _as_numbers(task: TaskConfig, max_steps: int | None) -> Task:
+    """A task as the kernel takes it."""
+    goal = math.inf if task.coverage_goal is None else float(task.coverage_goal)
+    rewards = task.reward
+    worths = float(rewards.new_area), float(rewards.step), float(rewards.collision)
+    return Task(*worths, goal, np.iinfo(np.int64).max if max_steps is None else int(max_steps))
+
+
+def _no_episodes(world_of: IntArray, num_robots: int, num_beams: int) -> Episodes:
     """Arrays for the episodes of all environments, before the first reset; ``world_of`` (n,) is shared."""
     count = len(world_of)
     return Episodes(
@@ -239,17 +200,28 @@ def _no_episodes(world_of: IntArray, num_robots: int) -> Episodes:
         poses=np.zeros((count, num_robots, 3)),
         unreported=np.zeros((count, num_robots, 2)),
         unseen=_padded(np.zeros((count, 0), dtype=np.uint64), 0),
-    )
-
-
-def _no_measurements(count: int, num_robots: int, num_beams: int) -> Measurements:
-    """Arrays for the measurements of all environments."""
-    return Measurements(
+        covered=np.zeros(count, dtype=np.int64),
         hits=np.zeros((count, num_robots, num_beams), dtype=np.int64),
         ranges=np.zeros((count, num_robots, num_beams), dtype=np.float32),
         wheels=np.zeros((count, num_robots, 2), dtype=np.float32),
         contact=np.zeros((count, num_robots), dtype=bool),
-        new_cells=np.zeros((count, num_robots), dtype=np.int64),
+    )
+
+
+def _no_results(count: int, num_robots: int, num_beams: int) -> Results:
+    """New arrays for the results of a step."""
+    robots = count, num_robots
+    return Results(
+        ranges=np.empty((*robots, num_beams), dtype=np.float32),
+        wheels=np.empty((*robots, 2), dtype=np.float32),
+        poses=np.empty((*robots, 3)),
+        time=np.empty(count),
+        coverage=np.empty(count),
+        contact=np.empty(robots, dtype=bool),
+        wall_seen=np.empty((*robots, num_beams), dtype=np.int64),
+        rewards=np.empty(robots),
+        terminated=np.empty(count, dtype=bool),
+        truncated=np.empty(count, dtype=bool),
     )
 
 

@@ -196,10 +196,8 @@ class Sites:
 
     Attributes
     ----------
-    layout, grids, areas, tiles
+    layout, grids, areas, tiles, totals
         As :class:`limslam_env.kernels.batch_state.Worlds` holds them; ``tiles`` are its ``coverable``.
-    totals
-        (w,), how many cells are coverable.
     shapes
         Rows and columns of each coverage grid.
     """
@@ -221,7 +219,7 @@ class Sites:
     def worlds(self) -> Worlds:
         """The arrays as the kernels take them."""
         walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
-        return Worlds(self.layout, self.grids, self.areas, *walls, self.tiles)
+        return Worlds(self.layout, self.grids, self.areas, *walls, self.tiles, self.totals)
 
     def put(self, slot: int, site: Site) -> None:
         """Put a world at a slot: the next one, or one whose world is needed no more."""

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_env.batch.batch import BatchReadings, BatchSimulation, BatchTruth
+from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.places import Places
 from limslam_env.config import RewardConfig, TaskConfig
 from limslam_env.envs.argument_types import nominal_noise, rewards_of, robot_of
@@ -24,7 +24,6 @@ from limslam_env.envs.arguments import (
 )
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
-from limslam_env.simulation.reward import is_done, reward
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
 """The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
@@ -37,23 +36,22 @@ class Outcome(NamedTuple):
 
     Attributes
     ----------
-    readings, truth
-        Of the episodes that run now, new ones among them.
+    now
+        Readings and truth of the episodes that run now, new ones among them.
     rewards
         (n, m).
     terminated, truncated
         (n,).
     last
-        Readings and truth of the episodes that ended in this step, and in which environments (n,) they did, if new
+        The results of the episodes that ended in this step, and in which environments (n,) they did, if new
         ones have begun already.
     """
 
-    readings: BatchReadings
-    truth: BatchTruth
+    now: Results
     rewards: FloatArray
     terminated: BoolArray
     truncated: BoolArray
-    last: tuple[BatchReadings, BatchTruth, BoolArray] | None
+    last: tuple[Results, BoolArray] | None
 
 
 class Batched:
@@ -93,13 +91,12 @@ class Batched:
         self.robot = robot_of(robot)
         self.task = TaskConfig(coverage_goal, rewards_of(rewards))
         self.noise = noise_of_each(noise, sensor_noise, num_envs)
-        self._max_steps, self._num_robots, self.num_envs = max_steps, num_robots, num_envs
+        self._num_robots, self.num_envs = num_robots, num_envs
         source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
-        self._simulation = BatchSimulation(places, self.robot, self.noise, num_threads)
+        self._simulation = BatchSimulation(places, self.robot, self.noise, self.task, max_steps, num_threads)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self._lengths, self._is_over = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
-        self._is_running = False
+        self._is_over, self._is_running = np.zeros(num_envs, dtype=bool), False
 
     @property
     def nominal_noise(self) -> NominalNoise:
@@ -112,16 +109,16 @@ class Batched:
 
     def _begin(
         self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
-    ) -> tuple[BatchReadings, BatchTruth, BoolArray]:
+    ) -> tuple[Results, BoolArray]:
         """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of their environments."""
         mask, start = self._asked(options)
         seeds = None
         if seed is not None or not self._is_running:
             seeds = np.random.SeedSequence(int(generator.integers(2**63)))
-        readings, truth = self._simulation.reset(mask, start, seeds)
+        results = self._simulation.reset(mask, start, seeds)
         self._is_running = True
-        self._is_over[mask], self._lengths[mask] = False, 0
-        return readings, truth, mask
+        self._is_over[mask] = False
+        return results, mask
 
     def _drive(self, actions: FloatArray) -> Outcome:
         """Drive all robots with actions (n, m, 2), and reset where the mode says so."""
@@ -130,22 +127,13 @@ class Batched:
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise gym.error.ResetNeeded(f"the episode of environment {int(np.argmax(fresh))} is over")
             self._simulation.begin(fresh)
-        readings, truth = self._simulation.step(actions, fresh)
-        self._lengths += 1
-        rewards = np.asarray(reward(self.task.reward, truth.new_area, truth.contact))
-        if fresh is not None:
-            self._lengths[fresh], rewards[fresh] = 0, 0.0
-        terminated, truncated = self._ends(truth)
-        if fresh is not None:
-            terminated[fresh] = truncated[fresh] = False
-        over = terminated | truncated
+        results = self._simulation.step(actions, fresh)
+        ends = results.rewards, results.terminated, results.truncated
+        over = results.terminated | results.truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
-            last = readings, truth, over
-            readings, truth = self._simulation.reset(over)
-            self._lengths[over] = 0
-            return Outcome(readings, truth, rewards, terminated, truncated, last)
+            return Outcome(self._simulation.reset(over), *ends, (results, over))
         self._is_over = over
-        return Outcome(readings, truth, rewards, terminated, truncated, None)
+        return Outcome(results, *ends, None)
 
     def _asked(self, options: dict[str, Any] | None) -> tuple[BoolArray, FloatArray | None]:
         """Which environments a reset is for (n,), and where robots are to start (n, s, 3)."""
@@ -185,12 +173,6 @@ class Batched:
             )
         return np.broadcast_to(start, (self.num_envs, *start.shape[1:]))
 
-    def _ends(self, truth: BatchTruth) -> tuple[BoolArray, BoolArray]:
-        """Which environments (n,) have reached the goal, and which have run out of steps."""
-        terminated = np.zeros(self.num_envs, dtype=bool) | is_done(self.task, truth.coverage)
-        late = np.zeros(self.num_envs, dtype=bool) if self._max_steps is None else self._lengths >= self._max_steps
-        return terminated, late
-
 
 def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> FloatArray:
     """Actions as an array (n, 2).
@@ -214,9 +196,9 @@ def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> Float
     return array
 
 
-def observation_of(readings: BatchReadings, robot: int) -> BatchObservation:
+def observation_of(results: Results, robot: int) -> BatchObservation:
     """The observations of one robot in each environment."""
-    return {"ranges": readings.ranges[:, robot], "wheels": readings.wheels[:, robot]}
+    return {"ranges": results.ranges[:, robot], "wheels": results.wheels[:, robot]}
 
 
 def infos_of(outcome: Outcome, robot: int) -> dict[str, Any]:
@@ -224,28 +206,28 @@ def infos_of(outcome: Outcome, robot: int) -> dict[str, Any]:
 
     As Gymnasium's own vector environments give it, each key with a mask (n,) beside it.
     """
-    info = info_of(outcome.truth, robot, np.ones(len(outcome.terminated), dtype=bool))
+    info = info_of(outcome.now, robot, np.ones(len(outcome.terminated), dtype=bool))
     if outcome.last is None:
         return info
-    readings, truth, over = outcome.last
-    observation, final = observation_of(readings, robot), np.full(len(over), None, dtype=object)
+    results, over = outcome.last
+    observation, final = observation_of(results, robot), np.full(len(over), None, dtype=object)
     for env in np.flatnonzero(over):
         final[env] = {key: value[env].copy() for key, value in observation.items()}
     info |= {"final_obs": final, "_final_obs": over.copy()}
-    return info | {"final_info": info_of(truth, robot, over), "_final_info": over.copy()}
+    return info | {"final_info": info_of(results, robot, over), "_final_info": over.copy()}
 
 
-def info_of(truth: BatchTruth, robot: int, mask: BoolArray) -> dict[str, Any]:
+def info_of(results: Results, robot: int, mask: BoolArray) -> dict[str, Any]:
     """The ground truth of one robot in each environment, with a mask (n,) for each key."""
     info: dict[str, Any] = {
-        "pose": truth.poses[:, robot],
-        "time": truth.time,
-        "coverage": truth.coverage,
-        "collision": truth.contact[:, robot],
-        "wall_seen": truth.wall_seen[:, robot],
+        "pose": results.poses[:, robot],
+        "time": results.time,
+        "coverage": results.coverage,
+        "collision": results.contact[:, robot],
+        "wall_seen": results.wall_seen[:, robot],
     }
     # In one step the values of all are known; a reset of some leaves zeros for the others, as Gymnasium has it.
     if not mask.all():
         info = {key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0) for key, value in info.items()}
         info["collision"] = info["collision"].astype(bool)
-    return info | {f"_{key}": mask.copy() for key in info}
+    return info | dict(zip((f"_{key}" for key in info), np.repeat(mask[None], len(info), axis=0), strict=True))

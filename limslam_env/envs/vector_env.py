@@ -122,10 +122,10 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             If a start cannot be used. Then episodes go on as if nothing had been asked.
         """
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
-        readings, truth, mask = self._begin(generator, seed, options)
+        results, mask = self._begin(generator, seed, options)
         if seed is not None:
             self._np_random, self._np_random_seed = generator, seed
-        return observation_of(readings, 0), info_of(truth, 0, mask)
+        return observation_of(results, 0), info_of(results, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Drive for one control period; ``actions`` (n, 2) are left and right wheel speeds, -1 to 1.
@@ -141,7 +141,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             raise gym.error.ResetNeeded("call reset before step")
         outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
         rewards = outcome.rewards[:, 0]
-        return observation_of(outcome.readings, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
+        return observation_of(outcome.now, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

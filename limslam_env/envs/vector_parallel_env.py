@@ -115,11 +115,11 @@ class LimSlamParallelVectorEnv(Batched):
         generator = self._generator
         if seed is not None or generator is None:
             generator, _ = seeding.np_random(seed)
-        readings, truth, mask = self._begin(generator, seed, options)
+        results, mask = self._begin(generator, seed, options)
         self._generator = generator
         robots = list(enumerate(self.possible_agents))
-        observations = {name: observation_of(readings, number) for number, name in robots}
-        return observations, {name: info_of(truth, number, mask) for number, name in robots}
+        observations = {name: observation_of(results, number) for number, name in robots}
+        return observations, {name: info_of(results, number, mask) for number, name in robots}
 
     def step(
         self, actions: dict[str, ArrayLike]
@@ -151,7 +151,7 @@ class LimSlamParallelVectorEnv(Batched):
             rewards = np.broadcast_to(rewards.mean(axis=1, keepdims=True), rewards.shape)
         robots = list(enumerate(self.possible_agents))
         return (
-            {name: observation_of(outcome.readings, number) for number, name in robots},
+            {name: observation_of(outcome.now, number) for number, name in robots},
             {name: rewards[:, number].copy() for number, name in robots},
             {name: outcome.terminated.copy() for _, name in robots},
             {name: outcome.truncated.copy() for _, name in robots},

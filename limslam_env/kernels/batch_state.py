@@ -21,15 +21,21 @@ class Robots(NamedTuple):
         Travel of a wheel in one step at an action of 1, m.
     radius
         Radius of the body, m.
+    control_period
+        Duration of a step, s.
     beams
         (n_beams, 9), as :func:`limslam_env.kernels.observation.observe` takes them.
+    fan
+        (8, lanes), as :func:`fan_of` makes it.
     is_small
-        Whether :func:`limslam_env.kernels.tiles.unseen_nearby` can look at the body and at each beam at once.
+        Whether :func:`limslam_env.kernels.batch_rays.find_unseen` can look at the body and at the beams.
     """
 
     wheel_travel: float
     radius: float
+    control_period: float
     beams: FloatArray
+    fan: FloatArray
     is_small: bool
 
 
@@ -50,6 +56,8 @@ class Worlds(NamedTuple):
         first edge, in two bytes each, since they are most of a world's memory.
     coverable
         (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.tiles`).
+    totals
+        (w,): how many cells these are.
     """
 
     layout: IntArray
@@ -61,6 +69,7 @@ class Worlds(NamedTuple):
     near_starts: IntArray
     near_edges: NDArray[np.uint16]
     coverable: Words
+    totals: IntArray
 
 
 class Episodes(NamedTuple):
@@ -85,6 +94,14 @@ class Episodes(NamedTuple):
         (n, m, 2), wheel travel that the encoders have not reported so far, m.
     unseen
         (n, t), tiles with the coverable cells that have not been seen.
+    covered
+        (n,), number of coverable cells that have been seen.
+    hits, ranges
+        (n, m, n_beams): the wall that each beam hit, and its reading, m. Beams that do not measure keep theirs.
+    wheels
+        (n, m, 2): wheel travel that the encoders report, m.
+    contact
+        (n, m): which robots touched something.
     """
 
     world_of: IntArray
@@ -95,28 +112,68 @@ class Episodes(NamedTuple):
     poses: FloatArray
     unreported: FloatArray
     unseen: Words
-
-
-class Measurements(NamedTuple):
-    """What a step measures.
-
-    Attributes
-    ----------
-    hits, ranges
-        (n, m, n_beams): the wall that each beam hit, and its reading, m. Beams that do not measure keep theirs.
-    wheels
-        (n, m, 2): wheel travel that the encoders report, m.
-    contact
-        (n, m): which robots touched something.
-    new_cells
-        (n, m): number of coverable cells that each robot was the first to see.
-    """
-
+    covered: IntArray
     hits: IntArray
     ranges: ReadingArray
     wheels: ReadingArray
     contact: BoolArray
-    new_cells: IntArray
+
+
+class Task(NamedTuple):
+    """What a step is worth, and when an episode ends.
+
+    Attributes
+    ----------
+    new_area, step, collision
+        The weights of :class:`limslam_env.config.RewardConfig`.
+    goal
+        Coverage at which an episode terminates; more than 1 if it never does.
+    max_steps
+        Number of steps after which an episode is truncated.
+    """
+
+    new_area: float
+    step: float
+    collision: float
+    goal: float
+    max_steps: int
+
+
+class Results(NamedTuple):
+    """What a step hands out, in new arrays: readings, rewards, ends, and the fields of ``simulation.Truth``.
+
+    Attributes
+    ----------
+    ranges
+        (n, m, n_beams), float32, m.
+    wheels
+        (n, m, 2), float32, m.
+    poses
+        (n, m, 3), m and rad.
+    time
+        (n,), s.
+    coverage
+        (n,), 0 to 1.
+    contact
+        (n, m).
+    wall_seen
+        (n, m, n_beams).
+    rewards
+        (n, m); 0 without a step.
+    terminated, truncated
+        (n,); False without a step.
+    """
+
+    ranges: ReadingArray
+    wheels: ReadingArray
+    poses: FloatArray
+    time: FloatArray
+    coverage: FloatArray
+    contact: BoolArray
+    wall_seen: IntArray
+    rewards: FloatArray
+    terminated: BoolArray
+    truncated: BoolArray
 
 
 class Scratch(NamedTuple):
@@ -127,15 +184,15 @@ class Scratch(NamedTuple):
     aims
         (4, lanes): where the rays of a robot start, x and y (m), and their directions.
     rays
-        (2, lanes): lengths of the rays, m, and the walls that they hit, or -1.
+        (4, lanes): lengths of the rays, m, and the walls that they hit, or -1; two more rows to work with.
     turned, travel
         (m, 2): how far each wheel turned, and how far it moved on the floor, m. Slips make the difference.
     before
         (m, 2): positions before the latest move, m.
     deep
         (m,): which robots overlap something too far.
-    found
-        (n_beams + 1,): whether there are unseen cells around each beam and around the body.
+    new_cells
+        (m,): number of coverable cells that each robot was the first to see.
     """
 
     aims: FloatArray
@@ -144,12 +201,32 @@ class Scratch(NamedTuple):
     travel: FloatArray
     before: FloatArray
     deep: BoolArray
-    found: Words
+    new_cells: IntArray
 
 
 def scratch_for(num_robots: int, num_beams: int) -> Scratch:
     """Scratch memory for environments of a number of robots with a number of beams."""
-    lanes = (num_beams + LANES - 1) // LANES * LANES
+    lanes = lanes_for(num_beams)
     turned, travel, before = (np.zeros((num_robots, 2)) for _ in range(3))
-    deep, found = np.zeros(num_robots, dtype=bool), np.zeros(num_beams + 1, dtype=np.uint64)
-    return Scratch(np.zeros((4, lanes)), np.zeros((2, lanes)), turned, travel, before, deep, found)
+    deep, new_cells = np.zeros(num_robots, dtype=bool), np.zeros(num_robots, dtype=np.int64)
+    return Scratch(np.zeros((4, lanes)), np.zeros((4, lanes)), turned, travel, before, deep, new_cells)
+
+
+def lanes_for(num_beams: int) -> int:
+    """Number of lanes for a number of beams and the body."""
+    return (num_beams + LANES) // LANES * LANES
+
+
+def fan_of(beams: FloatArray, radius: float) -> FloatArray:
+    """The beams (n_beams, 9) lane by lane, and in the other lanes a ray in the diagonal of a body's box.
+
+    Rows (8, lanes): origin x and y (m) in the robot's frame, how far before it the ray starts, and its length, m; the
+    direction in the robot's frame, what is added to its x and y in the world's frame, and to those of the origin, m.
+    The diagonal has a negative length, from the upper right to the lower left: walls do not shorten it.
+    """
+    fan = np.zeros((8, lanes_for(len(beams))))
+    count = len(beams)
+    fan[0, :count], fan[1, :count], fan[2, :count] = beams[:, 0], beams[:, 1], beams[:, 3]
+    fan[3, :count], fan[4, :count], fan[5, :count] = beams[:, 5] + beams[:, 3], beams[:, 7], beams[:, 8]
+    fan[3, count:], fan[6, count:], fan[7, count:] = -2.0 * radius, 1.0, radius
+    return fan

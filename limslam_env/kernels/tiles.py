@@ -71,19 +71,19 @@ def unseen_nearby(
     env: int,
     tile_columns: int,
     tile_rows: int,
-    x: float,
-    y: float,
-    far_x: float,
-    far_y: float,
+    low_x: float,
+    low_y: float,
+    high_x: float,
+    high_y: float,
 ) -> np.uint64:
     """Which unseen cells touch a rectangle of at most ``LONGEST_LOOK`` cells a side: 0 if there is none.
 
-    The rectangle lies in the grid; two of its corners are given, in cells. The words of its three by three tiles are
+    The rectangle lies in the grid, and is given in cells. The words of its three by three tiles are
     joined, so that other numbers than 0 mean nothing more. No branches, no loops, no signed places in arrays: this is
-    done for each ray and each body in each step.
+    done for each ray and each body in each step, several at once.
     """
-    column0, column1 = max(int(min(x, far_x)), 0), min(int(max(x, far_x)), tile_columns * TILE - 1)
-    row0, row1 = max(int(min(y, far_y)), 0), min(int(max(y, far_y)), tile_rows * TILE - 1)
+    column0, column1 = max(int(low_x), 0), min(int(high_x), tile_columns * TILE - 1)
+    row0, row1 = max(int(low_y), 0), min(int(high_y), tile_rows * TILE - 1)
     tile_column, tile_row = column0 >> 3, row0 >> 3
     columns = _between(column0 - TILE * tile_column, column1 - TILE * tile_column)
     rows = _between(row0 - TILE * tile_row, row1 - TILE * tile_row)

@@ -11,8 +11,10 @@ from limslam_env.batch.worlds import Sites, from_tiles, prepare, to_tiles
 from limslam_env.compilation import compiled
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_rays import cast_fan, find_unseen
 from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.random_numbers import derive_keys, fill_units, mixed, normal
+from limslam_env.kernels.rays import meeting
 from limslam_env.kernels.tiles import take_disc, take_ray
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import build_wall_index, range_noise, walls_around
@@ -39,6 +41,34 @@ def taken(left, tile_columns, tile_rows, x, y, dx, dy, reach, radius):
     x, y = (x - AREA[0]) / CELL, (y - AREA[1]) / CELL
     new = take_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
     return new + take_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
+
+
+@compiled
+def cast(aims, edges, rays):
+    starts, numbers = np.array([0, len(edges)]), np.arange(len(edges)).astype(np.uint16)
+    cast_fan(0, 0, aims, edges, starts, numbers, rays)
+
+
+@compiled
+def met(aims, edges, rays):
+    for lane in range(rays.shape[1]):
+        for edge in range(len(edges)):
+            x, y = edges[edge, 0], edges[edge, 1]
+            distance, is_met = meeting(
+                x - aims[0, lane],
+                y - aims[1, lane],
+                edges[edge, 2] - x,
+                edges[edge, 3] - y,
+                aims[2, lane],
+                aims[3, lane],
+            )
+            if is_met and distance < rays[0, lane]:
+                rays[0, lane], rays[1, lane] = distance, edge
+
+
+@compiled
+def found(left, tile_columns, tile_rows, aims, rays):
+    return find_unseen(0, left, tile_columns, tile_rows, AREA[0], AREA[1], CELL, aims, rays)
 
 
 def padded(tiles: np.ndarray) -> np.ndarray:
@@ -94,6 +124,51 @@ def test_what_is_taken_is_what_the_single_environment_marks(share, reach):
         np.testing.assert_array_equal(from_tiles(left.reshape(tiles.shape), shape), ~seen)
 
 
+@pytest.mark.parametrize("count", [1, 4, 5])
+def test_rays_side_by_side_meet_the_walls_that_single_rays_meet(count):
+    generator, lanes = np.random.default_rng(1), 8
+    for _ in range(300):
+        edges = np.round(generator.uniform(0.0, 2.0, (count, 4)), 1)
+        edges = edges[(edges[:, :2] != edges[:, 2:]).any(axis=1)]
+        if not len(edges):
+            continue
+        # Rays to the ends of walls, and past them by as much as counts as a hit, or a little more; some along a wall.
+        origins, ends = generator.uniform(0.0, 2.0, (lanes, 2)), edges.reshape(-1, 2)
+        origins[0] = edges[0, :2]
+        aside = generator.choice([0.0, 1e-16, 9e-10, 1.1e-9, 5e-9, 2e-8, 0.3], lanes) * generator.choice(
+            [-1.0, 1.0], lanes
+        )
+        ways = ends[generator.integers(0, len(ends), lanes)] - origins
+        angles = np.arctan2(ways[:, 1], ways[:, 0]) + aside
+        angles[1] = 0.0
+        aims = np.stack((*origins.T, np.cos(angles), np.sin(angles)))
+        rays, single = np.zeros((4, lanes)), np.zeros((2, lanes))
+        rays[0] = single[0] = 1.6
+        rays[1] = single[1] = -1.0
+        cast(aims, edges, rays)
+        met(aims, edges, single)
+        np.testing.assert_array_equal(rays[:2], single)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.02])
+def test_a_look_finds_unseen_cells_wherever_a_ray_takes_one(share):
+    generator, shape, lanes = np.random.default_rng(4), (75, 61), 8
+    for _ in range(200):
+        tiles = to_tiles(generator.random(shape) < share)
+        aims, rays = np.zeros((4, lanes)), np.zeros((4, lanes))
+        # From anywhere and from corners of cells, along an axis or not.
+        places = generator.uniform(20.0, 40.0, (2, lanes))
+        places[:, ::2] = np.round(places[:, ::2])
+        angles = generator.uniform(-np.pi, np.pi, lanes)
+        angles[::3] = generator.choice([0.0, np.pi / 2, np.pi], len(angles[::3]))
+        aims[:2], aims[2:] = AREA[:2, None] + CELL * places, (np.cos(angles), np.sin(angles))
+        rays[0] = np.round(generator.uniform(0.0, 1.6, lanes), 1)
+        bits = found(padded(tiles), tiles.shape[1], tiles.shape[0], aims, rays)
+        for lane in range(lanes):
+            new = taken(padded(tiles), tiles.shape[1], tiles.shape[0], *aims[:, lane], rays[0, lane], 0.0)
+            assert new == 0 or int(bits) >> lane & 1
+
+
 def test_walls_around_a_cell_are_all_that_a_beam_can_meet_from_it():
     world, reach = load_world("env3"), RobotSpec().reach
     index = build_wall_index(world.edges)
@@ -113,14 +188,14 @@ def test_a_world_can_move_out_and_a_larger_one_in():
     small, large = (prepare(load_world(name), robot, 1) for name in ("square", "env3"))
     for slot in range(3):
         sites.put(slot, small)
-    before = [array.copy() for array in sites.worlds]
+    before = sites.worlds.coverable.copy()
     sites.put(1, large)
     sites.put(1, small)
     layout, edges, tiles = sites.worlds.layout, sites.worlds.edges, sites.worlds.coverable
     count = len(small.walls.edges)
     for slot in range(3):
         np.testing.assert_array_equal(edges[layout[slot, 0] :][:count], small.walls.edges)
-        np.testing.assert_array_equal(tiles[slot, : before[-1].shape[1]], before[-1][0])
+        np.testing.assert_array_equal(tiles[slot, : before.shape[1]], before[0])
         np.testing.assert_array_equal(sites.to_cells(slot, tiles[slot]), from_tiles(small.tiles, small.shape))
 
 

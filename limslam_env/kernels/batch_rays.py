@@ -1,0 +1,285 @@
+"""The rays of the robots in a batch: what they meet, and which unseen cells they cross.
+
+The rays of a robot are processed side by side: each has a *lane*, a column of some arrays. Loops over lanes have no
+branches, so that the compiler takes several lanes at once.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.compilation import inlined, merged
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.kernels.batch_state import Robots, Scratch, Worlds
+from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
+from limslam_env.kernels.observation import CONE
+from limslam_env.kernels.random_numbers import Words
+from limslam_env.kernels.rays import NOTHING, ROBOT, cast_at_discs, first_wall, measure, meeting
+from limslam_env.kernels.tiles import take_disc, take_ray, unseen_nearby, walk_disc, walk_ray
+from limslam_env.kernels.wall_cells import Walls
+
+MOST_LANES = 64
+"""Largest number of lanes for which :func:`find_unseen` has bits."""
+
+_NONE, _ONE, _ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
+
+# Cells, for rounding: a look for unseen cells may take in more cells than a ray crosses, but no less. It has to be far
+# less than a ray's margin, or the cells behind walls would be looked at.
+_LOOK_MARGIN = 1e-9
+
+# Much more than the slack at the ends of walls, and than what rounding changes.
+_DOUBT = 1e-8
+
+
+@merged
+def aim(fan: FloatArray, body_x: float, body_y: float, heading: float, aims: FloatArray, rays: FloatArray) -> None:
+    """Set ``aims`` (4, lanes) to the origins x and y (m) of a robot's rays, and to the rays' directions.
+
+    Also sets ``rays`` to rays that meet nothing. ``fan`` is that of :class:`limslam_env.kernels.batch_state.Robots`.
+    """
+    cos, sin = math.cos(heading), math.sin(heading)
+    # Each loop has few rows: the compiler must check that they do not overlap, and gives up where there are many.
+    for lane in range(fan.shape[1]):
+        rays[0, lane], rays[1, lane] = fan[3, lane], NOTHING
+    for lane in range(fan.shape[1]):
+        aims[2, lane] = cos * fan[4, lane] - sin * fan[5, lane] + fan[6, lane]
+    for lane in range(fan.shape[1]):
+        aims[3, lane] = sin * fan[4, lane] + cos * fan[5, lane] + fan[6, lane]
+    # The rim may touch a wall, and a ray from the rim could start behind the wall: rays start inside the body.
+    for lane in range(fan.shape[1]):
+        aims[0, lane] = body_x + fan[7, lane] + (cos * fan[0, lane] - sin * fan[1, lane]) - fan[2, lane] * aims[2, lane]
+    for lane in range(fan.shape[1]):
+        aims[1, lane] = body_y + fan[7, lane] + (sin * fan[0, lane] + cos * fan[1, lane]) - fan[2, lane] * aims[3, lane]
+
+
+@merged
+def cast_fan(
+    cell: int,
+    first_edge: int,
+    aims: FloatArray,
+    edges: FloatArray,
+    near_starts: IntArray,
+    near_edges: NDArray[np.uint16],
+    rays: FloatArray,
+) -> None:
+    """Shorten ``rays`` (4, lanes) to the lengths of a robot's rays, m, and set the walls that they hit.
+
+    Lengths and walls are in the first two rows; the others are scratch memory.
+    """
+    half = 0
+    for item in range(near_starts[cell], near_starts[cell + 1]):
+        edge = first_edge + int(near_edges[item])
+        x, y = edges[edge, 0], edges[edge, 1]
+        ex, ey, which = edges[edge, 2] - x, edges[edge, 3] - y, float(edge)
+        # What was nearest so far is read from one half of the rows and written to the other half: the compiler would
+        # store some lanes only, and the next wall would have to wait for such a store.
+        start, end, doubt = 2 * half, 2 - 2 * half, 0
+        half = 1 - half
+        for lane in range(rays.shape[1]):
+            # As ``meeting``, but a division takes longer than all the rest, and most need no second one.
+            ax, ay, dx, dy = x - aims[0, lane], y - aims[1, lane], aims[2, lane], aims[3, lane]
+            cross, across = dx * ey - dy * ex, ax * dy - ay * dx
+            share, whole = (across if cross > 0.0 else -across), abs(cross)
+            distance, nearest = (ax * ey - ay * ex) / cross, rays[start, lane]
+            is_met = (share >= 0.0) & (share <= whole)
+            doubt |= (share >= -_DOUBT * whole) & (share <= whole + _DOUBT * whole) & (not is_met)
+            is_met &= (distance >= 0.0) & (distance < nearest)
+            rays[end + 1, lane] = which if is_met else rays[start + 1, lane]
+            rays[end, lane] = distance if is_met else nearest
+        if doubt:
+            cast_at_end(edge, end, aims, edges, rays)
+    if half == 1:
+        for lane in range(rays.shape[1]):
+            rays[0, lane], rays[1, lane] = rays[2, lane], rays[3, lane]
+
+
+@merged
+def cast_at_end(edge: int, row: int, aims: FloatArray, edges: FloatArray, rays: FloatArray) -> None:
+    """:func:`cast_fan` for a wall that a ray passes very close to the end of."""
+    x, y = edges[edge, 0], edges[edge, 1]
+    ex, ey = edges[edge, 2] - x, edges[edge, 3] - y
+    for lane in range(rays.shape[1]):
+        distance, is_met = meeting(x - aims[0, lane], y - aims[1, lane], ex, ey, aims[2, lane], aims[3, lane])
+        if is_met and distance < rays[row, lane]:
+            rays[row, lane], rays[row + 1, lane] = distance, float(edge)
+
+
+@merged
+def find_unseen(
+    env: int,
+    unseen: Words,
+    tile_columns: int,
+    tile_rows: int,
+    low_x: float,
+    low_y: float,
+    cell: float,
+    aims: FloatArray,
+    rays: FloatArray,
+) -> np.uint64:
+    """Where there are unseen cells around the rays of a robot: a bit for each lane.
+
+    ``low_x`` and ``low_y`` (m) are the corner of the cells, ``cell`` (m) their side. A robot covers cells in this
+    step, too: a ray may find none left where this function has found some.
+    """
+    per_metre, found = 1.0 / cell, _NONE
+    for lane in range(rays.shape[1]):
+        from_x, from_y = (aims[0, lane] - low_x) * per_metre, (aims[1, lane] - low_y) * per_metre
+        end = rays[0, lane] * per_metre - RAY_MARGIN
+        far_x, far_y = from_x + aims[2, lane] * end, from_y + aims[3, lane] * end
+        nearby = unseen_nearby(
+            unseen, env, tile_columns, tile_rows, min(from_x, far_x) - _LOOK_MARGIN, min(from_y, far_y) - _LOOK_MARGIN,
+            max(from_x, far_x) + _LOOK_MARGIN, max(from_y, far_y) + _LOOK_MARGIN,
+        )  # fmt: skip
+        found |= (_ONE if nearby != _NONE else _NONE) << np.uint64(lane)
+    return found
+
+
+@merged
+def nearest_in_cone(
+    robot: int,
+    distance: float,
+    hit: int,
+    x: float,
+    y: float,
+    angle: float,
+    offset: float,
+    reach: float,
+    cone: float,
+    radius: float,
+    poses: FloatArray,
+    walls: Walls,
+) -> tuple[float, int]:
+    """The nearest of what the rays of a cone meet: ``distance`` (m) and ``hit`` of its middle, or nearer ones.
+
+    The cone opens by ``cone`` (rad) to both sides of ``angle`` (rad) at the point (x, y), m, on the rim of the body;
+    its rays start ``offset`` (m) before that point and have the length ``reach`` (m).
+    """
+    for share in CONE:
+        dx, dy = math.cos(angle + share * cone), math.sin(angle + share * cone)
+        aside, other = measure(robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls)
+        if aside < distance:
+            distance, hit = aside, other
+    return distance, hit
+
+
+@merged
+def cast_on(
+    robot: int,
+    step: int,
+    reaches_far: bool,
+    robots: Robots,
+    walls: Walls,
+    poses: FloatArray,
+    aims: FloatArray,
+    rays: FloatArray,
+) -> None:
+    """Cast what :func:`cast_fan` did not: rays among walls that are not listed as near, and rays that meet robots."""
+    for number in range(len(robots.beams)):
+        if not is_due(robots.beams, number, step):
+            continue
+        x, y, dx, dy = aims[0, number], aims[1, number], aims[2, number], aims[3, number]
+        if reaches_far:
+            rays[0, number], rays[1, number] = first_wall(x, y, dx, dy, rays[0, number], walls)
+        if len(poses) > 1:
+            disc = cast_at_discs(x, y, dx, dy, rays[0, number], robot, poses, robots.radius)
+            if disc < rays[0, number]:
+                rays[0, number], rays[1, number] = disc, ROBOT
+
+
+@inlined
+def is_due(beams: FloatArray, number: int, step: int) -> bool:
+    """Whether a beam measures in a step."""
+    return beams[number, 6] == 1.0 or step % int(beams[number, 6]) == 0
+
+
+@merged
+def cover(
+    env: int,
+    world: int,
+    step: int,
+    x: float,
+    y: float,
+    is_looked_for: bool,
+    found: np.uint64,
+    robots: Robots,
+    worlds: Worlds,
+    unseen: Words,
+    scratch: Scratch,
+) -> int:
+    """Take what a robot at (x, y), m, and its rays see out of the unseen cells; returns how many cells there were.
+
+    ``found`` has a bit for each beam, and one for the body: whether there may be unseen cells. ``is_looked_for`` is
+    whether :func:`find_unseen` has set them.
+    """
+    beams, aims, rays = robots.beams, scratch.aims, scratch.rays
+    low_x, low_y, cell = worlds.areas[world, 0], worlds.areas[world, 1], worlds.areas[world, 2]
+    columns, rows, new = worlds.layout[world, 4], worlds.layout[world, 5], 0
+    x, y, radius = (x - low_x) / cell, (y - low_y) / cell, (robots.radius - BODY_MARGIN) / cell
+    if not is_looked_for:
+        new += take_disc(unseen, env, columns, rows, x, y, radius)
+    elif (found >> np.uint64(len(beams))) & _ONE:
+        new += walk_disc(unseen, env, columns, rows, x, y, radius)
+    for number in range(len(beams)):
+        if not (found >> np.uint64(number)) & _ONE or not is_due(beams, number, step):
+            continue
+        x, y, end = (aims[0, number] - low_x) / cell, (aims[1, number] - low_y) / cell, rays[0, number] / cell
+        dx, dy = aims[2, number], aims[3, number]
+        if is_looked_for:
+            new += walk_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
+        else:
+            new += take_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
+    return new
+
+
+@merged
+def trace(
+    env: int,
+    robot: int,
+    world: int,
+    step: int,
+    robots: Robots,
+    worlds: Worlds,
+    walls: Walls,
+    poses: FloatArray,
+    unseen: Words,
+    scratch: Scratch,
+) -> int:
+    """Set the rays of a robot, and count the cells that it is the first to see.
+
+    ``poses`` (m, 3) are those of its environment. Only the rays of beams that measure in this step are complete.
+    """
+    aims, rays, layout = scratch.aims, scratch.rays, worlds.layout
+    x, y, near_cell, cell = poses[robot, 0], poses[robot, 1], layout[world, 6], worlds.areas[world, 2]
+    aim(robots.fan, x, y, poses[robot, 2], aims, rays)
+    if near_cell >= 0:
+        column = min(max(math.floor((x - walls.low_x) / walls.side), 0), walls.columns - 1)
+        row = min(max(math.floor((y - walls.low_y) / walls.side), 0), walls.rows - 1)
+        listed = near_cell + row * walls.columns + column
+        cast_fan(listed, layout[world, 0], aims, walls.edges, worlds.near_starts, worlds.near_edges, rays)
+    is_looked_for, found = robots.is_small and near_cell >= 0, _ALL
+    if is_looked_for:
+        found = find_unseen(
+            env, unseen, layout[world, 4], layout[world, 5], worlds.areas[world, 0], worlds.areas[world, 1], cell,
+            aims, rays,
+        )  # fmt: skip
+    if near_cell < 0 or len(poses) > 1:
+        cast_on(robot, step, near_cell < 0, robots, walls, poses, aims, rays)
+    return cover(env, world, step, x, y, is_looked_for, found, robots, worlds, unseen, scratch)
+
+
+@merged
+def widen(
+    robot: int, step: int, cone: float, robots: Robots, walls: Walls, poses: FloatArray, scratch: Scratch
+) -> None:
+    """Let each beam of a robot end at the nearest of what the rays of its cone meet (:func:`nearest_in_cone`)."""
+    beams, aims, rays = robots.beams, scratch.aims, scratch.rays
+    for number in range(len(beams)):
+        if not is_due(beams, number, step):
+            continue
+        offset, reach = beams[number, 3], beams[number, 5] + beams[number, 3]
+        x, y = aims[0, number] + offset * aims[2, number], aims[1, number] + offset * aims[3, number]
+        rays[0, number], rays[1, number] = nearest_in_cone(
+            robot, rays[0, number], int(rays[1, number]), x, y, poses[robot, 2] + beams[number, 2],
+            offset, reach, cone, robots.radius, poses, walls,
+        )  # fmt: skip
