@@ -79,7 +79,7 @@ AGENT = {
     },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
+        *agent("config", "dropouts", "grid", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
     },
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
