@@ -1,4 +1,4 @@
-"""``python -m benchmarks run``, ``train`` and ``dataset``, and ``table``, ``plot`` and ``report`` of what it has left.
+"""``python -m benchmarks run``, ``train``, ``baselines``, ``dataset``; ``table``, ``plot``, ``report`` of results.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -95,6 +95,29 @@ def train(
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     typer.echo(f"weights     {learn(chosen.train, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
+
+
+@app.command()
+def baselines(
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/baselines"),
+    steps: Annotated[int, typer.Option(help="Steps of training for each learner and seed.")] = 100_000,
+    seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
+    learners: Annotated[str, typer.Option(help="Names of the learners, with commas.")] = "recurrent,belief",
+    table_only: Annotated[bool, typer.Option("--table-only", help="Train nothing, print what is there.")] = False,
+) -> None:
+    """Train PPO without a map and PPO on the belief, and print their sample efficiency (extra rl)."""
+    from benchmarks.training.efficiency import draw_efficiency, efficiency_table
+
+    if not table_only:
+        try:
+            from benchmarks.training.baselines import BaselineConfig, train_baselines
+        except ModuleNotFoundError as error:
+            raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
+        names = tuple(name.strip() for name in learners.split(","))
+        train_baselines(BaselineConfig(steps, seeds), out, names, typer.echo)
+    typer.echo(efficiency_table(out).rstrip("\n"))
+    draw_efficiency(out, out / "efficiency.png")
+    typer.echo(f"plot        {out / 'efficiency.png'}")
 
 
 @app.command()

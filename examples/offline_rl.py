@@ -5,8 +5,8 @@ First record the drives, then learn from them (extras ``datasets`` and ``rl``)::
     python -m benchmarks dataset --plans 60 --out runs/dataset
     python examples/offline_rl.py --data runs/dataset
 
-The last plans of the dataset are held out. The learned policies drive there, and their scores stand beside those of the
-recorded drives.
+The first plans of the dataset are held out. The learned policies drive there, and their scores stand beside those of
+the recorded drives.
 
 An action is one of twelve pairs of wheel speeds, which is held for half a second. Implicit Q-learning (IQL): Kostrikov,
 Nair and Levine, Offline Reinforcement Learning with Implicit Q-Learning, ICLR 2022. Its value is an expectile of the
@@ -35,7 +35,9 @@ from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_env import RobotSpec
 
 HOLD, ACTIONS, POOL = 5, 12, 2
-GAMMA, EXPECTILE, TEMPERATURE, LARGEST_WEIGHT, TRACKING = 0.98, 0.7, 3.0, 20.0, 0.005
+GAMMA, EXPECTILE, TEMPERATURE, LARGEST_WEIGHT, TRACKING = 0.98, 0.7, 10.0, 100.0, 0.005
+BEST = 1.0 / 3.0
+"""Share of the decisions that are cloned: those of the drives with the most reward a step."""
 BATCH, LEARNING_RATE = 256, 1e-3
 SPREAD = 0.5
 """Temperature of the softmax from which a policy draws. The best action at every decision can alternate for ever."""
@@ -49,19 +51,23 @@ class Decisions:
 
     Attributes
     ----------
-    pictures, ranges
-        Free and occupied shares of the grid (m, 2, side, side), 0 to 255, and readings (m, 6), m.
+    pictures, readings
+        Free and occupied shares of the grid (m, 2, side, side), 0 to 255, and beside them (m, 8): ranges in m, and the
+        wheel speeds of the decision before, by which a policy goes on with a turn that it has begun.
     wheels, rewards, is_over
         Mean wheel speeds (n, 2), summed rewards (n,), and whether the episode has terminated (n,).
+    quality
+        Mean reward of the whole drive (n,).
     before, after
         Rows of the observations before and after each decision (n,).
     """
 
     pictures: NDArray[np.uint8]
-    ranges: NDArray[np.float32]
+    readings: NDArray[np.float32]
     wheels: NDArray[np.float32]
     rewards: NDArray[np.float32]
     is_over: NDArray[np.bool_]
+    quality: NDArray[np.float32]
     before: NDArray[np.int64]
     after: NDArray[np.int64]
 
@@ -74,11 +80,11 @@ def picture(grids: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return (255.0 * np.stack(shares, axis=1)).astype(np.uint8)
 
 
-def decisions(datasets: Sequence[Any], plans: int) -> Decisions:
-    """The decisions in the episodes of the first plans."""
+def decisions(datasets: Sequence[Any], plans: Sequence[int]) -> Decisions:
+    """The decisions in episodes, which have the numbers of their plans."""
     parts: list[tuple[Any, ...]] = []
     rows = 0
-    for episode in (episode for data in datasets for episode in data.iterate_episodes(range(plans))):
+    for episode in (episode for data in datasets for episode in data.iterate_episodes(plans)):
         count = len(episode.actions) // HOLD
         if count == 0:
             continue
@@ -87,8 +93,9 @@ def decisions(datasets: Sequence[Any], plans: int) -> Decisions:
         is_over = episode.terminations[: count * HOLD].reshape(count, HOLD).any(axis=1)
         seen = slice(0, count * HOLD + 1, HOLD)
         grids, ranges = episode.observations["grid"][seen], episode.observations["ranges"][seen]
-        before = rows + np.arange(count)
-        parts.append((picture(grids), ranges, held, rewards, is_over, before, before + 1))
+        readings = np.column_stack((ranges, np.vstack((np.zeros((1, 2), dtype=np.float32), held))))
+        quality, before = np.full(count, episode.rewards.mean()), rows + np.arange(count)
+        parts.append((picture(grids), readings, held, rewards, is_over, quality, before, before + 1))
         rows += count + 1
     return Decisions(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -107,26 +114,27 @@ class Network(nn.Module):
             nn.ReLU(),
             nn.Flatten(),
         )
-        self.head = nn.Sequential(nn.Linear(32 * cells * cells + 6, 128), nn.ReLU(), nn.Linear(128, outputs))
+        self.head = nn.Sequential(nn.Linear(32 * cells * cells + 8, 128), nn.ReLU(), nn.Linear(128, outputs))
 
-    def forward(self, pictures: Tensor, ranges: Tensor) -> Tensor:
-        """The outputs (n, outputs) for pictures (n, 2, side, side), 0 to 255, and ranges (n, 6), m."""
-        found: Tensor = self.head(torch.cat((self.eyes(pictures / 255.0), ranges), dim=1))
+    def forward(self, pictures: Tensor, readings: Tensor) -> Tensor:
+        """The outputs (n, outputs) for pictures (n, 2, side, side), 0 to 255, and what stands beside them (n, 8)."""
+        found: Tensor = self.head(torch.cat((self.eyes(pictures / 255.0), readings), dim=1))
         return found
 
 
 class Batches:
-    """Random decisions, half of them mirrored: left and right are alike."""
+    """Random decisions, half of them mirrored: left and right are alike. ``best`` is the share that is drawn from."""
 
-    def __init__(self, data: Decisions, seed: int) -> None:
+    def __init__(self, data: Decisions, seed: int, best: float = 1.0) -> None:
         self._data, self._generator = data, np.random.default_rng(seed)
+        self._rows = np.flatnonzero(data.quality >= np.quantile(data.quality, 1.0 - best))
         wheels = np.concatenate((data.wheels, data.wheels[:, ::-1])).astype(float)
         self.speeds, labels = kmeans2(wheels, ACTIONS, minit="++", seed=self._generator)
         self._labels = labels.reshape(2, -1)
 
     def draw(self) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
         """Observations, actions (n,), rewards (n,), whether it goes on (n,), and the observations after that."""
-        data, chosen = self._data, self._generator.integers(len(self._data.rewards), size=BATCH)
+        data, chosen = self._data, self._generator.choice(self._rows, size=BATCH)
         mirrored = int(self._generator.integers(2))
         return (
             self._seen(data.before[chosen], mirrored),
@@ -138,8 +146,10 @@ class Batches:
 
     def _seen(self, rows: NDArray[np.int64], mirrored: int) -> tuple[Tensor, Tensor]:
         pictures = torch.from_numpy(self._data.pictures[rows]).float()
-        ranges = torch.from_numpy(self._data.ranges[rows])
-        return (pictures.flip(3), ranges.flip(1)) if mirrored else (pictures, ranges)
+        ranges, wheels = torch.from_numpy(self._data.readings[rows]).split((6, 2), dim=1)
+        if mirrored:
+            pictures, ranges, wheels = pictures.flip(3), ranges.flip(1), wheels.flip(1)
+        return pictures, torch.cat((ranges, wheels), dim=1)
 
 
 def clone(batches: Batches, side: int, updates: int) -> Network:
@@ -198,21 +208,22 @@ class Driver:
         """Begin an episode."""
         del start_pose
         self._generator, self._guard = np.random.default_rng(seed), CollisionGuard(RobotSpec())
-        self._steps, self._action = 0, 0
+        self._steps, self._wheels = 0, np.zeros(2)
 
     def act(self, observation: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
         """Wheel speeds (2,) for an observation of `SlamObservation`."""
         pose = observation["pose"].astype(float)
         self._guard.add_readings(pose, observation["ranges"])
         if self._steps % HOLD == 0:
-            self._action = self._chosen(observation)
+            self._wheels = self._speeds[self._chosen(observation)]
         self._steps += 1
-        return self._guard.limit_speed(pose, self._speeds[self._action])
+        return self._guard.limit_speed(pose, self._wheels)
 
     @torch.no_grad()
     def _chosen(self, observation: dict[str, NDArray[Any]]) -> int:
         pictures = torch.from_numpy(picture(observation["grid"][None])).float()
-        scores = self._policy(pictures, torch.from_numpy(observation["ranges"][None]))[0].double().numpy()
+        readings = torch.from_numpy(np.concatenate((observation["ranges"], self._wheels))[None]).float()
+        scores = self._policy(pictures, readings)[0].double().numpy()
         return int(np.argmax(scores / SPREAD + self._generator.gumbel(size=len(scores))))
 
 
@@ -272,17 +283,17 @@ def main() -> None:
     folders = [options.data / f"limslam/{name}-v0/data" for name in options.policies.split(",")]
     datasets = [minari.MinariDataset(folder) for folder in folders]
     seeds = [each["seed"] for each in datasets[0].storage.get_episode_metadata(datasets[0].episode_indices)]
-    data = decisions(datasets, len(seeds) - options.held_out)
+    data = decisions(datasets, range(options.held_out, len(seeds)))
     spec = datasets[0].env_spec
     max_time, noise = spec.max_episode_steps / 10.0, spec.kwargs["sensor_noise"]
     size, side = datasets[0].observation_space["grid"].shape[-1], data.pictures.shape[-1]
     print(f"{len(data.rewards)} decisions on {len(seeds) - options.held_out} plans")
 
-    plans = seeds[-options.held_out :]
+    plans = seeds[: options.held_out]
     results = {name: recorded(options.data, name, plans) for name in options.policies.split(",")}
-    for name, method in {"clone": clone, "IQL": implicit_q_learning}.items():
+    for name, method, best in (("clone", clone, BEST), ("IQL", implicit_q_learning, 1.0)):
         torch.manual_seed(options.seed)
-        begin, batches = time.process_time(), Batches(data, options.seed)
+        begin, batches = time.process_time(), Batches(data, options.seed, best)
         driver = Driver(method(batches, side, options.updates), batches.speeds)
         print(f"{name}: {options.updates} updates in {time.process_time() - begin:.0f} s of processor time", flush=True)
         results[name] = driven(driver, plans, size, max_time, noise)
