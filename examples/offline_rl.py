@@ -219,11 +219,11 @@ class Driver:
         self._steps += 1
         return self._guard.limit_speed(pose, self._wheels)
 
-    @torch.no_grad()
     def _chosen(self, observation: dict[str, NDArray[Any]]) -> int:
         pictures = torch.from_numpy(picture(observation["grid"][None])).float()
         readings = torch.from_numpy(np.concatenate((observation["ranges"], self._wheels))[None]).float()
-        scores = self._policy(pictures, readings)[0].double().numpy()
+        with torch.no_grad():
+            scores = self._policy(pictures, readings)[0].double().numpy()
         return int(np.argmax(scores / SPREAD + self._generator.gumbel(size=len(scores))))
 
 
@@ -235,7 +235,7 @@ def driven(driver: Driver, plans: Sequence[int], size: int, max_time: float, noi
 
     found: Scores = []
     for plan in plans:
-        world = {"world": f"random:{plan}", "sensor_noise": noise}
+        world: dict[str, Any] = {"world": f"random:{plan}", "sensor_noise": noise}
         found += evaluate(driver, "LimSlam-World-v0", [plan], max_time=max_time, wrap=observed, **world)
     return found
 

@@ -2,9 +2,12 @@
 
 import json
 import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -237,3 +240,15 @@ def test_the_wrapper_is_part_of_the_spec():
     spec = SlamObservation(gym.make("LimSlam-Env1-v0", sensor_noise=0.02), size=12).spec
     again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
     assert again.observation_space["grid"].shape == (1, 12, 12)
+
+
+def test_the_example_learns_from_it(made):
+    pytest.importorskip("torch", reason="needs torch, as the extra rl does")
+    path = Path(__file__).parents[3] / "examples" / "offline_rl.py"
+    options = ["--data", made[0], "--policies", "learned,random", "--held-out", "1", "--updates", "2"]
+    command = [sys.executable, path, *options]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0] == "6 decisions on 1 plans"
+    assert [line.split("|")[0].strip() for line in lines[-5:]] == ["", "learned", "random", "clone", "IQL"]
