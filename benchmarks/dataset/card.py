@@ -45,8 +45,10 @@ def card(config: DatasetConfig, rows: Mapping[str, Sequence[Row]], sizes: Mappin
 
 
 def _table(config: DatasetConfig, rows: Mapping[str, Sequence[Row]], sizes: Mapping[str, int]) -> str:
-    columns = "dataset, episodes, hours, return, steps, coverage at the end, 90 % after (s), contacts, MB, kB a plan"
-    lines = [f"| {columns.replace(', ', ' | ')} |", "|---|---:|---:|---|---|---|---:|---:|---:|---:|"]
+    columns = (
+        "dataset, episodes, hours, return, steps, coverage at the end, 90 % after (s), contacts, lost (s), MB, kB/plan"
+    )
+    lines = [f"| {columns.replace(', ', ' | ')} |", "|---|---:|---:|---|---|---|---:|---:|---:|---:|---:|"]
     for policy, driven in rows.items():
         steps = _values(driven, "steps")
         reached = [np.inf if row.metrics["time_to_90_s"] is None else row.metrics["time_to_90_s"] for row in driven]
@@ -55,7 +57,8 @@ def _table(config: DatasetConfig, rows: Mapping[str, Sequence[Row]], sizes: Mapp
             f"`{dataset_id(policy)}`", str(len(driven)), f"{steps.sum() / 36000.0:.2f}",
             _spread(_values(driven, "return"), "{:.1f}"), _spread(steps, "{:.0f}"),
             _spread(_values(driven, "coverage_true"), "{:.2f}"), f"{middle:.0f}" if np.isfinite(middle) else "never",
-            f"{_values(driven, 'collisions').sum():.0f}", f"{sizes[policy] / 1e6:.1f}",
+            f"{_values(driven, 'collisions').sum():.0f}",
+            f"{_values(driven, 'lost_s').sum():.0f}", f"{sizes[policy] / 1e6:.1f}",
             f"{sizes[policy] / 1e3 / config.plans:.0f}",
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")

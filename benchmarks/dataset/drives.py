@@ -157,6 +157,7 @@ def record_drive(config: DatasetConfig, job: Job) -> Outcome:
     metrics = {
         "return": float(arrays["rewards"].sum(dtype=float)), "steps": len(arrays["actions"]),
         **drive_scores(clock, arrays[f"{TRUTH}/coverage"], true, contact, has_explored=False),
+        "lost_s": simulation.robot.control_period * int((arrays["infos/status"] == LEVELS.index("lost")).sum()),
         "stop_reason": stop_reason,
     }  # fmt: skip
     cost = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}

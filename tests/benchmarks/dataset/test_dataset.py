@@ -99,6 +99,7 @@ def test_a_policy_that_stops_cuts_the_episode_short(monkeypatch):
     monkeypatch.setattr(LimSlamTeam, "decide", tired)
     outcome = record_drive(SMALL, job)
     assert (outcome.metrics["steps"], outcome.metrics["stop_reason"]) == (4, "tired")
+    assert outcome.metrics["lost_s"] == 0.0
     assert len(outcome.series["observations/pose"]) == 5
     assert outcome.series["truncations"].tolist() == [False, False, False, True]
 
