@@ -16,8 +16,9 @@ from benchmarks.dataset.drives import FORMAT, DatasetConfig, record_drive
 from benchmarks.dataset.minari_files import NAMESPACE, dataset_id, require_minari, write_dataset
 from benchmarks.suite.engines import Engine
 from benchmarks.suite.runner import Summary, run_suite
-from benchmarks.suite.store import RESULTS, STAMP, Row, read_rows
+from benchmarks.suite.store import LOCK, RESULTS, STAMP, Row, read_rows
 from limslam_agent.output.atomic_write import replace_content
+from limslam_agent.output.claims import locked
 
 DRIVES, CARD, SETTINGS = "drives", "README.md", "dataset.json"
 
@@ -59,15 +60,17 @@ def make_dataset(config: DatasetConfig, folder: Path, engine: Engine, *, retry_f
     """
     require_minari()
     _check_folder(folder, config)
-    if (folder / SUMS).is_file():
-        return Made((f"complete before: {check_dataset(folder)}",))
-    summary = _record(config, folder, engine, retry_failed=retry_failed)
-    if summary.failures:
-        return Made((f"drives: {summary.words}",), summary.failures)
-    _write_files(config, folder)
-    checked = check_dataset(folder)
-    shutil.rmtree(folder / DRIVES)
-    return Made((f"drives: {summary.words}", f"checked: {checked}"))
+    with locked(folder / LOCK, f"{folder}: another process is writing there"):
+        said = ["complete before"]
+        if not (folder / SUMS).is_file():
+            summary = _record(config, folder, engine, retry_failed=retry_failed)
+            said = [f"drives: {summary.words}"]
+            if summary.failures:
+                return Made((*said,), summary.failures)
+            _write_files(config, folder)
+        said.append(f"checked: {check_dataset(folder)}")
+        shutil.rmtree(folder / DRIVES, ignore_errors=True)
+        return Made((*said,))
 
 
 def _record(config: DatasetConfig, folder: Path, engine: Engine, *, retry_failed: bool) -> Summary:
