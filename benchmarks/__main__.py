@@ -1,4 +1,4 @@
-"""``python -m benchmarks run`` and ``train``, and ``table``, ``plot`` and ``report`` of what it has left.
+"""``python -m benchmarks run``, ``train``, ``baselines``, ``dataset``; ``table``, ``plot``, ``report`` of results.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -98,6 +98,63 @@ def train(
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     settings = chosen.train if seed is None else replace(chosen.train, seed=seed)
     typer.echo(f"weights     {learn(settings, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
+
+
+@app.command()
+def baselines(
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/baselines"),
+    steps: Annotated[int, typer.Option(help="Steps of training for each learner and seed.")] = 100_000,
+    seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
+    learners: Annotated[str, typer.Option(help="Names of the learners, with commas.")] = "recurrent,belief",
+    table_only: Annotated[bool, typer.Option("--table-only", help="Train nothing, print what is there.")] = False,
+) -> None:
+    """Train PPO without a map and PPO on the belief, and print their sample efficiency (extra rl)."""
+    from benchmarks.training.efficiency import draw_efficiency, efficiency_table
+
+    if not table_only:
+        try:
+            from benchmarks.training.baselines import BaselineConfig, train_baselines
+        except ModuleNotFoundError as error:
+            raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
+        names = tuple(name.strip() for name in learners.split(","))
+        train_baselines(BaselineConfig(steps, seeds), out, names, typer.echo)
+    typer.echo(efficiency_table(out).rstrip("\n"))
+    draw_efficiency(out, out / "efficiency.png")
+    typer.echo(f"plot        {out / 'efficiency.png'}")
+
+
+@app.command()
+def dataset(
+    out: Annotated[Path, typer.Option(help="Folder of the datasets.")] = Path("runs/dataset"),
+    plans: Annotated[int, typer.Option(help="Number of random floor plans.")] = 1000,
+    first_plan: Annotated[int, typer.Option(help="Seed of the first plan; the next seeds follow.")] = 300_000,
+    policies: Annotated[str, typer.Option(help="Names of the policies, with commas.")] = "frontier,learned,random",
+    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
+    size: Annotated[int, typer.Option(help="Side of the observed grid, cells of 0.10 m.")] = 64,
+    max_time: Annotated[float, typer.Option(help="Longest simulated time of a drive, s.")] = 300.0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Drives at once.", show_default="one a core")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Only check the datasets in the folder.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+) -> int:
+    """Record drives as Minari datasets (extra datasets). The same command goes on after a kill."""
+    from benchmarks.dataset.check import check_dataset
+    from benchmarks.dataset.drives import DatasetConfig
+    from benchmarks.dataset.make import make_dataset
+    from benchmarks.dataset.minari_files import require_minari
+
+    if check:
+        require_minari()
+        typer.echo(f"checked: {check_dataset(out)}")
+        return 0
+    config = DatasetConfig(
+        plans, first_plan, tuple(name.strip() for name in policies.split(",")), noise, size, max_time
+    )
+    made = make_dataset(config, out, _engine(EngineName.PROCESS, workers, 3600.0, None), retry_failed=retry_failed)
+    for title, reason in made.failures:
+        typer.echo(f"failed: {title}: {reason}", err=True)
+    for line in (*made.words, f"dataset     {out}"):
+        typer.echo(line)
+    return 1 if made.failures else 0
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """A wrapper for learning agents: the observation is what the SLAM believes instead of raw readings."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, SupportsFloat, TypeAlias
 
@@ -32,7 +33,7 @@ _UPPER = np.triu_indices(3)
 _FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
 
 
-class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
+class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils.RecordConstructorArgs):
     """Observe what the SLAM believes instead of raw readings. The start pose is the only truth that the SLAM gets.
 
     The observation is a `Dict` of new arrays:
@@ -67,6 +68,8 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
     """
 
     def __init__(self, env: gym.Env[Observation, Any], agent_config: AgentConfig | None = None, size: int = 40) -> None:
+        # With its arguments in the environment's spec, Gymnasium and Minari can make the wrapped environment again.
+        gym.utils.RecordConstructorArgs.__init__(self, agent_config=agent_config, size=size)
         super().__init__(env)
         if size < 1:
             raise ValueError(f"a grid needs at least one cell, not {size}")
@@ -77,7 +80,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
         self._mapper = Mapper(robot, agent_config or default_config([getattr(env.unwrapped, "nominal_noise", None)]))
         self._start = np.zeros(3)
         self.observation_space = belief_space(ranges, size)
-        self._places, self._size = places_around(size, self._mapper.config.grid.cell), size
+        self._places = places_around(size, self._mapper.config.grid.cell)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
         """Start a new episode with an empty map. Of `info`, only the start pose is used."""
@@ -93,27 +96,12 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any]):
 
     def _believed(self, observation: Observation) -> Observation:
         self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
-        belief = self._mapper.belief
-        return {
-            "pose": observed_pose(self._start, belief.pose),
-            "covariance": observed_covariance(belief.covariance),
-            "grid": self._crop(belief),
-            "ranges": np.array(observation["ranges"]),
-        }
+        return observed_belief(self._mapper.belief, self._start, observation["ranges"], self._places)
 
     def _with_status(self, info: Any) -> dict[str, Any]:
         """The info with the status after the latest observation."""
         status = self._mapper.statuses[0]
         return {**info, "status": status.level, "status_reason": status.reason}
-
-    def _crop(self, belief: Belief) -> NDArray[np.uint8]:
-        values = belief.grid.values
-        row, column = belief.grid.cells(transform_points(belief.pose, self._places)).T
-        is_inside = (row >= 0) & (row < values.shape[0]) & (column >= 0) & (column < values.shape[1])
-        signs = np.sign(values[row[is_inside], column[is_inside]])
-        crop = np.full(self._size**2, UNKNOWN, dtype=np.uint8)
-        crop[is_inside] = np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[signs + 1]
-        return crop.reshape(1, self._size, self._size)
 
 
 def default_config(noises: Sequence[NominalNoise | None]) -> AgentConfig:
@@ -132,6 +120,38 @@ def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
             "ranges": ranges,
         }
     )
+
+
+def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], places: FloatArray) -> Observation:
+    """The observation of one robot, in new arrays.
+
+    Parameters
+    ----------
+    belief
+        What the robot believes.
+    start
+        Its start pose (3,), m and rad.
+    ranges
+        Its latest readings (n_beams,), m.
+    places
+        Centres of the grid's cells around the robot (size * size, 2), m, as ``places_around`` gives them.
+    """
+    return {
+        "pose": observed_pose(start, belief.pose),
+        "covariance": observed_covariance(belief.covariance),
+        "grid": _crop(belief, places),
+        "ranges": np.array(ranges),
+    }
+
+
+def _crop(belief: Belief, places: FloatArray) -> NDArray[np.uint8]:
+    values, size = belief.grid.values, math.isqrt(len(places))
+    row, column = belief.grid.cells(transform_points(belief.pose, places)).T
+    is_inside = (row >= 0) & (row < values.shape[0]) & (column >= 0) & (column < values.shape[1])
+    signs = np.sign(values[row[is_inside], column[is_inside]])
+    crop = np.full(size**2, UNKNOWN, dtype=np.uint8)
+    crop[is_inside] = np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[signs + 1]
+    return crop.reshape(1, size, size)
 
 
 def observed_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:

@@ -33,6 +33,7 @@ DIAGRAMS = {
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
     "import gymnasium as gym\nfrom ray.rllib": "RLlib pins another version of Gymnasium",
+    "import minari\n": "needs a recorded dataset; tests/benchmarks/dataset reads one",
     "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
 }
 # Commands that are not the project's own, by their first words.

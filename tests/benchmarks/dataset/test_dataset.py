@@ -1,0 +1,255 @@
+"""Datasets: what is recorded, what Minari loads, and what is refused."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from support.command_line import call
+
+from benchmarks.__main__ import main
+from benchmarks.dataset.check import SUMS, check_dataset
+from benchmarks.dataset.drives import DatasetConfig, record_drive
+from benchmarks.dataset.make import DRIVES, make_dataset
+from benchmarks.dataset.minari_files import dataset_id, read_truth
+from benchmarks.suite.engines import Result, Work, stages
+from benchmarks.suite.jobs import Job
+from benchmarks.suite.suite import FOLDER
+from limslam_agent.arena.tracks import plans_of
+from limslam_agent.team import LimSlamTeam
+from limslam_agent.wrappers.single import SlamObservation
+
+SMALL = DatasetConfig(plans=2, policies=("learned", "random"), size=20, max_time=1.5)
+
+
+class Here:
+    """An engine that runs jobs in this process, and can stop as if it had been killed."""
+
+    def __init__(self, most: int = 1000) -> None:
+        self.most, self.jobs = most, list[Job]()
+
+    def run(self, jobs: Sequence[Job], work: Work) -> Generator[tuple[Job, Result]]:
+        for job in jobs[: self.most]:
+            self.jobs.append(job)
+            *_, result = stages(work, job)
+            yield job, result
+        if len(jobs) > self.most:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def minari():
+    pytest.importorskip("h5py", reason="needs the extra datasets")
+    return pytest.importorskip("minari", reason="needs the extra datasets")
+
+
+@pytest.fixture(scope="module")
+def made(minari, tmp_path_factory):  # noqa: ARG001 (skips where it is missing)
+    folder = tmp_path_factory.mktemp("made") / "dataset"
+    with pytest.raises(KeyboardInterrupt):
+        make_dataset(SMALL, folder, Here(most=3))
+    rest = Here()
+    result = make_dataset(SMALL, folder, rest)
+    assert not result.failures
+    return folder, rest
+
+
+@pytest.fixture
+def copied(made, tmp_path):
+    return shutil.copytree(made[0], tmp_path / "dataset")
+
+
+def loaded(minari, folder, policy):
+    return minari.MinariDataset(folder / dataset_id(policy) / "data")
+
+
+def test_a_drive_is_what_the_wrapped_environment_gives_again():
+    job = SMALL.suite.jobs[0]
+    arrays = record_drive(SMALL, job).series
+    env = SMALL.environment()
+    observation, info = env.reset(seed=job.seed, options={"world": job.world})
+    for step, action in enumerate(arrays["actions"]):
+        for name, part in observation.items():
+            np.testing.assert_array_equal(arrays[f"observations/{name}"][step], part)
+        np.testing.assert_array_equal(arrays["truth/pose"][step], info["pose"])
+        observation, reward, *_, info = env.step(action)
+        assert arrays["rewards"][step] == np.float32(reward)
+    np.testing.assert_array_equal(arrays["observations/grid"][-1], observation["grid"])
+    assert np.ptp(arrays["truth/pose"][:, :2], axis=0).max() > 0.05, "the robot has driven"
+    assert arrays["truncations"].tolist() == [False] * 14 + [True]
+
+
+def test_a_policy_that_stops_cuts_the_episode_short(monkeypatch):
+    job = SMALL.suite.jobs[0]
+    decide, calls = LimSlamTeam.decide, []
+
+    def tired(team):
+        calls.append(1)
+        if len(calls) == 5:
+            team.policies[0].stop_reason = "tired"
+        return decide(team)
+
+    monkeypatch.setattr(LimSlamTeam, "decide", tired)
+    outcome = record_drive(SMALL, job)
+    assert (outcome.metrics["steps"], outcome.metrics["stop_reason"]) == (4, "tired")
+    assert outcome.metrics["lost_s"] == 0.0
+    assert len(outcome.series["observations/pose"]) == 5
+    assert outcome.series["truncations"].tolist() == [False, False, False, True]
+
+
+def test_no_plan_of_a_dataset_is_used_elsewhere():
+    plans = range(DatasetConfig().first_plan, DatasetConfig().first_plan + 1_000_000)
+    suite = tomllib.loads((FOLDER / "explore.toml").read_text(encoding="utf-8"))
+    drawn = (suite["train"]["plans"], suite["train"]["held_out"])
+    others = {each["first"] + number for each in drawn for number in range(each["count"])}
+    others |= {int(plan.world.split(":")[1]) for plan in plans_of("exploration")}
+    assert not others & set(plans)
+    assert suite["grid"][0]["worlds"] == ["random:1000..1099"]
+
+
+def test_the_same_command_goes_on(made):
+    folder, rest = made
+    assert [job.key for job in rest.jobs] == [SMALL.suite.jobs[3].key]
+    assert not (folder / DRIVES).exists()
+    again = Here()
+    assert make_dataset(SMALL, folder, again).words[0] == "complete before"
+    assert again.jobs == []
+
+
+def test_minari_loads_what_was_recorded(made, minari):
+    data = loaded(minari, made[0], "learned")
+    job = SMALL.suite.jobs[2]
+    arrays, episode = record_drive(SMALL, job).series, data[1]
+    assert (job.policy, data.total_episodes, data.total_steps) == ("learned", 2, 30)
+    np.testing.assert_array_equal(episode.actions, arrays["actions"])
+    np.testing.assert_array_equal(episode.observations["covariance"], arrays["observations/covariance"])
+    np.testing.assert_array_equal(episode.infos["wheels"], arrays["infos/wheels"])
+    assert data.observation_space["grid"].shape == (1, 20, 20)
+
+
+def test_the_environment_is_recovered(made, minari):
+    env = loaded(minari, made[0], "random").recover_environment()
+    assert isinstance(env, SlamObservation)
+    assert env.observation_space == SMALL.environment().observation_space
+    assert env.spec.max_episode_steps == 15
+
+
+def test_a_learner_gets_no_truth_and_an_evaluation_does(made, minari):
+    episode = loaded(minari, made[0], "learned")[0]
+    assert set(episode.observations) == {"pose", "covariance", "grid", "ranges"}
+    assert set(episode.infos) == {"wheels", "status"}
+    truth = read_truth(made[0], "learned", 0)
+    assert set(truth) == {"pose", "coverage", "collision", "walls"}
+    assert truth["pose"].shape == (16, 3)
+    assert truth["walls"].shape[1] == 4
+
+
+def test_the_card_says_what_is_there(made):
+    text = (made[0] / "README.md").read_text(encoding="utf-8")
+    assert "`random:300000` to `random:300001`" in text
+    assert "| `limslam/learned-v0` | 2 |" in text
+    assert "the longest time is over (2)" in text
+    assert "{" not in text
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda folder: (folder / SUMS).unlink(), "no complete dataset"),
+        (lambda folder: (folder / "README.md").write_text("another card"), "another checksum"),
+        (lambda folder: (folder / "results.jsonl").unlink(), "is missing"),
+    ],
+)
+def test_harm_is_noticed(copied, harm, message):
+    assert check_dataset(copied, repeated_steps=0).endswith("2 datasets, 4 episodes, 60 steps")
+    harm(copied)
+    with pytest.raises(ValueError, match=message):
+        check_dataset(copied)
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "value", "message"),
+    [
+        ("actions", 3, 2.0, "lies outside of the space"),
+        ("observations/pose", 3, np.nan, "lies outside of the space"),
+        ("observations/ranges", 3, 1.23, "ranges differs at step 3"),
+        ("rewards", 3, 7.0, "the reward differs at step 3"),
+        ("terminations", 3, True, "must end once"),
+    ],
+)
+def test_wrong_data_with_right_checksums_are_noticed(copied, monkeypatch, name, row, value, message):
+    import h5py
+
+    with h5py.File(copied / dataset_id("random") / "data/main_data.hdf5", "r+") as file:
+        file["episode_1"][name][row] = value
+    monkeypatch.setattr("benchmarks.dataset.check._check_sums", lambda _: 0)
+    with pytest.raises(ValueError, match=message):
+        check_dataset(copied)
+
+
+def test_other_settings_and_other_folders_are_refused(made, tmp_path):
+    with pytest.raises(ValueError, match="other settings"):
+        make_dataset(replace(SMALL, noise=0.03), made[0], Here())
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ValueError, match="is not empty and holds no dataset"):
+        make_dataset(SMALL, tmp_path, Here())
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.usefixtures("minari")
+def test_a_drive_that_fails_is_named(tmp_path, monkeypatch):
+    def broken(*_, **__):
+        raise ArithmeticError("no plan")
+
+    monkeypatch.setattr(LimSlamTeam, "decide", broken)
+    result = make_dataset(replace(SMALL, plans=1), tmp_path / "dataset", Here())
+    assert [reason for _, reason in result.failures] == ["ArithmeticError: no plan"] * 2
+    assert not (tmp_path / "dataset" / SUMS).exists()
+    monkeypatch.undo()
+    again = make_dataset(replace(SMALL, plans=1), tmp_path / "dataset", Here(), retry_failed=True)
+    assert not again.failures
+    assert json.loads((tmp_path / "dataset" / "dataset.json").read_bytes())["plans"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--plans", "0"], "a dataset has 1 to 1000000 plans, not 0"),
+        (["--first-plan", "-1"], "the first plan is a seed"),
+        (["--policies", "oracle"], "no policy 'oracle' can drive for a dataset"),
+        (["--policies", "random,random"], "each policy is named once"),
+        (["--noise", "nan"], "the noise is a standard deviation"),
+        (["--size", "0"], "the grid has 1 to 256 cells a side"),
+        (["--max-time", "0"], "a drive takes at most"),
+    ],
+)
+def test_what_is_no_dataset_is_refused_in_one_line(tmp_path, arguments, message):
+    done = call(main, "dataset", *arguments, "--out", tmp_path / "dataset")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert message in done.stderr
+    assert not (tmp_path / "dataset").exists()
+
+
+def test_the_wrapper_is_part_of_the_spec():
+    spec = SlamObservation(gym.make("LimSlam-Env1-v0", sensor_noise=0.02), size=12).spec
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
+    assert again.observation_space["grid"].shape == (1, 12, 12)
+
+
+def test_the_example_learns_from_it(made):
+    pytest.importorskip("torch", reason="needs torch, as the extra rl does")
+    path = Path(__file__).parents[3] / "examples" / "offline_rl.py"
+    options = ["--data", made[0], "--policies", "learned,random", "--held-out", "1", "--updates", "2"]
+    command = [sys.executable, path, *options]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0] == "6 decisions on 1 plans"
+    assert [line.split("|")[0].strip() for line in lines[-5:]] == ["", "learned", "random", "clone", "IQL"]

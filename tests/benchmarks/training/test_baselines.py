@@ -1,0 +1,119 @@
+"""Sample efficiency: its statistics, its table, and a small training where the extra rl is."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+from support.command_line import call
+
+from benchmarks.__main__ import main
+from benchmarks.training.efficiency import (
+    RESULTS,
+    efficiency_table,
+    interquartile_mean,
+    probability_of_improvement,
+    read_trials,
+)
+
+
+def written(folder, scores):
+    """Trials of learners: scores by learner, seed and steps."""
+    rows = [
+        {
+            "learner": learner,
+            "seed": seed,
+            "steps": steps,
+            "coverage": values,
+            "return": [10.0 * each for each in values],
+        }
+        for learner, seeds in scores.items()
+        for seed, tried in enumerate(seeds)
+        for steps, values in tried.items()
+    ]
+    (folder / RESULTS).write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
+
+
+def test_the_interquartile_mean_is_that_of_all_scores():
+    scores = np.random.default_rng(1).random((4, 6))
+    found = interquartile_mean(scores)
+    assert found.value == pytest.approx(np.sort(scores.ravel())[6:18].mean())
+    assert scores.min() < found.low < found.value < found.high < scores.max()
+    assert found == interquartile_mean(scores)
+
+
+def test_seeds_are_resampled_as_wholes():
+    """Plans that differ among themselves say nothing about other seeds."""
+    found = interquartile_mean(np.tile(np.linspace(0.0, 1.0, 9), (3, 1)))
+    assert found.low == found.value == found.high
+
+
+def test_the_probability_of_improvement_is_the_mean_statistic_of_mann_and_whitney():
+    draws = np.random.default_rng(2)
+    first, second = draws.random((5, 3)).round(1), draws.random((4, 3)).round(1)
+    expected = np.mean([stats.mannwhitneyu(first[:, k], second[:, k]).statistic / 20.0 for k in range(3)])
+    assert probability_of_improvement(first, second).value == pytest.approx(expected)
+    assert probability_of_improvement(first, first).value == pytest.approx(0.5)
+    certain = probability_of_improvement(first + 2.0, second)
+    assert (certain.value, certain.low, certain.high) == (1.0, 1.0, 1.0)
+
+
+def test_two_seeds_have_no_interval():
+    assert interquartile_mean(np.ones((2, 4))).low is None
+
+
+def test_the_table_has_what_was_tried(tmp_path):
+    belief = [{100: [0.2, 0.4], 200: [0.5, 0.7]}] * 3
+    written(tmp_path, {"recurrent": [{100: [0.1, 0.3], 200: [0.2, 0.4]}] * 3, "belief": [*belief, {100: [0.9, 0.9]}]})
+    assert read_trials(tmp_path, "coverage")["belief"][100].shape == (3, 2), "a seed without its last trial"
+    text = efficiency_table(tmp_path)
+    assert "| belief | 200 | 0.60 [0.60, 0.60] | 6.0 [6.0, 6.0] | 3 |" in text
+    assert "P(recurrent sees more than belief after training) = 0.00 [0.00, 0.00]" in text
+    done = call(main, "baselines", "--table-only", "--out", tmp_path)
+    assert done.returncode == 0
+    assert (tmp_path / "efficiency.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("content", [None, "", "{}\n", "no json\n"])
+def test_a_folder_without_trials_is_refused_in_one_line(tmp_path, content):
+    if content is not None:
+        (tmp_path / RESULTS).write_text(content)
+    done = call(main, "baselines", "--table-only", "--out", tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "holds no trials of learners" in done.stderr
+
+
+def test_both_learn_for_some_steps_and_go_on(tmp_path):
+    pytest.importorskip("sb3_contrib", reason="needs the extra rl")
+    from benchmarks.training.baselines import BaselineConfig, train_baselines
+
+    config = BaselineConfig(steps=64, seeds=1, tries=2, plans=2, held_out=2, envs=2, episode=12)
+    said = []
+    train_baselines(config, tmp_path / "run", say=said.append)
+    assert [line.split(":")[0] for line in said] == ["recurrent, seed 0", "belief, seed 0"]
+    curves = read_trials(tmp_path / "run", "coverage")
+    assert {learner: list(curve) for learner, curve in curves.items()} == {"recurrent": [32, 64], "belief": [32, 64]}
+    assert all(
+        (scores > 0.0).all() and scores.shape == (1, 2) for curve in curves.values() for scores in curve.values()
+    )
+    # As if the last one had been killed before its second trial.
+    path = tmp_path / "run" / RESULTS
+    before = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(before[:3]))
+    train_baselines(config, tmp_path / "run", say=said.append)
+    assert path.read_bytes().splitlines(keepends=True) == before
+    with pytest.raises(ValueError, match="other settings"):
+        train_baselines(BaselineConfig(steps=65), tmp_path / "run")
+    with pytest.raises(ValueError, match="no baseline is called 'tdmpc'"):
+        train_baselines(config, tmp_path / "run", ["tdmpc"])
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"), [({"steps": 0}, "steps must be 1 or more"), ({"noise": -1.0}, "noise")]
+)
+def test_what_is_no_budget_is_refused(setting, message):
+    pytest.importorskip("sb3_contrib", reason="needs the extra rl")
+    from benchmarks.training.baselines import BaselineConfig
+
+    with pytest.raises(ValueError, match=message):
+        BaselineConfig(**setting)
