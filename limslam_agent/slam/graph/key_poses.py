@@ -195,10 +195,7 @@ def _step_variances(
     data: LogData, first: IntArray, length: FloatArray, turn: FloatArray, motion: MotionConfig
 ) -> FloatArray:
     least = np.array([motion.least_position**2] * 2 + [motion.least_turn**2])
-    if data.variances is not None:
-        each = data.variances
-    else:
-        each = motion_variances(length, turn, motion)
+    each = motion_variances(length, turn, motion) if data.variances is None else data.variances
     return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
 
 

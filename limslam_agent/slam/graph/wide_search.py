@@ -52,9 +52,7 @@ def search_for_newest(chunks: Chunks, poses: FloatArray, joint: FloatArray) -> l
     return groups
 
 
-def _groups(
-    chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray
-) -> list[list[Loop]]:
+def _groups(chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray) -> list[list[Loop]]:
     """Groups of loops between chunks (k,) and the first chunk."""
     config, groups = chunks.config.wide, []
     shifts, turns = _windows(chunks, poses, joint, first, seconds)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig, MotionConfig
+from limslam_agent.config.graph import GraphConfig, MotionConfig, SmoothingConfig
 from limslam_agent.slam.graph.key_poses import (
     ERRORS,
     KeyPoses,
@@ -24,8 +24,9 @@ from limslam_agent.slam.graph.key_poses import (
 from limslam_agent.slam.graph.least_squares import NormalEquations
 from limslam_agent.slam.graph.local_smoothing import cautious_equations, motion_covariances, smooth_locally
 from limslam_env.geometry import FloatArray, IntArray
-import os
-_INFL = float(os.environ.get("INFL", "6"))
+
+_ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
+"""Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is short."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +62,8 @@ class OdometryErrors:
         """
         prior = np.diag(1.0 / np.diag(np.linalg.inv(self.information)))
         total = self.information + share * (information - prior)
-        return OdometryErrors(
-            joined_bias(self.mean, share * np.linalg.solve(total, information @ remaining)), 0.5 * (total + total.T)
-        )
+        found = np.asarray(share * np.linalg.solve(total, information @ remaining))
+        return OdometryErrors(joined_bias(self.mean, found), 0.5 * (total + total.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def smooth_window(data: LogData, errors: OdometryErrors, config: GraphConfig, sh
 
     ``share`` is the share of driving in the window that was in no earlier window.
     """
-    config = replace(config, motion=errors.prior(config.motion))
+    config = replace(config, motion=errors.prior(config.motion), smoothing=_ITERATIONS)
     data = corrected(data, errors.mean)
     keys = choose_keys(data, config.keys, config.motion)
     if len(keys) < 2 or not len(keys.point_key):
@@ -105,5 +105,5 @@ def smooth_window(data: LogData, errors: OdometryErrors, config: GraphConfig, sh
     equations = cautious_equations(keys, trajectory, config, data.range_std)
     columns = 3 * len(keys) + np.arange(ERRORS)
     information = np.linalg.inv(equations.covariances(columns[None], np.eye(ERRORS)[None])[0])
-    after = errors.after(trajectory.bias, information, share / _INFL)
+    after = errors.after(trajectory.bias, information, share)
     return LocalFrame(keys, trajectory, event_poses(keys, trajectory), after, equations)

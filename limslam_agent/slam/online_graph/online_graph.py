@@ -27,8 +27,7 @@ from limslam_env.geometry.se2 import between, compose, compose_jacobians
 _WINDOW = 15.0
 """Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a chunk over 7 m."""
 
-import os
-_REVISED = int(os.environ.get("REV","2"))
+_REVISED = 2
 """Number of earlier motions between chunks that each window estimates anew."""
 
 
@@ -85,9 +84,11 @@ class OnlineGraph:
         What is known of the constant errors of odometry.
     places
         The graph of chunks; None before the first chunk is complete.
-    job_seconds
-        Processor time of each job so far, s.
+    job_ms
+        Time that the job of the last step took, ms; zero if there was none.
     """
+
+    places: PlaceGraph | None
 
     def __init__(self, beams: Beams, start: FloatArray, config: GraphConfig | None = None) -> None:
         self._beams, self._config = beams, config or GraphConfig()
@@ -97,10 +98,10 @@ class OnlineGraph:
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
         self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
         self._waiting: Anchor | None = None
-        self._middles = [0]  # events in the middle of the chunks
+        self._middles = [0]  # events in the middle of the last chunks
         self._job_at = _remainder(self._config.maps)
         self._key_travel, self._key_turned = 0.0, 0.0
-        self.pose, self.covariance, self.job_seconds = self._start, np.zeros((3, 3)), list[float]()
+        self.pose, self.covariance, self.job_ms = self._start, np.zeros((3, 3)), 0.0
 
     def step(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
         """Process an event.
@@ -116,6 +117,7 @@ class OnlineGraph:
         """
         recent, travel, turned = self._recent, self._recent.travel, self._recent.turned
         recent.append(time, odometry, ranges, hit)
+        self.job_ms = 0.0
         motion = calibrated_motion(recent.last_motion(float(self._anchor.errors[3])), self._anchor.errors)
         moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
         self._ridden = compose(self._ridden, motion)
@@ -125,11 +127,18 @@ class OnlineGraph:
             if self._waiting is not None:
                 self._anchor, self._waiting = self._waiting, None
             if recent.travel >= self._job_at:
+                begin = clock.perf_counter()
                 self._do_job()
+                self.job_ms = 1e3 * (clock.perf_counter() - begin)
         motion = between(self._anchor.ridden, self._ridden)
         own = np.diag(self._variances - self._anchor.variances)
         self.pose = compose(self._anchor.pose, motion)
         self.covariance = moved_covariance(self._anchor.pose, self._anchor.covariance, motion, own)
+
+    @property
+    def unrecognised(self) -> float:
+        """Distance driven since the last place that was recognised, or since the beginning, m."""
+        return self._recent.travel - (0.0 if self.places is None else self.places.recognised_at)
 
     def _is_key_pose(self) -> bool:
         driven, turned = self._recent.travel - self._key_travel, self._recent.turned - self._key_turned
@@ -137,7 +146,7 @@ class OnlineGraph:
 
     def _do_job(self) -> None:
         """Smooth the last metres and find their place. The result waits until the next key pose."""
-        begin, maps, recent = clock.process_time(), self._config.maps, self._recent
+        maps, recent = self._config.maps, self._recent
         while self._job_at <= recent.travel:
             self._job_at += maps.hop
         beams, driven = self._beams, recent.travel - recent.travel_at(recent.first)
@@ -149,8 +158,8 @@ class OnlineGraph:
         pose, covariance = self._placed(frame)
         self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
         if self.places is not None:
-            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[-1 - _REVISED:][0]))
-        self.job_seconds.append(clock.process_time() - begin)
+            self._middles = self._middles[-1 - _REVISED :]
+            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
 
     def _placed(self, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
         """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been added."""
@@ -174,7 +183,7 @@ class OnlineGraph:
         (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._beams.max_range)
         chunk = replace(chunk, middle=event, travel=recent.travel_at(event))
         pose = frame.trajectory.poses[key]
-        before = self._middles[-1 - _REVISED :]
+        before = self._middles
         keys = np.array([frame.keys.event_key[before[-1] - recent.first], key])
         covariance = frame.covariances(keys)[0]
         if self.places is None:

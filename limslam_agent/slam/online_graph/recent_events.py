@@ -64,8 +64,8 @@ class RecentEvents:
 
     def data(self, origins: FloatArray, angles: FloatArray, max_range: float, range_std: float) -> LogData:
         """The events as a log, of beams with origins (b, 2) and directions (b,)."""
-        arrays = (np.array(each) for each in (self._times, self._odometry, self._ranges, self._hits))
-        return LogData(*arrays, origins, angles, max_range, range_std)
+        times, odometry, hits = np.array(self._times), np.array(self._odometry), np.array(self._hits)
+        return LogData(times, odometry, np.array(self._ranges), hits, origins, angles, max_range, range_std)
 
     def _odometry_at(self, place: int, delay: float) -> FloatArray:
         """Pose of odometry (3,) a delay before an event, by linear interpolation."""
