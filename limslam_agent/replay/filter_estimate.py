@@ -2,11 +2,18 @@
 
 import numpy as np
 
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation
+
+
+def is_handed_over(log: RecordedLog, config: AgentConfig, status: Status) -> bool:
+    """Whether the online graph takes over from the filter with this status in the replay of a log."""
+    return log.odometry is not None and config.smoothing is not None and status.level == "lost"
 
 
 class FilterEstimate:

@@ -13,7 +13,7 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
-from limslam_agent.replay.filter_estimate import FilterEstimate
+from limslam_agent.replay.filter_estimate import FilterEstimate, is_handed_over
 from limslam_agent.replay.smoothing import log_data
 from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
@@ -42,7 +42,7 @@ class HandedOverEstimate(FilterEstimate):
     def __init__(self, mapper: Mapper, log: RecordedLog, config: GraphConfig) -> None:
         super().__init__(mapper)
         assert log.odometry is not None  # noqa: S101 (the caller chooses by it)
-        self._data, self._has_scan = log_data(log, log.odometry, mapper.config.range_std), log.has_scan
+        self._log, self._data = log, log_data(log, log.odometry, mapper.config.range_std)
         data = self._data
         self._graph = OnlineGraph(
             Beams(data.origins, data.angles, data.max_range, data.range_std), log.start_pose, config
@@ -61,7 +61,7 @@ class HandedOverEstimate(FilterEstimate):
             self._refused += int(np.isnan(observation.get("ranges", np.zeros(0))).sum())
         self._number += 1
         self._step_graph(self._number)
-        if self.handed_over is None and super().status.level == "lost":
+        if self.handed_over is None and is_handed_over(self._log, self._mapper.config, super().status):
             self.handed_over = self._number
 
     def _step_graph(self, number: int) -> None:
