@@ -181,6 +181,14 @@ class Belief:
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
         return se2.between(poses[old], poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 
+    def chi_square(self, loop: Loop) -> float:
+        """How far a loop is from what is believed, in chi-square of three degrees of freedom."""
+        ends = np.array([[loop.first], [loop.second]])
+        error, jacobian = relation_factor(self.poses, ends[0], ends[1], loop.relative[None])
+        columns = (3 * ends + np.arange(3)).ravel()
+        believed = jacobian[0] @ self._covariance[columns[:, None], columns] @ jacobian[0].T
+        return float(error[0] @ np.linalg.solve(believed + np.linalg.inv(loop.information), error[0]))
+
     def close(self, found: Sequence[Loop]) -> None:
         """Add loops of the newest chunk."""
         chunks, config = self._chunks, self._chunks.config.chunks

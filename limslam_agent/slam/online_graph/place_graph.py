@@ -25,8 +25,11 @@ _UNRECOGNISED = 2
 _SAME_PLACE = 3.0, np.radians(30.0)
 """Groups of loops of one chunk contradict each other if they place it farther apart than this, m and rad."""
 
+_POSSIBLE = 11.3
+"""Chi-square of three degrees of freedom that is exceeded once in a hundred times."""
+
 _GAIN = 0.02
-"""A group of the wide search must raise the score by this. On logs, right groups raised it by 0.06 and more."""
+"""A group of the wide search must raise the score by this. On logs, right groups raised it by 0.05 and more."""
 
 
 class PlaceGraph:
@@ -120,7 +123,10 @@ class PlaceGraph:
         return solve_annealed(self._start, hops, loops, self._config.chunks)
 
     def _search_widely(self, chunks: Chunks) -> list[list[Loop]]:
-        """Groups of loops for the newest chunk; none if they contradict each other: one corridor looks like another."""
+        """Groups of loops for the newest chunk that are possible by what is believed, unless they contradict each other.
+
+        One corridor looks like another, and wrong groups raise the score of the map as much as right ones.
+        """
         belief = self._belief
         groups = search_for_newest(chunks, belief.poses, belief.covariance)
         places = [se2.compose(belief.poses[group[0].first], group[0].relative) for group in groups]
@@ -128,7 +134,7 @@ class PlaceGraph:
             return []
         apart = se2.between(places[0], np.array(places))
         is_clear = np.hypot(*apart[:, :2].T).max() < _SAME_PLACE[0] and np.abs(apart[:, 2]).max() < _SAME_PLACE[1]
-        return groups if is_clear else []
+        return [group for group in groups if belief.chi_square(group[0]) < _POSSIBLE] if is_clear else []
 
     def _close(self, chunks: Chunks, groups: Sequence[Sequence[Loop]]) -> None:
         """Weigh all loops anew, with those new groups of the wide search that raise the score of the map."""
