@@ -25,7 +25,7 @@ _UNRECOGNISED = 2
 _SAME_PLACE = 3.0, np.radians(30.0)
 """Groups of loops of one chunk contradict each other if they place it farther apart than this, m and rad."""
 
-_POSSIBLE = 11.3
+_LIKELY = 11.3
 """Chi-square of three degrees of freedom that is exceeded once in a hundred times."""
 
 _GAIN = 0.02
@@ -123,7 +123,7 @@ class PlaceGraph:
         return solve_annealed(self._start, hops, loops, self._config.chunks)
 
     def _search_widely(self, chunks: Chunks) -> list[list[Loop]]:
-        """Groups of loops for the newest chunk that are possible by what is believed, unless they contradict each other.
+        """Groups of loops for the newest chunk that are likely by what is believed and do not contradict each other.
 
         One corridor looks like another, and wrong groups raise the score of the map as much as right ones.
         """
@@ -134,7 +134,7 @@ class PlaceGraph:
             return []
         apart = se2.between(places[0], np.array(places))
         is_clear = np.hypot(*apart[:, :2].T).max() < _SAME_PLACE[0] and np.abs(apart[:, 2]).max() < _SAME_PLACE[1]
-        return [group for group in groups if belief.chi_square(group[0]) < _POSSIBLE] if is_clear else []
+        return [group for group in groups if belief.chi_square(group[0]) < _LIKELY] if is_clear else []
 
     def _close(self, chunks: Chunks, groups: Sequence[Sequence[Loop]]) -> None:
         """Weigh all loops anew, with those new groups of the wide search that raise the score of the map."""
