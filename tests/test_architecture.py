@@ -69,6 +69,7 @@ AGENT = {
     },
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
     "limslam_agent.slam.merging": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
+    "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels", "slam.core")},
@@ -108,7 +109,7 @@ AGENT = {
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
-        *agent("slam.merging", "status"),
+        *agent("slam.merging", "slam.online_graph", "status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.live.ros2": {
@@ -298,8 +299,11 @@ def test_importing_the_agent_loads_no_simulator():
         "limslam_agent.policies.learned.look_ahead",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.slam.merging"],
+        *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = ("joined_lines", "local_views", "misreading", "reversing", "smoothing", "two_logs", "two_logs_output")
+    replay = (
+        "hand_over", "joined_lines", "local_views", "misreading", "reversing", "smoothing", "two_logs", "two_logs_output"
+    )  # fmt: skip
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

@@ -27,6 +27,10 @@ EXPLANATIONS = {
         "Start again: the odometry has constant errors.",
         "The filter estimates wheels and axle, and processes all observations again.",
     ),
+    "handover": (
+        "The online graph goes on.",
+        "The filter is lost. The path of the replay is that of the graph from here on; this page shows the filter.",
+    ),
     "kidnap": ("The robot is carried to another place.", "Nothing tells the agent: it has to notice by itself."),
 }
 """Headline and explanation of the events that no film explains."""

@@ -155,8 +155,12 @@ def _limit(metrics: Mapping[str, Any]) -> list[str]:
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _status(metrics) + _smoothed_status(metrics) + _reversing(metrics) + _errors(metrics)
+    since = metrics.get("online_graph_from_s")
+    if isinstance(since, int | float):
+        lines.append(f"            the filter was lost after {since:.0f} s; the online graph went on")
     trajectories = {
-        "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs", "": "filter, while driving",
+        "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs",
+        "": "filter, while driving" if since is None else "while driving",
         "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
     }  # fmt: skip
     texts = {

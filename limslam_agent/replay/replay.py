@@ -21,6 +21,7 @@ from limslam_agent.output.summary import place_records, record_of
 from limslam_agent.output.tum import write_tum
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.replay.filter_estimate import FilterEstimate
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
@@ -98,12 +99,15 @@ class Replay:
         Number of readings that were skipped: no readings (NaN), and negative numbers.
     self_calibration
         Systematic odometry errors that the filter has estimated. None if this was not asked for.
-    slam_ms, wall_clock
-        Cost of the SLAM for each event (n,), ms, and of the whole replay, s.
+    slam_ms, job_ms, wall_clock
+        Cost of the SLAM for each event (n,), and of the jobs of the online graph beside it (n,), ms; and cost of the
+        whole replay, s.
     places
         What happened when the robot was lost.
     smoothed
         What is known at the end of the log. None if the settings do not smooth it.
+    handed_over
+        The event from which on the online graph gives the estimate, since the filter is lost. None if there is none.
     """
 
     log: RecordedLog
@@ -119,9 +123,11 @@ class Replay:
     refused_readings: int
     self_calibration: SelfCalibration | None
     slam_ms: FloatArray
+    job_ms: FloatArray
     wall_clock: float
     places: PlaceHistory
     smoothed: "Smoothed | None" = None
+    handed_over: int | None = None
 
 
 def replay_log(
@@ -154,13 +160,13 @@ def replay_log(
     mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
     covariances, slam_ms, levels = np.empty((count, 3, 3)), np.empty(count), np.empty(count, dtype=np.int64)
+    job_ms, estimate = np.empty(count), _estimate(mapper, log, config)
     begin = time.perf_counter()
     for number, observation in enumerate(log.observations()):
-        mapper.step(observation)
-        slam_ms[number] = mapper.slam_ms
-        slam = mapper.slam
-        estimated[number], odometry[number], covariances[number] = slam.pose, mapper.odometry[0], mapper.covariances[0]
-        levels[number] = LEVELS.index(mapper.statuses[0].level)
+        estimate.step(observation)
+        slam_ms[number], job_ms[number] = estimate.slam_ms, estimate.job_ms
+        estimated[number], odometry[number], covariances[number] = estimate.pose, estimate.odometry, estimate.covariance
+        levels[number] = LEVELS.index(estimate.status.level)
         if progress is not None:
             progress(number + 1)
     mapper.finish()
@@ -175,19 +181,22 @@ def replay_log(
         odometry=odometry,
         covariances=covariances,
         levels=levels,
-        status=mapper.statuses[0],
+        status=estimate.status,
         landmarks=slam.landmarks,
         segments=slam.segments,
         grid=mapper.grid,
-        refused_readings=slam.refused_readings,
+        refused_readings=estimate.refused_readings,
         self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         slam_ms=slam_ms,
+        job_ms=job_ms,
         wall_clock=time.perf_counter() - begin,
-        places=mapper.places,
+        places=estimate.places,
+        handed_over=estimate.handed_over,
     )
     if log.odometry is not None and config.smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_graph
 
+        del estimate, mapper, slam  # the smoothing needs their memory
         return smoothed_by_graph(replay, config.smoothing, report)
     # The smoother does not know the lines of an earlier map.
     if log.wheels is not None and config.run_smoothing is not None and mapper.prior_frame is None:
@@ -196,6 +205,15 @@ def replay_log(
         report("all poses and walls")
         return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing, slam.sensor)
     return replay
+
+
+def _estimate(mapper: Mapper, log: RecordedLog, config: AgentConfig) -> FilterEstimate:
+    """What gives the estimate while a log is replayed. Importing the graph takes long."""
+    if log.odometry is None or config.smoothing is None:
+        return FilterEstimate(mapper)
+    from limslam_agent.replay.hand_over import HandedOverEstimate
+
+    return HandedOverEstimate(mapper, log, config.smoothing)
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
@@ -217,6 +235,12 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
 
         scores |= loop_scores(replay.smoothed.loops, relations, log.time, log.odometry)
     return scores
+
+
+def _hand_over(replay: Replay) -> dict[str, float]:
+    """When the online graph took over from the filter, for ``result.json``; empty if it did not."""
+    time, event = replay.log.time, replay.handed_over
+    return {} if event is None else {"online_graph_from_s": float(time[event] - time[0])}
 
 
 def write_replay(
@@ -268,7 +292,10 @@ def write_replay(
     if smoothed is not None and smoothed.status is not None:
         statuses |= final_status_scores(smoothed.status, replay.status, lost_note(log.time, levels))
     found = replay.self_calibration.figures if replay.self_calibration else {}
+    statuses |= _hand_over(replay)
     cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)
+    if replay.job_ms.any():
+        cost |= {"jobs": int((replay.job_ms > 0.0).sum()), "job_ms_max": float(replay.job_ms.max())}
     if smoothed is not None:
         counts, cost = {**counts, **smoothed.figures}, {**cost, "smoothing_cpu_s": smoothed.seconds}
     record = record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry])

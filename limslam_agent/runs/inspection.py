@@ -21,6 +21,7 @@ from limslam_agent.mapper import Mapper
 from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError
 from limslam_agent.output.formats.content import read_readings
 from limslam_agent.places.saved_map import SavedMap, read_saved_map
+from limslam_agent.replay.filter_estimate import is_handed_over
 from limslam_agent.runs.episode import RunConfig
 from limslam_agent.runs.oracle import is_privileged, policies_for
 from limslam_agent.runs.policy_file import is_file_policy
@@ -126,16 +127,20 @@ def inspect_log(
         raise FolderError(f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log")
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = float("inf")  # as in a replay
-    recorder = Recorder(mapper, len(log))
+    recorder, handed_over = Recorder(mapper, len(log)), len(log)
     for row, observation in enumerate(log.observations()):
         mapper.step(observation)
+        if is_handed_over(log, config, mapper.statuses[0]):
+            handed_over = min(handed_over, row)
         seen = log.ranges[row][None] if log.has_scan[row] else np.full((1, log.ranges.shape[1]), np.nan)
         true = None if log.true_pose is None else log.true_pose[row][None]
         recorder.note(log.time[row], _new(log.robot, seen, row), true=true)
         progress(row + 1)
     mapper.finish()
     recorder.finish()
-    return _inspection(recorder, mapper, run, None)
+    if handed_over < len(log):
+        recorder.mark(handed_over, "handover", "the filter is lost, and the replay goes on with the online graph")
+    return _inspection(recorder, mapper, run, None, handed_over)
 
 
 def _new(robot: RobotSpec, ranges: FloatArray, row: int) -> FloatArray:
@@ -143,7 +148,10 @@ def _new(robot: RobotSpec, ranges: FloatArray, row: int) -> FloatArray:
     return np.where(robot.measures(row), ranges, np.nan)
 
 
-def _inspection(recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edges: FloatArray | None) -> Inspection:
+def _inspection(
+    recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edges: FloatArray | None, end: int | None = None
+) -> Inspection:
+    """The inspection of a run whose folder has the poses of the filter before the row ``end``."""
     arrays, rows = recorder.arrays(), np.array(recorder.frame_rows)
     meta = recorder.meta()
     if edges is not None:
@@ -156,15 +164,16 @@ def _inspection(recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edg
     start = float(run.time[0])
     meta["path_loops"] = _read(run.folder / _LOOPS, lambda told: [_loop(each, start) for each in told], [])
     meta["graph"] = _read(run.folder / _GRAPH, lambda told: _graph(told, start), {"key_poses": [], "local_maps": []})
-    difference = _difference(recorder, mapper, run)
+    difference = _difference(recorder, mapper, run, end)
     return Inspection(arrays, {**meta, "check": _words(difference)}, len(rows), difference)
 
 
-def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun) -> float:
+def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun, end: int | None) -> float:
     """Largest difference between the poses of the recording and those in the folder, m and rad.
 
     The folder has the poses of a robot that had to find its place in an earlier map, or another robot, in the frame
-    that was found later. They are compared from then on.
+    that was found later. They are compared from then on. From the row ``end`` on, the folder has those of the online
+    graph, which are not recorded.
     """
     rows = np.array(recorder.frame_rows)
     off = recorder.poses() - np.array(run.estimated).swapaxes(0, 1)[rows]
@@ -173,8 +182,8 @@ def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun) -> float:
     since = len(joined.poses) if joined is not None else 0
     if mapper.prior_frame is not None:
         since = int(mapper.places.records[0]["step"])
-    is_later = rows >= since
-    return float(np.abs(off[is_later]).max(initial=0.0))
+    is_compared = (rows >= since) & (rows < (len(run.time) if end is None else end))
+    return float(np.abs(off[is_compared]).max(initial=0.0))
 
 
 def _words(difference: float) -> str:

@@ -14,6 +14,7 @@ const KINDS = {
   place: {name: 'places', stages: [], weight: 8, shown: true, colour: 'bad'},
   restart: {name: 'restarts', stages: [], weight: 8, shown: true, colour: 'bad'},
   kidnap: {name: 'kidnappings', stages: [], weight: 9, shown: true, colour: 'bad'},
+  handover: {name: 'hand-overs', stages: [], weight: 9, shown: true, colour: 'bad'},
 };
 const TESTS = {
   direction: 'direction', offset: 'offset', ends: 'gap along the wall', range: 'out of range', hidden: 'beams cannot see it',

@@ -66,12 +66,16 @@ class ChunkSolution:
 
 
 def hops_between(poses: FloatArray, covariances: FloatArray, config: ChunkGraphConfig) -> Hops:
-    """Hops along poses (c, 3), with inflated covariances (c - 1, 3, 3) of the local graph.
+    """Hops along poses (c, 3), with inflated covariances (c - 1, 3, 3) of the local graph."""
+    return Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances, config))
+
+
+def inflated(covariances: FloatArray, config: ChunkGraphConfig) -> FloatArray:
+    """Covariances (c, 3, 3) of motions by the local graph, as the graph of chunks uses them.
 
     The local graph trusts its associations. With its original covariances, right loops would be outweighed by the hops.
     """
-    least = np.diag([config.hop_position**2, config.hop_position**2, config.hop_turn**2])
-    return Hops(se2.between(poses[:-1], poses[1:]), config.hop_inflation * covariances + least)
+    return config.hop_inflation * covariances + np.diag([config.hop_position**2] * 2 + [config.hop_turn**2])
 
 
 def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop], config: ChunkGraphConfig) -> ChunkSolution:

@@ -195,13 +195,15 @@ def _step_variances(
     data: LogData, first: IntArray, length: FloatArray, turn: FloatArray, motion: MotionConfig
 ) -> FloatArray:
     least = np.array([motion.least_position**2] * 2 + [motion.least_turn**2])
-    if data.variances is not None:
-        each = data.variances
-    else:
-        per_metre = np.array([motion.along, motion.across, motion.turn_per_metre]) ** 2
-        per_radian = np.array([motion.slip, motion.slip, motion.turn_per_radian]) ** 2
-        each = length[:, None] * per_metre + turn[:, None] * per_radian
+    each = motion_variances(length, turn, motion) if data.variances is None else data.variances
     return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
+
+
+def motion_variances(length: FloatArray, turn: FloatArray, motion: MotionConfig) -> FloatArray:
+    """Variances (k, 3) of motions by odometry of ``length`` (k,), m, and ``turn`` (k,), rad."""
+    per_metre = np.array([motion.along, motion.across, motion.turn_per_metre]) ** 2
+    per_radian = np.array([motion.slip, motion.slip, motion.turn_per_radian]) ** 2
+    return np.asarray(length[:, None] * per_metre + turn[:, None] * per_radian)
 
 
 def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
@@ -251,6 +253,11 @@ def calibrated_rates(keys: KeyPoses, bias: FloatArray) -> FloatArray:
 def event_offsets(keys: KeyPoses, bias: FloatArray) -> FloatArray:
     """Poses (n, 3) of all events in the frames of their key poses, by corrected odometry."""
     return _calibrated(keys.offset + bias[3] * keys.offset_rate, keys.offset_forward, bias)
+
+
+def calibrated_motion(motion: FloatArray, bias: FloatArray) -> FloatArray:
+    """A short motion (3,) by odometry without delay, corrected for the constant errors."""
+    return np.asarray(_calibrated(motion[None], motion[None, 0], bias)[0])
 
 
 def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> FloatArray:

@@ -65,11 +65,22 @@ def local_covariances(
     keys: KeyPoses, trajectory: Trajectory, middles: IntArray, config: GraphConfig, range_std: float
 ) -> FloatArray:
     """Covariances (c - 1, 3, 3) of the motions between key poses (c,), from odometry and links along the way."""
+    return motion_covariances(cautious_equations(keys, trajectory, config, range_std), trajectory.poses, middles)
+
+
+def cautious_equations(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
+) -> NormalEquations:
+    """Normal equations of a smoothed trajectory, with the larger standard deviation of links of the bundle."""
     cloud = point_cloud(keys, trajectory, config.links, range_std)
     std = config.bundle.link_inflation * link_std(config, range_std)
-    equations = local_equations(keys, trajectory, cloud, config, std)
-    first, second = middles[:-1], middles[1:]
-    _, jacobian = relation_factor(trajectory.poses, first, second, np.zeros((len(first), 3)))
+    return local_equations(keys, trajectory, cloud, config, std)
+
+
+def motion_covariances(equations: NormalEquations, poses: FloatArray, numbers: IntArray) -> FloatArray:
+    """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses (m, 3)."""
+    first, second = numbers[:-1], numbers[1:]
+    _, jacobian = relation_factor(poses, first, second, np.zeros((len(first), 3)))
     return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.chunk_graph import Hops, Loop, information_matrix, solve
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, information_matrix, solve
 from limslam_agent.slam.graph.least_squares import relation_factor
 from limslam_agent.slam.graph.local_maps import LocalMap
 from limslam_agent.slam.graph.matching import (
@@ -87,13 +87,14 @@ def loops_along_the_way(chunks: Chunks) -> list[Loop]:
     belief = Belief(chunks)
     for _ in range(len(chunks) - 1):
         belief.advance()
-        found = _loops_of_newest(chunks, belief)
+        found = loops_of_newest(chunks, belief)
         if found:
             belief.close(found)
     return belief.loops
 
 
-def _loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:
+def loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:
+    """Loops from the newest chunk of the belief to at most ``best`` earlier chunks, the best matches first."""
     config, newest = chunks.config.loops, belief.count - 1
     candidates: list[tuple[int, Match]] = []
     old = np.nonzero(chunks.travel[newest] - chunks.travel[: newest - 1] >= config.min_travel)[0]
@@ -134,6 +135,28 @@ class Belief:
         size = 3 * self.count
         return self._covariance[:size, :size]
 
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (k, 3) of the chunks so far."""
+        return self._poses[: self.count]
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights of the loops."""
+        return self._weights
+
+    def extend(self, chunks: Chunks) -> None:
+        """Go on with more chunks, of which the first are the chunks so far."""
+        more = len(chunks) - len(self._poses)
+        self._chunks, self._poses = chunks, np.pad(self._poses, ((0, more), (0, 0)))
+        self._covariance = np.pad(self._covariance, (0, 3 * more))
+
+    def adopt(self, loops: Sequence[Loop], solution: ChunkSolution) -> None:
+        """Go on with other loops and their solution."""
+        self.loops, self._weights = list(loops), solution.weights
+        self._poses[: self.count] = solution.poses
+        self._recompute()
+
     def advance(self) -> None:
         """Add the next chunk by the motion of the hop."""
         last, hops = self.count - 1, self._chunks.hops
@@ -157,6 +180,14 @@ class Belief:
         covariance = np.einsum("kij,kjl,kml->kim", jacobian, joint, jacobian)
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
         return se2.between(poses[old], poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
+
+    def chi_square(self, loop: Loop) -> float:
+        """How far a loop is from what is believed, in chi-square of three degrees of freedom."""
+        ends = np.array([[loop.first], [loop.second]])
+        error, jacobian = relation_factor(self.poses, ends[0], ends[1], loop.relative[None])
+        columns = (3 * ends + np.arange(3)).ravel()
+        believed = jacobian[0] @ self._covariance[columns[:, None], columns] @ jacobian[0].T
+        return float(error[0] @ np.linalg.solve(believed + np.linalg.inv(loop.information), error[0]))
 
     def close(self, found: Sequence[Loop]) -> None:
         """Add loops of the newest chunk."""

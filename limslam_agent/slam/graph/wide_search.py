@@ -38,27 +38,47 @@ def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) ->
     groups = []
     steps = _step(chunks, _GRIDS_APART), _step(chunks, _CHUNKS_APART)
     for first in range(0, len(chunks), steps[0]):
-        seconds = _candidates(chunks, poses, known, first, steps)
-        shifts, turns = _windows(chunks, poses, joint, first, seconds)
-        near = np.hypot(*(poses[seconds, :2] - poses[first, :2]).T) <= config.near + shifts
-        if not near.any():
-            continue
-        grid = search_grid(chunks.maps[first], config.window, chunks.config.matching)
-        for row in np.nonzero(near)[0]:
-            second = int(seconds[row])
-            guess, points = se2.between(poses[first], poses[second]), chunks.maps[second].points
-            window = Window(shifts[row], turns[row], config.turn_step)
-            found = match(grid, points, guess, window, chunks.config.matching, config.score - _LEEWAY)
-            if found.score >= config.score:
-                groups.append(_group(chunks, poses, first, second, found))
+        groups += _groups(chunks, poses, joint, first, _candidates(chunks, poses, known, first, steps))
+    return groups
+
+
+def search_for_newest(chunks: Chunks, poses: FloatArray, joint: FloatArray) -> list[list[Loop]]:
+    """Groups of loops for the last chunk alone, from poses (c, 3) and their joint covariance (3 c, 3 c)."""
+    newest, groups = np.array([len(chunks) - 1]), []
+    apart, near = _may_show_the_same(chunks, poses, len(chunks) - 1)
+    for first in range(0, len(chunks), _step(chunks, _GRIDS_APART)):
+        if apart[first] and near[first]:
+            groups += _groups(chunks, poses, joint, first, newest)
+    return groups
+
+
+def _groups(chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray) -> list[list[Loop]]:
+    """Groups of loops between chunks (k,) and the first chunk."""
+    config, groups = chunks.config.wide, []
+    shifts, turns = _windows(chunks, poses, joint, first, seconds)
+    near = np.hypot(*(poses[seconds, :2] - poses[first, :2]).T) <= config.near + shifts
+    if not near.any():
+        return []
+    grid = search_grid(chunks.maps[first], config.window, chunks.config.matching)
+    for row in np.nonzero(near)[0]:
+        second = int(seconds[row])
+        guess, points = se2.between(poses[first], poses[second]), chunks.maps[second].points
+        window = Window(shifts[row], turns[row], config.turn_step)
+        found = match(grid, points, guess, window, chunks.config.matching, config.score - _LEEWAY)
+        if found.score >= config.score:
+            groups.append(_group(chunks, poses, first, second, found))
     return [group for group in groups if group]
+
+
+def _may_show_the_same(chunks: Chunks, poses: FloatArray, first: int) -> tuple[BoolArray, BoolArray]:
+    """Which chunks (c,) are far enough from a chunk in driving, and near enough in space, to show the same place."""
+    near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= chunks.config.wide.max_distance
+    return np.abs(chunks.travel - chunks.travel[first]) >= chunks.config.wide.min_travel, near
 
 
 def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int, steps: tuple[int, int]) -> IntArray:
     """Unrecognised chunks that may show the place of ``first``; pairs of unrecognised chunks are counted once."""
-    config = chunks.config.wide
-    near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= config.max_distance
-    apart = np.abs(chunks.travel - chunks.travel[first]) >= config.min_travel
+    apart, near = _may_show_the_same(chunks, poses, first)
     # A chunk that is not searched itself as a grid must be compared with earlier and with later chunks.
     numbers = np.arange(len(chunks))
     once = known[first] | (numbers > first) | (numbers % steps[0] != 0)

@@ -1,0 +1,207 @@
+"""The online graph: the pose while driving, in a local frame whose place the graph of chunks gives.
+
+The step follows the odometry, corrected for the errors that are known, from the last event that was smoothed. It costs
+some microseconds. After each 2.5 m of driving, a job smooths the last metres, draws a chunk when one is complete,
+searches for its loops, and solves the graph of chunks. A robot would do the job beside its steps. Its result therefore
+counts from the next key pose on, some decimetres later. The pose of the local frame in the world jumps only then.
+
+Nothing here knows later events: the pose at an event is a function of the events up to it.
+"""
+
+import math
+import time as clock
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig, LocalMapConfig
+from limslam_agent.slam.graph.chunk_graph import inflated
+from limslam_agent.slam.graph.key_poses import calibrated_motion, motion_variances
+from limslam_agent.slam.graph.local_maps import cut_chunks
+from limslam_agent.slam.online_graph.local_frame import LocalFrame, OdometryErrors, smooth_window
+from limslam_agent.slam.online_graph.place_graph import PlaceGraph
+from limslam_agent.slam.online_graph.recent_events import RecentEvents
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import between, compose, compose_jacobians
+
+_WINDOW = 15.0
+"""Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a chunk over 7 m."""
+
+_REVISED = 2
+"""Number of earlier motions between chunks that each window estimates anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Origins (b, 2), m, and directions (b,), rad, of the beams; their longest range, m, and its noise, m."""
+
+    origins: FloatArray
+    angles: FloatArray
+    max_range: float
+    range_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A smoothed event, from which the steps go on.
+
+    Attributes
+    ----------
+    ridden
+        Pose (3,) of the event by corrected odometry alone.
+    variances
+        Sums (3,) of the variances of all motions by odometry up to the event (along, across, heading), m^2 and rad^2.
+    pose, covariance
+        Pose (3,) and covariance (3, 3) in the world.
+    errors
+        The constant errors (5,) of odometry that are known.
+    """
+
+    ridden: FloatArray
+    variances: FloatArray
+    pose: FloatArray
+    covariance: FloatArray
+    errors: FloatArray
+
+
+class OnlineGraph:
+    """Estimates the pose of a robot that reports poses of odometry.
+
+    Parameters
+    ----------
+    beams
+        How the ranges are measured.
+    start
+        Pose (3,) of the first event.
+    config
+        The settings.
+
+    Attributes
+    ----------
+    pose, covariance
+        The pose (3,) at the last event, and its covariance (3, 3).
+    errors
+        What is known of the constant errors of odometry.
+    places
+        The graph of chunks; None before the first chunk is complete.
+    job_ms
+        Time that the job of the last step took, ms; zero if there was none.
+    """
+
+    places: PlaceGraph | None
+
+    def __init__(self, beams: Beams, start: FloatArray, config: GraphConfig | None = None) -> None:
+        self._beams, self._config = beams, config or GraphConfig()
+        self._recent, self.places = RecentEvents(), None
+        self._start = np.asarray(start, dtype=float)
+        self.errors = OdometryErrors.unknown(self._config.motion)
+        self._ridden, self._variances = np.zeros(3), np.zeros(3)
+        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
+        self._waiting: Anchor | None = None
+        self._middles = [0]  # events in the middle of the last chunks
+        self._job_at = _remainder(self._config.maps)
+        self._key_travel, self._key_turned = 0.0, 0.0
+        self.pose, self.covariance, self.job_ms = self._start, np.zeros((3, 3)), 0.0
+
+    def step(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
+        """Process an event.
+
+        Parameters
+        ----------
+        time
+            Time, s.
+        odometry
+            Pose (3,) of odometry in a frame of its own, m, m, rad.
+        ranges, hit
+            Ranges (b,), m, and whether each beam has seen a wall (b,).
+        """
+        recent, travel, turned = self._recent, self._recent.travel, self._recent.turned
+        recent.append(time, odometry, ranges, hit)
+        self.job_ms = 0.0
+        motion = calibrated_motion(recent.last_motion(float(self._anchor.errors[3])), self._anchor.errors)
+        moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
+        self._ridden = compose(self._ridden, motion)
+        self._variances = self._variances + motion_variances(*moved, self._config.motion)[0]
+        if self._is_key_pose():
+            self._key_travel, self._key_turned = recent.travel, recent.turned
+            if self._waiting is not None:
+                self._anchor, self._waiting = self._waiting, None
+            if recent.travel >= self._job_at:
+                begin = clock.perf_counter()
+                self._do_job()
+                self.job_ms = 1e3 * (clock.perf_counter() - begin)
+        motion = between(self._anchor.ridden, self._ridden)
+        own = np.diag(self._variances - self._anchor.variances)
+        self.pose = compose(self._anchor.pose, motion)
+        self.covariance = moved_covariance(self._anchor.pose, self._anchor.covariance, motion, own)
+
+    @property
+    def unrecognised(self) -> float:
+        """Distance driven since the last place that was recognised, or since the beginning, m."""
+        return self._recent.travel - (0.0 if self.places is None else self.places.recognised_at)
+
+    def _is_key_pose(self) -> bool:
+        driven, turned = self._recent.travel - self._key_travel, self._recent.turned - self._key_turned
+        return driven >= self._config.keys.distance or turned >= self._config.keys.turn
+
+    def _do_job(self) -> None:
+        """Smooth the last metres and find their place. The result waits until the next key pose."""
+        maps, recent = self._config.maps, self._recent
+        while self._job_at <= recent.travel:
+            self._job_at += maps.hop
+        beams, driven = self._beams, recent.travel - recent.travel_at(recent.first)
+        data = recent.data(beams.origins, beams.angles, beams.max_range, beams.range_std)
+        frame = smooth_window(data, self.errors, self._config, min(1.0, maps.hop / driven))
+        if frame is None:
+            return
+        self.errors = frame.errors
+        pose, covariance = self._placed(frame)
+        self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
+        if self.places is not None:
+            self._middles = self._middles[-1 - _REVISED :]
+            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
+
+    def _placed(self, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
+        """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been added."""
+        recent, maps = self._recent, self._config.maps
+        last = len(frame.keys) - 1
+        if recent.travel >= 2.0 * maps.half:
+            key = int(frame.keys.event_key[recent.at(recent.travel - maps.half) - recent.first])
+            self._add_chunk(frame, key)
+        if self.places is None:
+            key, pose, covariance = 0, self._start, np.zeros((3, 3))
+        else:
+            pose, covariance = self.places.poses[-1], self.places.covariance
+        motion = between(frame.trajectory.poses[key], frame.poses[-1])
+        own = inflated(frame.covariances(np.array([key, last])), self._config.chunks)[0]
+        return compose(pose, motion), moved_covariance(pose, covariance, motion, own)
+
+    def _add_chunk(self, frame: LocalFrame, key: int) -> None:
+        """Add the chunk around a key pose of the window to the graph."""
+        recent, config = self._recent, self._config
+        event = recent.first + int(frame.keys.first_event[key])
+        (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._beams.max_range)
+        chunk = replace(chunk, middle=event, travel=recent.travel_at(event))
+        pose = frame.trajectory.poses[key]
+        before = self._middles
+        keys = np.array([frame.keys.event_key[before[-1] - recent.first], key])
+        covariance = frame.covariances(keys)[0]
+        if self.places is None:
+            motion, own = between(frame.poses[0], pose), inflated(covariance, config.chunks)
+            start = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
+            self.places, self._middles = PlaceGraph(config, chunk, compose(self._start, motion), start), []
+        else:
+            path = np.vstack((frame.poses[np.array(before) - recent.first], pose))
+            self.places.add(chunk, between(path[:-1], path[1:]), covariance)
+        self._middles.append(event)
+
+
+def moved_covariance(pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a pose (3,) after a motion (3,) with the covariance ``own`` (3, 3)."""
+    by_pose, by_motion = compose_jacobians(pose, motion)
+    return np.asarray(by_pose @ covariance @ by_pose.T + by_motion @ own @ by_motion.T)
+
+
+def _remainder(config: LocalMapConfig) -> float:
+    """Distance driven at the first job, m. Later jobs follow at each hop, so that one completes the first chunk."""
+    return math.fmod(2.0 * config.half, config.hop) or config.hop
