@@ -55,10 +55,9 @@ class PlaceConfig(Bounded):
     suspected, carried
         It is unsure, or lost, if the evidence that it was carried away is at least this: a logarithm of a likelihood
         ratio that outweighs the prior.
-    supported, elsewhere
-        Another place of the map makes a robot lost only if its readings have at most the evidence ``supported`` at the
-        believed pose, at least ``elsewhere`` more at the other place, and at any third place at most the share
-        ``runner_up`` of that.
+    supported
+        Another place of the map makes a robot unsure only if its readings have at most this evidence at the believed
+        pose.
     far
         For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot
         was carried away.
@@ -101,7 +100,6 @@ class PlaceConfig(Bounded):
     suspected: Positive = 6.0
     carried: Positive = 10.0
     supported: NonNegative = 15.0
-    elsewhere: NonNegative = 250.0
     far: Share = 0.3
     checkpoint: Count = 50
     checkpoints: Count = 6

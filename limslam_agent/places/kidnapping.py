@@ -9,8 +9,8 @@ of that moment, which a wrong pose cannot change any more. Three explanations of
 
 The first two differ by the logarithm of a likelihood ratio: the evidence of the change, less that of the readings at
 the believed pose. It must outweigh the prior probability that a robot is carried away in a step. The third explanation
-is judged strictly, because rooms look alike: that a new room fits at the place of an earlier one is usual in an office
-building, and that a robot is carried away is not.
+only makes the robot unsure, because rooms look alike: that a new room fits at the place of an earlier one is usual in
+an office building, and that a robot is carried away is not.
 """
 
 import math
@@ -41,8 +41,7 @@ _DATED = 3.0  # evidence of a change that says when the robot was carried away
 
 CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
-ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
-MAYBE_ELSEWHERE = Status("unsure", ELSEWHERE.reason)
+MAYBE_ELSEWHERE = Status("unsure", "the latest readings fit another place of the map")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +131,7 @@ class Kidnapping:
             status = CARRIED
         if driven and status.level != "lost" and self._unsearched >= self.config.search:
             self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
-        if status.level == "ok" or (status.level == "unsure" and self._elsewhere.level == "lost"):
+        if status.level == "ok":
             status = self._elsewhere
         return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status)
 
@@ -162,8 +161,7 @@ class Kidnapping:
         other = localise(found.place, found.rays, config, [np.zeros(3)])
         if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()
-        is_clear = other.fit.evidence - max(found.here, 0.0) >= config.elsewhere and other.likeness <= config.runner_up
-        return ELSEWHERE if is_clear else MAYBE_ELSEWHERE
+        return MAYBE_ELSEWHERE
 
 
 def near_evidence(place: KnownPlaces, rays: FloatArray, covariance: FloatArray) -> float:
