@@ -158,6 +158,8 @@ def mark_dropouts(nothing: BoolArray, lasting: int, found: BoolArray) -> None:
             if row < nothing.shape[0]:
                 found[row, beam] = False
             begin = row + 1
+
+
 @lean_entry
 def count_misses(
     ranges: FloatArray, measured: BoolArray, beams: FloatArray, last: FloatArray, in_a_row: IntArray, counts: IntArray
