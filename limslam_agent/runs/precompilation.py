@@ -23,7 +23,7 @@ def kernels_of_smoother() -> list[tuple[Any, str]]:
 
     return [
         (line_merging.merge_lines, "f2 f2 f2 f3 f2 f1 f1 f1 i1"),
-        (line_merging.wall_kinds, "f2 f2 f2 f3 F2 f1"),
+        (line_merging.wall_kinds, "f2 f2 f2 f3 f2 f1"),
         (chain_kernels.drive, "f1 f2 f f2"),
         (chain_kernels.motions_between, "f2 f f2"),
         (chain_kernels.motion_jacobians, "f2 f f3 f3"),
