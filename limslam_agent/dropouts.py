@@ -38,7 +38,7 @@ class Dropouts:
         self._beams, count = robot.beam_table, len(robot.beams)
         self._last, self.in_a_row = np.full((2, count), math.nan), np.zeros(count, dtype=np.int64)
         # Number of readings between two of the same wall, and how many of them saw nothing.
-        self._counts = np.zeros(2, dtype=np.int64)
+        self._counts, self._is_found = np.zeros(2, dtype=np.int64), False
 
     def note(self, ranges: FloatArray, measured: BoolArray) -> None:
         """Take the readings (n_beams,), m, of the next step, and which of them are new."""
@@ -50,7 +50,10 @@ class Dropouts:
     def share(self) -> float:
         """Estimated probability that a beam misses a wall; 0 while too few readings have missed one."""
         between, missed = self._counts.tolist()
-        return missed / between if missed >= _LEAST_MISSES and missed > _LEAST_SHARE * between else 0.0
+        # A sensor that has counted as one that misses walls remains one until its share has halved.
+        least = 0.5 * _LEAST_SHARE if self._is_found else _LEAST_SHARE
+        self._is_found = missed >= _LEAST_MISSES and missed > least * between
+        return missed / between if self._is_found else 0.0
 
     @property
     def enough(self) -> int:

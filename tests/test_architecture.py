@@ -109,7 +109,7 @@ AGENT = {
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
-        *agent("slam.merging", "slam.online_graph", "status"),
+        *agent("dropouts", "slam.merging", "slam.online_graph", "status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.live.ros2": {
@@ -301,9 +301,8 @@ def test_importing_the_agent_loads_no_simulator():
         *PLACES["limslam_agent.slam.merging"],
         *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = (
-        "hand_over", "joined_lines", "local_views", "misreading", "reversing", "smoothing", "two_logs", "two_logs_output"
-    )  # fmt: skip
+    replay = ("hand_over", "joined_lines", "local_views", "misreading", "reversing", "smoothing")
+    replay += ("two_logs", "two_logs_output")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

@@ -5,7 +5,7 @@ A run can be killed at any moment. What was written stays, and the next run goes
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -129,9 +129,9 @@ class Store:
         append_line(self.folder / RESULTS, _line(row))
         self.rows[row.plan] = row
 
-    def forget_failed(self) -> None:
-        """Remove the rows with an error, so that their plans are run again."""
-        self.rows = {plan: row for plan, row in self.rows.items() if row.error is None}
+    def forget_failed(self, plans: Collection[int]) -> None:
+        """Remove the rows of some plans that have an error, so that these plans are run again."""
+        self.rows = {plan: row for plan, row in self.rows.items() if row.error is None or plan not in plans}
         replace_content(self.folder / RESULTS, b"".join(map(_line, self.rows.values())))
 
 

@@ -100,7 +100,7 @@ def run_entry(
     stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
     with open_store(folder, stamp) as store:
         if retry_failed:
-            store.forget_failed()
+            store.forget_failed({plan.number for plan in plans})
         todo = [
             Job(entry, plan, place / RUNS / f"{plan.number:03d}" if keep else None, stamp.versions, stamp.commit, keep)
             for plan in plans

@@ -411,6 +411,9 @@ class ReversingConfig(Bounded):
 
     Attributes
     ----------
+    reach
+        Logs whose beams reach less are not judged, m. Where they see too little of the ground ahead of a stop, driving
+        backwards over known ground fits better in any case.
     unsigned
         Odometry counts as never reporting it if at most this share of the path is driven backwards by odometry.
     slow
@@ -428,6 +431,7 @@ class ReversingConfig(Bounded):
         both directions fit.
     """
 
+    reach: NonNegative = 2.5
     unsigned: NonNegative = 1e-3
     slow: NonNegative = 0.35
     least: NonNegative = 0.15

@@ -45,6 +45,7 @@ class ReadingDrawer:
         dropouts.note(ranges, measured)
         enough = dropouts.enough
         if enough == 1:
+            self._waiting.clear()
             grid.update(pose, self._robot, ranges, measured)
             return
         if frame != self._frame:

@@ -37,6 +37,7 @@ _STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, r
 _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
 _OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
 _FEWEST = 60  # number of rays for which the map is searched
+_MANY_BEAMS = 24  # one of more beams than this decides nothing
 _DATED = 3.0  # evidence of a change that says when the robot was carried away
 
 CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
@@ -97,6 +98,7 @@ class Kidnapping:
     robot: RobotSpec
     config: PlaceConfig
     _unsearched: float = field(default=math.inf, init=False)
+    _spacing: float = field(default=0.0, init=False)
     _elsewhere: Status = field(default=Status(), init=False)
 
     def doubt(
@@ -129,7 +131,7 @@ class Kidnapping:
         status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
         if evidence >= self.config.carried and self._needs_no_beam(likeliest, log, sensor):
             status = CARRIED
-        if driven and status.level != "lost" and self._unsearched >= self.config.search:
+        if driven and status.level != "lost" and self._unsearched >= max(self.config.search, self._spacing):
             self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
         if status.level == "ok":
             status = self._elsewhere
@@ -147,6 +149,8 @@ class Kidnapping:
 
     def _needs_no_beam(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
         """Whether a change has enough evidence without any one of the beams, which may be broken."""
+        if len(self.robot.beams) > _MANY_BEAMS:
+            return True
         for beam in range(len(self.robot.beams)):
             steps = [_without(step, beam) for step in log.since(found.step)]
             if self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected:
@@ -158,6 +162,7 @@ class Kidnapping:
         config = self.config
         if found.here > config.supported or len(found.rays) < _FEWEST:
             return Status()
+        self._spacing = self.config.search * found.place.size  # the time of a search grows with the map
         other = localise(found.place, found.rays, config, [np.zeros(3)])
         if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()

@@ -82,7 +82,7 @@ class Lookup:
     @property
     def is_due(self) -> bool:
         """Whether the saved map is to be searched now."""
-        return self._driven - self._sought >= self._config.spacing
+        return self._driven - self._sought >= self._config.spacing * math.sqrt(self._place.size)
 
     def seek(self, start: FloatArray, sensor: RangeSensor) -> Arrival | None:
         """Search the saved map for the place; it is found if two searches in succession find the same place.

@@ -58,7 +58,7 @@ class HandedOverEstimate(FilterEstimate):
             mapper = self._mapper
             motion = motion_of(observation, mapper.robot, mapper.config.noise, mapper.config.odometry)
             self._odometry, self._ms = compose(self._odometry, motion.increment), 0.0
-            self._refused += int(np.isnan(observation.get("ranges", np.zeros(0))).sum())
+            self._refused += int(np.count_nonzero(~(np.asarray(observation.get("ranges", ())) >= 0.0)))
         self._number += 1
         self._step_graph(self._number)
         if self.handed_over is None and is_handed_over(self._log, self._mapper.config, super().status):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.places import PlaceConfig
+from limslam_agent.dropouts import without_dropouts
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.decision import find_place, runner_up
 from limslam_agent.places.matching import best_fits
@@ -198,7 +199,9 @@ def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray]) -> GridView:
     grid = OccupancyGrid(replays[0].config.grid)
     for replay, path in zip(replays, poses, strict=True):
         log = replay.log
-        for row in np.flatnonzero(log.has_scan):
-            ranges = log.ranges[row].astype(np.float64)
-            grid.update(path[row], log.robot, ranges, np.isfinite(ranges))
+        rows = np.flatnonzero(log.has_scan)
+        ranges = log.ranges[rows].astype(np.float64)
+        drawn = without_dropouts(log.robot, ranges, np.isfinite(ranges))
+        for pose, readings, shown in zip(path[rows], ranges, drawn, strict=True):
+            grid.update(pose, log.robot, readings, shown)
     return grid.view

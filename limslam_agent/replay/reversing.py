@@ -22,9 +22,11 @@ from limslam_env.geometry import FloatArray, IntArray
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     """The log with the motions turned round that the ranges say were driven backwards.
 
-    A log whose odometry reports driving backwards itself stays as it is.
+    A log whose odometry reports driving backwards itself stays as it is, and so does a log of short beams.
     """
     settings = config.reversing
+    if data.max_range < settings.reach:
+        return data
     views = LocalViews(data, config, Window(settings.window, settings.turn_window, config.loops.turn_step))
     if not _is_unsigned(views, settings):
         return data

@@ -12,6 +12,7 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
+from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.controller import bearing_of, wheel_speeds
 from limslam_agent.policies.learned.learned import LearnedPolicy
@@ -110,7 +111,8 @@ class TruePoseExplorer:
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, seed: int = 0) -> None:
-        self._robot, self._grid, self._pose = robot, OccupancyGrid(config.grid), np.zeros(3)
+        self._grid, self._pose = OccupancyGrid(config.grid), np.zeros(3)
+        self._drawer = ReadingDrawer(robot)
         self._explorer = LearnedPolicy(robot, config.policy, seed=seed)
         self.plan: FloatArray = NO_PLAN
         self.stop_reason: str | None = None
@@ -122,7 +124,7 @@ class TruePoseExplorer:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,). Of the belief, only the readings are used."""
-        self._grid.update(self._pose, self._robot, belief.ranges, np.ones(len(belief.ranges), dtype=bool))
+        self._drawer.draw(self._grid, 0, self._pose, belief.ranges, np.ones(len(belief.ranges), dtype=bool))
         wheels = self._explorer.act(replace(belief, pose=self._pose, grid=self._grid.view))
         self.stop_reason = self._explorer.stop_reason
         return wheels

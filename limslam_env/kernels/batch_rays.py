@@ -221,7 +221,10 @@ def cover(
     elif (found >> np.uint64(len(beams))) & _ONE:
         new += walk_disc(unseen, env, columns, rows, x, y, radius)
     for number in range(len(beams)):
-        if not (found >> np.uint64(number)) & _ONE or not is_due(beams, number, step):
+        # There may be more beams than bits if nothing was looked for.
+        if is_looked_for and not (found >> np.uint64(number)) & _ONE:
+            continue
+        if not is_due(beams, number, step):
             continue
         x, y, end = (aims[0, number] - low_x) / cell, (aims[1, number] - low_y) / cell, rays[0, number] / cell
         dx, dy = aims[2, number], aims[3, number]

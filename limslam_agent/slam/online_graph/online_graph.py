@@ -152,11 +152,10 @@ class OnlineGraph:
         beams, driven = self._beams, recent.travel - recent.travel_at(recent.first)
         data = recent.data(beams.origins, beams.angles, beams.max_range, beams.range_std)
         frame = smooth_window(data, self.errors, self._config, min(1.0, maps.hop / driven))
-        if frame is None:
-            return
-        self.errors = frame.errors
-        pose, covariance = self._placed(frame)
-        self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
+        if frame is not None:
+            self.errors = frame.errors
+            pose, covariance = self._placed(frame)
+            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
             recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))

@@ -72,6 +72,8 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
     with open_store(folder, read_stamp(folder)) as store:
         store.append(replace(store.rows[0], plan=1, error="did not answer within 5 s"))
     assert run_all(entry, short_plans[:2], folder)[1].error
+    run_all(entry, short_plans[:1], folder, retry_failed=True)  # the failed plan is not among the chosen ones
+    assert (folder / RESULTS).read_bytes() != kept
     rows = run_all(entry, short_plans[:2], folder, retry_failed=True, report=lambda row, _: seen.append(row.plan))
     assert seen == [1]
     assert [row.error for row in rows] == [None, None]

@@ -56,3 +56,9 @@ def test_a_drive_ahead_stays_as_it_is():
     assert with_reversing(log, CONFIG) is log
     blind = replace(log, hit=np.zeros_like(log.hit))
     assert with_reversing(blind, CONFIG) is blind
+
+
+def test_a_log_of_short_beams_is_not_judged():
+    # Beams of 1.5 m do not see the ground ahead of a stop, and driving back over known ground would fit better.
+    recorded = replace(without_signs(there_and_back()), max_range=1.5)
+    assert with_reversing(recorded, CONFIG) is recorded
