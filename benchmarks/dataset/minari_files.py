@@ -26,8 +26,8 @@ _ROWS_PER_CHUNK = 256
 DESCRIPTIONS = {
     "frontier": "The frontier explorer, which maps and plans, at 0.2 m/s.",
     "frontier_fast": "The frontier explorer at the top speed of 0.3 m/s.",
-    "learned": "The shipped learned explorer, at 0.3 m/s: a network that chooses a heading twice a second, and the frontier"
-    " explorer where little is left to see.",
+    "learned": "The shipped learned explorer, at 0.3 m/s: a network that chooses a heading twice a second, and the"
+    " frontier explorer where little is left to see.",
     "random": "Straight drives in random directions.",
     "wall_follower": "A wall follower.",
 }
