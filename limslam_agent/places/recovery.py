@@ -392,14 +392,26 @@ class Recovery:
         absence.place.sensor = sensor
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
-        likely = [pose for found in earlier for pose in found.open]
+        likely = [np.zeros(3), *(pose for found in earlier for pose in found.open)]
         # A robot that was not carried away has drifted, and is near.
-        far = 1.0 if absence.is_carried else self._config.far
+        far = 1.0 if absence.is_carried and not self._fits_near(absence.place, rays) else self._config.far
         decision = localise(absence.place, rays, self._config, likely, far)
         absence.decisions.append((self.log.end - 1, decision))
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
         return self._placement(absence, rays, decision, sensor)
+
+    def _fits_near(self, place: KnownPlaces, rays: FloatArray) -> bool:
+        """Whether rays (n, 6) fit the map near the believed pose.
+
+        Then nothing says any more that the robot was carried away: a robot that has drifted may also read sudden
+        changes, and in a large building, some other place fits nearly always.
+        """
+        if not len(rays):
+            return False
+        (fit,) = place.weigh(place.refined(np.zeros((1, 3)), rays), rays)
+        is_near = not is_far(fit.pose, rays[:, :2].mean(axis=0))
+        return is_near and fit.evidence >= self._config.lead and fit.is_on_map >= self._config.on_map
 
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""

@@ -138,3 +138,10 @@ def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole,
     slam = SimpleNamespace(range_sensor=SENSOR, segments=whole.segments)
     recovery.confirm(Status(), slam, whole.grid)
     assert (recovery.absence is found) is is_unlikely
+
+
+@pytest.mark.parametrize(("frame", "is_near"), [((0.3, -0.2, 0.1), True), (AWAY, False), ((20.0, 0.0, 0.3), False)])
+def test_readings_that_fit_near_the_believed_pose_take_back_that_the_robot_was_carried_away(whole, frame, is_near):
+    recovery, rays = Recovery(ROBOT, preset("graph"), CONFIG), rays_of(moved_log(frame).since(0), ROBOT)
+    assert recovery._fits_near(whole, rays) is is_near
+    assert not recovery._fits_near(whole, rays[:0])
