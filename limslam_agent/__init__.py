@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from limslam_agent.belief import Belief
     from limslam_agent.config.presets import AgentConfig, preset, with_until
     from limslam_agent.logs.log_reader import read_log
-    from limslam_agent.mapper import Mapper, MapSnapshot
+    from limslam_agent.map_snapshot import MapSnapshot
+    from limslam_agent.mapper import Mapper
     from limslam_agent.output.live_map import save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy
     from limslam_agent.policies.learned.learned import LearnedPolicy
@@ -64,7 +65,7 @@ _MODULES = {
     "LimSlamAgent": "agent",
     "LimSlamTeam": "team",
     "LineSlam": "slam.slam",
-    "MapSnapshot": "mapper",
+    "MapSnapshot": "map_snapshot",
     "Mapper": "mapper",
     "Policy": "policies.policy",
     "RandomPolicy": "policies.simple_policies",

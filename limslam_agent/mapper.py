@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -12,6 +12,7 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup, begin_lookup
 from limslam_agent.places.recovery import Recovery
@@ -20,7 +21,6 @@ from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel
 from limslam_agent.slam.slam import Extraction, LineSlam, RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
@@ -41,44 +41,6 @@ TOO_FAST = 300.0
 
 A jump of the odometry by a few metres is no such error: it makes the status ``lost``.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class MapSnapshot:
-    """The map and the poses at one moment. Later steps do not change a snapshot.
-
-    Attributes
-    ----------
-    poses
-        Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
-    covariances
-        Covariance of each estimated pose (n, 3, 3). It grows while a robot is lost.
-    odometry
-        Pose of each robot by odometry alone (n, 3).
-    landmarks
-        The walls of the map as lines with covariances.
-    segments
-        The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
-    grid
-        Occupancy grid.
-    """
-
-    poses: FloatArray
-    covariances: FloatArray
-    odometry: FloatArray
-    landmarks: list[Landmark]
-    segments: FloatArray
-    grid: GridView
-
-    @property
-    def pose(self) -> FloatArray:
-        """Pose of the first robot (3,)."""
-        return np.asarray(self.poses[0])
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the first robot's pose (3, 3)."""
-        return np.asarray(self.covariances[0])
 
 
 class Mapper:
@@ -349,6 +311,7 @@ class Mapper:
         self._restarts += 1
         self.slam = self._new_slam()
         self.slam.on_association, self._grid = listener, OccupancyGrid(self.config.grid)
+        self._drawers = [ReadingDrawer(self.robot) for _ in self._starts]
         self._begin_anew()
         self._recovery = self._new_recovery()
         for number, observations in enumerate(self._early):
@@ -432,20 +395,27 @@ class Mapper:
             recovery.confirm(own.status, self.slam, self._grid.view)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
-        """Begin a new map in a local frame, with the steps since the robot was lost."""
+        """Begin a new map in a local frame, with the steps since the robot was lost.
+
+        The new map takes the place of the earlier one if that has too few walls for the robot to be found in it.
+        """
         absence, log = recovery.absence, recovery.log
         assert absence is not None  # noqa: S101 (the robot is lost)
-        self._listener = self.slam.on_association or self._listener
+        self._listener, is_anew = self.slam.on_association or self._listener, recovery.begin_anew()
         slam = self._slam_at(log[absence.first - 1].pose)
+        if is_anew:
+            slam.on_association = self._heard_until(0)
         if absence.known is not None and absence.known.slam.odometry_calibration is not None:
             slam.calibrate(absence.known.slam.odometry_calibration)
         self._use(slam, OccupancyGrid(self.config.grid))
         self.slam.robots[0].step = absence.first - 1
         # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
         second = min(absence.first + 1, log.end)
-        self._play(recovery, absence.first, second)
+        poses = self._play(recovery, absence.first, second)
         self._begin_anew()
-        self._play(recovery, second)
+        poses += self._play(recovery, second)
+        if is_anew and poses:
+            self._revise(absence.first, poses)
 
     def _seek(self, recovery: Recovery) -> None:
         """Search the map that the robot was lost from, and go on there if the place is clear."""
@@ -455,9 +425,7 @@ class Mapper:
         absence, log = recovery.absence, recovery.log
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         slam, grid = absence.known.copied()
-        if self.on_restart is not None:
-            self.on_restart(slam.associated)
-        slam.on_association = self._listener
+        slam.on_association = self._heard_until(slam.associated)
         self._use(slam, grid)
         begin = found.carried_at if found.gone else log.begin
         self.slam.robots[0].step = (found.step if found.gone else begin) - 1
@@ -467,7 +435,7 @@ class Mapper:
         # smoothed.
         self._begin_anew()
         poses += self._play(recovery, found.step)
-        self._revisions.append(Revision(begin, np.array([pose for pose, _ in poses]), np.array([c for _, c in poses])))
+        self._revise(begin, poses)
         recovery.has_joined(found)
 
     def _give_up(self, recovery: Recovery) -> None:
@@ -477,12 +445,20 @@ class Mapper:
         self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
         pose, covariance = self.slam.pose, self.slam.covariance
         slam, grid = absence.known.copied()
-        if self.on_restart is not None:
-            self.on_restart(slam.associated)
-        slam.on_association = self._listener
+        slam.on_association = self._heard_until(slam.associated)
         self._use(slam, grid)
         self.slam.relocate(pose, covariance)
         recovery.give_up()
+
+    def _heard_until(self, associated: int) -> Callable[[AssociationRecord], None] | None:
+        """The listener, which is to forget all associations but the first ones."""
+        if self.on_restart is not None:
+            self.on_restart(associated)
+        return self._listener
+
+    def _revise(self, begin: int, poses: list[tuple[FloatArray, FloatArray]]) -> None:
+        """Replace the poses from a step on, given with their covariances."""
+        self._revisions.append(Revision(begin, *(np.array(each) for each in zip(*poses, strict=True))))
 
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame."""

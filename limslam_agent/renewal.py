@@ -1,13 +1,17 @@
 """Renewal of the online estimate in long drives: the last minutes are smoothed while the robot drives on."""
 
-import math
+import copy
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.dropouts import without_dropouts
 from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
@@ -21,6 +25,16 @@ LEAST_DRIVEN = 1.0
 
 FAR = 0.3
 """A renewal that moves the path by more than this somewhere, m, begins a new frame: plans made before mean nothing."""
+
+REFUTED = -6.0
+"""Logarithm of a likelihood ratio: with less than this, the readings do not fit the map."""
+
+
+class _Seen(NamedTuple):
+    """Pose (3,) and readings (n_beams,) of a step. The latter are NaN where there is no new reading."""
+
+    pose: FloatArray
+    ranges: FloatArray
 
 
 class Renewal:
@@ -97,23 +111,46 @@ class Renewal:
         return is_renewed
 
     def _renew(self) -> bool:
-        """Renew the estimate and the grid, if the stretch can be smoothed; whether it could."""
+        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done."""
         found, self._tried = self._smoothed(), len(self._rows)
         if found is None:
             return False
-        state, poses = found
-        self._slam.renew(state)
+        state, smoothed = found
+        trial = self._slam.copied()
+        trial.renew(copy.deepcopy(state))
         # The joining with the map from before moves the stretch as a whole.
-        moved = compose(self._slam.pose, inverse(poses[-1]))
-        self._is_wanted, self.has_jumped, self.grid, self.poses = False, False, self._first_grid, []
-        _, ranges, measured, believed, _ = zip(*self._rows[1:], strict=True)
-        drawn = without_dropouts(self._slam.robot, np.array(ranges), np.array(measured))
-        for pose, row, shown, before in zip(poses[1:], ranges, drawn, believed, strict=True):
-            new = compose(moved, pose)
-            self.has_jumped |= math.hypot(*(new - before)[:2]) > FAR
-            self.grid.update(new, self._slam.robot, row, shown)
-            self.poses.append(new)
+        moved = compose(trial.pose, inverse(smoothed[-1]))
+        poses = [compose(moved, pose) for pose in smoothed[1:]]
+        grid = self._drawn(poses)
+        believed = [row[3] for row in self._rows[1:]]
+        fit = self._fit(trial, grid, poses)
+        if fit < REFUTED and fit < self._fit(self._slam, self.grid, believed):
+            return False
+        self._slam.renew(state)
+        self._is_wanted, self.grid, self.poses = False, grid, poses
+        self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
         return True
+
+    def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
+        """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
+        grid, robot = self._first_grid.copied(), self._slam.robot
+        _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
+        drawn = without_dropouts(robot, np.array(ranges), np.array(measured))
+        for pose, row, shown in zip(poses, ranges, drawn, strict=True):
+            grid.update(pose, robot, row, shown)
+        return grid
+
+    def _fit(self, slam: LineSlam, grid: OccupancyGrid, poses: Sequence[FloatArray]) -> float:
+        """How well the latest readings, at poses (3,), fit a map: by the likelihood ratio of their contradictions.
+
+        A stretch that was joined wrongly with the map from before passes through walls of that map.
+        """
+        sensor = slam.range_sensor
+        _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
+        steps = [_Seen(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
+        rays = rays_of(steps, slam.robot, sensor.bias)
+        (fit,) = KnownPlaces(slam.segments, grid.view, sensor).weigh(np.zeros((1, 3)), rays)
+        return fit.is_on_map
 
     def _begin(self) -> None:
         """Begin a new stretch at the present estimate."""

@@ -80,11 +80,13 @@ AGENT = {
     },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "dropouts", "grid", "slam", "slam.consistent", "slam.core", "slam.line_graph", "status"),
+        *agent("config", "dropouts", "grid", "places", "status"),
+        *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
+    "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "slam", "slam.core", "grid", "renewal", "status", "places"),
+        *agent("belief", "config", "slam", "slam.core", "grid", "map_snapshot", "renewal", "status", "places"),
     },
     "limslam_agent.joining": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -97,7 +99,8 @@ AGENT = {
     },
     "limslam_agent.team": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam", "slam.core", "grid", "joining", "mapper", "places", "policies", "status"),
+        *agent("config", "slam", "slam.core", "grid", "joining", "map_snapshot", "mapper", "places"),
+        *agent("policies", "status"),
     },
     "limslam_agent.agent": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),

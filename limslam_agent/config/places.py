@@ -61,6 +61,9 @@ class PlaceConfig(Bounded):
     far
         For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot
         was carried away.
+    least_known
+        A robot that is lost from a map with a smaller length of walls, m, begins a new map. Such a map is no loss, and
+        the robot may never come back to its walls.
     checkpoint, checkpoints, margin
         Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by
         which a copy must be older than the first doubt about the estimate.
@@ -101,6 +104,7 @@ class PlaceConfig(Bounded):
     carried: Positive = 10.0
     supported: NonNegative = 15.0
     far: Share = 0.3
+    least_known: NonNegative = 4.0
     checkpoint: Count = 50
     checkpoints: Count = 6
     margin: Count = 100

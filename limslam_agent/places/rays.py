@@ -1,11 +1,11 @@
 """The readings of a drive as rays in its own frame: what is compared with a map to find the place of the drive."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
-from limslam_agent.places.history import LoggedStep
 from limslam_agent.status.sudden_changes import dropouts
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
@@ -18,7 +18,19 @@ for the others, m. What is seen twice is no news."""
 _STEPS, _RAYS = 1500, 600  # largest number of latest steps and rays: the frame of a longer drive is bent
 
 
-def rays_of(steps: Sequence[LoggedStep], robot: RobotSpec, bias: float = 0.0) -> FloatArray:
+class Seen(Protocol):
+    """A step of a robot, as far as its rays depend on it."""
+
+    @property
+    def pose(self) -> FloatArray:
+        """The pose (3,)."""
+
+    @property
+    def ranges(self) -> FloatArray:
+        """Readings (n_beams,), m. They are NaN where there is no new reading."""
+
+
+def rays_of(steps: Sequence[Seen], robot: RobotSpec, bias: float = 0.0) -> FloatArray:
     """The latest rays (n, 6) of steps, in the order of time: origin, direction, reading and longest reading, m.
 
     A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,

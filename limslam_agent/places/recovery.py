@@ -20,7 +20,7 @@ from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.kidnapping import Doubt, Kidnapping
-from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
+from limslam_agent.places.localisation import KnownPlaces, Localisation, PlaceFit, agree, is_far, localise
 from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
@@ -33,6 +33,8 @@ from limslam_env.interface import RobotSpec
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
 WRONG_PLACE = Status("lost", "the readings contradict the map at the place that was found")
+NOT_CONFIRMED = "the robot's place was found, and it is not confirmed yet"
+BEGUN_ANEW = "the robot was lost before its map had walls, and has begun a new map where it believed to be"
 _WATCHED = 300  # number of steps after a sudden change in which it is weighed
 
 
@@ -51,6 +53,11 @@ class KnownFrame:
     step: int
     slam: LineSlam
     grid: OccupancyGrid
+
+    @property
+    def walls_m(self) -> float:
+        """Length of all walls, m."""
+        return float(np.hypot(*(self.slam.segments[:, 2:] - self.slam.segments[:, :2]).T).sum())
 
     @property
     def places(self) -> KnownPlaces:
@@ -89,6 +96,9 @@ class Absence:
     placed, rays
         Distance at which the robot found its place, m, and the rays (n, 6) in the known frame by which it did so; None
         while it is lost.
+    returned, is_unlikely
+        Step at which the robot found its place, and whether that is far from where it believed to be, although nothing
+        says that it was carried away.
     """
 
     known: KnownFrame | None
@@ -105,6 +115,8 @@ class Absence:
     decisions: list[tuple[int, Localisation]] = field(default_factory=list)
     placed: float | None = None
     rays: FloatArray | None = None
+    returned: int = 0
+    is_unlikely: bool = False
 
     @property
     def is_placed(self) -> bool:
@@ -186,6 +198,7 @@ class Recovery:
         self._arrival: Absence | None = None
         self._rechecked, self._kidnapping = 0.0, Kidnapping(robot, places)
         self._doubt: Doubt | None = None
+        self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
 
     @property
     def is_lost(self) -> bool:
@@ -206,17 +219,20 @@ class Recovery:
             return Status("lost", found.reason)
         if own.level != "ok":
             return own
-        return Status("unsure", "the robot's place was found, and it is not confirmed yet")
+        return Status("unsure", found.reason if found is self._arrival and found.reason else NOT_CONFIRMED)
 
     @property
     def added_covariance(self) -> FloatArray:
-        """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
+        """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost.
+
+        The pose at which a new map was begun stays uncertain, and all poses in this map with it.
+        """
         if self.absence is None or self.absence.is_placed:
-            return np.zeros((3, 3))
+            return self._offset
         limits, driven = self._agent.status.recovery, self.absence.driven
         position = self.absence.jump + min(limits.position_growth * driven, limits.position_limit)
         heading = UNIFORM_HEADING if self.absence.is_carried else min(limits.heading_growth * driven, UNIFORM_HEADING)
-        return np.diag([position**2, position**2, heading**2])
+        return self._offset + np.diag([position**2, position**2, heading**2])
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it."""
@@ -257,9 +273,7 @@ class Recovery:
         jump = math.sqrt(own.added_covariance[0, 0])
         before, self._arrival = self.absence, None
         if before is None:
-            margin = 1 if is_dated else self._config.margin
-            old = [copy for copy in self._copies if copy.step <= first - margin]
-            known = old[-1] if old else (self._copies[0] if self._copies else self._copy(slam, grid))
+            known = self._known_before(first, 1 if is_dated else self._config.margin) or self._copy(slam, grid)
             self.absence = Absence(known, first, status.reason, jump, known.places)
             self.log.forget_before(known.step)
             if is_carried:
@@ -276,6 +290,31 @@ class Recovery:
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies, self._local_copies = [], []
         self._note_event("lost", step=self.absence.first, reason=status.reason)
+
+    def _known_before(self, first: int, margin: int) -> KnownFrame | None:
+        """The latest copy of the estimate that is older than a step by a margin; None without a copy.
+
+        If that copy has hardly a wall, because the drive has just begun, it is a later one from before the step.
+        """
+        old = [copy for copy in self._copies if copy.step <= first - margin] or self._copies[:1]
+        if old and old[-1].walls_m >= self._config.least_known:
+            return old[-1]
+        found = [copy for copy in self._copies if copy.step < first] or old
+        return found[-1] if found else None
+
+    def begin_anew(self) -> bool:
+        """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
+
+        This is the case if the earlier map has too few walls. The new map then takes its place.
+        """
+        absence = self.absence
+        if absence is None or absence.known is None or absence.known.walls_m >= self._config.least_known:
+            return False
+        self._offset = self.added_covariance
+        self._note_event("begun anew", step=absence.first)
+        rays: FloatArray = np.empty((0, 6))
+        self.absence, self._arrival = None, Absence(None, absence.first, BEGUN_ANEW, 0.0, None, placed=0.0, rays=rays)
+        return True
 
     def is_elsewhere(self, own: StatusMonitor, slam: LineSlam) -> bool:
         """Whether the readings since a sudden change say that the robot was carried away, or that its place is wrong.
@@ -321,9 +360,16 @@ class Recovery:
         """Whether the readings since the robot was placed contradict the map in which it was."""
         if absence.place is None or absence.rays is None:
             return False
+        if absence.is_unlikely and self._later_fit(absence, absence.place, sensor).is_on_map < -self._config.on_map:
+            return True
         rays = np.concatenate((absence.rays, rays_of(self.log.since(absence.first), self._robot, sensor.bias)))
         (fit,) = absence.place.weigh(np.zeros((1, 3)), rays)
         return fit.is_on_map < -self._config.on_map
+
+    def _later_fit(self, absence: Absence, place: KnownPlaces, sensor: RangeSensor) -> PlaceFit:
+        """How well the readings since the robot found its place fit the map in which it was."""
+        rays = rays_of(self.log.since(absence.returned), self._robot, sensor.bias)
+        return place.weigh(np.zeros((1, 3)), rays)[0]
 
     def is_due(self) -> bool:
         """Whether the known map is to be searched now, or a place to be confirmed.
@@ -346,20 +392,35 @@ class Recovery:
         absence.place.sensor = sensor
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
-        likely = [pose for found in earlier for pose in found.open]
+        likely = [np.zeros(3), *(pose for found in earlier for pose in found.open)]
         # A robot that was not carried away has drifted, and is near.
-        far = 1.0 if absence.is_carried else self._config.far
+        far = 1.0 if absence.is_carried and not self._fits_near(absence.place, rays) else self._config.far
         decision = localise(absence.place, rays, self._config, likely, far)
         absence.decisions.append((self.log.end - 1, decision))
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
         return self._placement(absence, rays, decision, sensor)
 
+    def _fits_near(self, place: KnownPlaces, rays: FloatArray) -> bool:
+        """Whether rays (n, 6) fit the map near the believed pose.
+
+        Then nothing says any more that the robot was carried away: a robot that has drifted may also read sudden
+        changes, and in a large building, some other place fits nearly always.
+        """
+        if not len(rays):
+            return False
+        (fit,) = place.weigh(place.refined(np.zeros((1, 3)), rays), rays)
+        is_near = not is_far(fit.pose, rays[:, :2].mean(axis=0))
+        return is_near and fit.evidence >= self._config.lead and fit.is_on_map >= self._config.on_map
+
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
         assert self.absence is not None  # noqa: S101
         self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
-        self.absence.rays = placement.rays
+        self.absence.rays, self.absence.returned = placement.rays, self.log.end
+        found = self.absence.decisions[-1][1]
+        is_unlikely = found.fit is not None and is_far(found.fit.pose, found.middle)
+        self.absence.is_unlikely = is_unlikely and not self.absence.is_carried
         self.breaks.append(placement.carried_at)
         self._note_event("found", step=self.log.end - 1, carried_at=placement.carried_at)
 
@@ -368,7 +429,11 @@ class Recovery:
         self._arrival = Absence(None, 0, "", 0.0, None, placed=0.0, rays=rays)
 
     def confirm(self, own: Status, slam: LineSlam, grid: GridView) -> None:
-        """End an absence if nothing speaks against the place any more."""
+        """End an absence if nothing speaks against the place any more.
+
+        If the place is unlikely, the readings since then must also fit the walls of the map from before, and not only
+        those that the robot has drawn since then. They must have as much evidence as a far place needs.
+        """
         absence, config = self.absence or self._arrival, self._config
         assert absence is not None  # noqa: S101 (a place is to be confirmed)
         absence.sought = absence.moved
@@ -376,6 +441,10 @@ class Recovery:
         is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
         if own.level != "ok" or driven < config.confirmed or not is_closed:
             return
+        if absence.is_unlikely and absence.place is not None:
+            fit = self._later_fit(absence, absence.place, slam.range_sensor)
+            if fit.evidence * config.far < config.lead or fit.is_on_map < config.on_map:
+                return
         assert absence.rays is not None  # noqa: S101 (the robot has found its place)
         rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor.bias)
         rays = np.concatenate((absence.rays, rays))

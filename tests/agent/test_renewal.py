@@ -12,6 +12,7 @@ from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
+from limslam_agent.slam.line_graph.renewal import renewed
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -105,6 +106,21 @@ def test_nothing_changes_before_the_first_renewal(long_drive):
     assert not never
     np.testing.assert_array_equal(plain[: renewed[0]], poses[: renewed[0]])
     assert np.abs(plain[renewed[0]] - poses[renewed[0]]).max() > 0.0
+
+
+def test_a_stretch_that_does_not_fit_the_map_is_not_used(monkeypatch):
+    told, _ = rounds(3)
+
+    def joined_wrongly(*args):
+        state, poses = renewed(*args)
+        return replace(state, lines=state.lines + np.array([0.6, 0.0])), poses
+
+    monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", joined_wrongly)
+    slam, poses, _, steps = driven(config(ROUND_S), told)
+    _, plain, _, _ = driven(NEVER, told)
+    assert not steps
+    np.testing.assert_array_equal(poses, plain)
+    assert len(slam.all_landmarks) > 0
 
 
 def test_a_stretch_that_contradicts_itself_is_not_used():

@@ -11,10 +11,11 @@ from limslam_agent import preset
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.kidnapping import CARRIED, MAYBE_CARRIED, MAYBE_ELSEWHERE, Kidnapping
-from limslam_agent.places.localisation import localise
+from limslam_agent.places.localisation import KnownPlaces, localise
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import WRONG_PLACE, Absence, Recovery
 from limslam_agent.status.contradictions import KnownMap
+from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import Suspicion
 from limslam_env.geometry.se2 import compose
 
@@ -107,3 +108,40 @@ def test_a_place_that_the_readings_contradict_is_left_again(whole, frame, is_wro
     assert recovery.is_elsewhere(own, slam) is is_wrong
     assert not recovery.is_elsewhere(own, slam), "the robot has not driven since then"
     assert recovery._first_doubt(own, slam) == (WRONG_PLACE, 1, False, True)
+
+
+@pytest.mark.parametrize(("frame", "is_wrong"), [((0.0, 0.0, 0.0), False), (AWAY, True)])
+def test_an_unlikely_place_is_judged_by_the_readings_since_the_return(whole, frame, is_wrong):
+    """The rays by which the place was found fit it well, at a wrong place too."""
+    recovery, slam = Recovery(ROBOT, preset("graph"), CONFIG), SimpleNamespace(range_sensor=SENSOR)
+    recovery.log = moved_log(frame)
+    rays = np.tile(rays_of(moved_log((0.0, 0.0, 0.0)).since(0), ROBOT), (20, 1))
+    found = Absence(None, 1, "", 1.0, whole, placed=0.0, rays=rays)
+    assert not recovery._is_refuted(found, SENSOR)
+    found.is_unlikely = True
+    assert recovery._is_refuted(found, SENSOR) is is_wrong
+    recovery.absence, found.driven = found, CONFIG.far_confirmed
+    slam.segments = whole.segments
+    recovery.confirm(Status(), slam, whole.grid)
+    assert (recovery.absence is found) is is_wrong
+
+
+@pytest.mark.parametrize("is_unlikely", [True, False])
+def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole, is_unlikely):
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery.log = moved_log((0.0, 0.0, 0.0))
+    rays = rays_of(recovery.log.since(0), ROBOT)
+    grid = replace(whole.grid, low=whole.grid.low + 50.0)
+    before = KnownPlaces(whole.segments + 50.0, grid, SENSOR)
+    found = Absence(None, 1, "", 1.0, before, driven=CONFIG.far_confirmed, placed=0.0, rays=rays)
+    recovery.absence, found.is_unlikely = found, is_unlikely
+    slam = SimpleNamespace(range_sensor=SENSOR, segments=whole.segments)
+    recovery.confirm(Status(), slam, whole.grid)
+    assert (recovery.absence is found) is is_unlikely
+
+
+@pytest.mark.parametrize(("frame", "is_near"), [((0.3, -0.2, 0.1), True), (AWAY, False), ((20.0, 0.0, 0.3), False)])
+def test_readings_that_fit_near_the_believed_pose_take_back_that_the_robot_was_carried_away(whole, frame, is_near):
+    recovery, rays = Recovery(ROBOT, preset("graph"), CONFIG), rays_of(moved_log(frame).since(0), ROBOT)
+    assert recovery._fits_near(whole, rays) is is_near
+    assert not recovery._fits_near(whole, rays[:0])

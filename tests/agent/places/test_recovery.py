@@ -11,6 +11,7 @@ from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.presets import with_until
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
+from limslam_agent.places.recovery import BEGUN_ANEW
 from limslam_agent.places.revisions import Revision, revised
 from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import score, write_episode
@@ -20,6 +21,7 @@ from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
+from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.worlds.world import WorldError
@@ -241,6 +243,25 @@ def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
     assert np.isfinite(mapper.snapshot().poses).all()
 
 
+def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode, monkeypatch):
+    monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
+    mapper, kept = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0]), []
+    mapper.slam.on_association, mapper.on_restart = lambda _: None, kept.append
+    listener = mapper.slam.on_association
+    for number in range(60):
+        wheels = episode.wheels[number, 0] + (2.0 if number == 20 else 0.0)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    assert [event["event"] for event in mapper.places.records] == ["lost", "begun anew"]
+    assert mapper.statuses[0] == Status("unsure", BEGUN_ANEW)
+    assert mapper.covariances[0, 0, 0] > 1.0, "the jump may be wrong"
+    assert mapper.slam.on_association is listener
+    assert kept == [0]
+    (revision,) = mapper.places.revisions
+    assert revision.begin == 20
+    mapper.finish()
+    assert mapper.places.unplaced is None
+
+
 FOUND = OdometryCalibration(0.01, -0.01, 0.005), 1e-10 * np.eye(3)
 SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
 
@@ -248,7 +269,9 @@ SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
 def lost_mapper(episode, monkeypatch, prepare=None):
     """A mapper that is prepared, and loses its place by a jump of the odometry after the time of restarts."""
     monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
-    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    settings = preset("graph", NominalNoise(NOISE))
+    settings = replace(settings, places=replace(settings.places, least_known=0.0))
+    mapper = Mapper(RobotSpec(), settings, episode.true[0, 0])
     if prepare is not None:
         prepare(mapper.slam)
     for number in range(40):
