@@ -143,8 +143,10 @@ class _Process:
             self._errors.close()
             raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
         assert self._process.stdout is not None  # noqa: S101 (it is a pipe)
-        self._lines: queue.Queue[bytes | None] = queue.Queue()
-        threading.Thread(target=_read_lines, args=(self._process.stdout, self._lines), daemon=True).start()
+        self._lines: queue.Queue[bytes] = queue.Queue()
+        self._has_flooded = threading.Event()
+        reading = (self._process.stdout, self._lines, self._has_flooded)
+        threading.Thread(target=_read_lines, args=reading, daemon=True).start()
 
     def send(self, lines: Sequence[bytes]) -> None:
         """Write lines. A process that does not read them is killed, because writing waits for it without a limit."""
@@ -183,14 +185,14 @@ class _Process:
             line = self._lines.get(timeout=left)
         except queue.Empty:
             raise late from None
-        if line is None:
-            raise ValueError(f"the command has written more than {MOST_WAITING} lines that nobody had asked for")
         if not line:
             raise self._has_ended()
         return line
 
     def _has_ended(self) -> ValueError:
         """The reason of a process that has ended too early, with the last line of its errors."""
+        if self._has_flooded.is_set():  # its output was closed, and its error is that it could not write on
+            return ValueError(f"the command has written more than {MOST_WAITING} lines that nobody had asked for")
         last = last_line(self._errors)
         return ValueError(f"the command has ended without stopping the robot{': ' if last else ''}{last}")
 
@@ -207,12 +209,12 @@ class _Process:
         self._errors.close()
 
 
-def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes | None]") -> None:
-    """Put lines into a queue as they come. An empty line is the end of the output; None means too many lines."""
+def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]", has_flooded: threading.Event) -> None:
+    """Put lines into a queue as they come. An empty line is the end of the output, or of what is read of too much."""
     with output:
         while line := output.readline(LONGEST_LINE):
             if lines.qsize() >= MOST_WAITING:
-                lines.put(None)
-                return
+                has_flooded.set()
+                break
             lines.put(line)
     lines.put(b"")
