@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 _RARE = 1e-4
@@ -38,7 +38,7 @@ class Dropouts:
         self._beams, count = robot.beam_table, len(robot.beams)
         self._last, self.in_a_row = np.full((2, count), math.nan), np.zeros(count, dtype=np.int64)
         # Number of readings between two of the same wall, and how many of them saw nothing.
-        self._counts, self._is_found = np.zeros(2, dtype=np.int64), False
+        self._counts = np.zeros(2, dtype=np.int64)
 
     def note(self, ranges: FloatArray, measured: BoolArray) -> None:
         """Take the readings (n_beams,), m, of the next step, and which of them are new."""
@@ -49,17 +49,23 @@ class Dropouts:
     @property
     def share(self) -> float:
         """Estimated probability that a beam misses a wall; 0 while too few readings have missed one."""
-        between, missed = self._counts.tolist()
-        # A sensor that has counted as one that misses walls remains one until its share has halved.
-        least = 0.5 * _LEAST_SHARE if self._is_found else _LEAST_SHARE
-        self._is_found = missed >= _LEAST_MISSES and missed > least * between
-        return missed / between if self._is_found else 0.0
+        return self._share_above(_LEAST_SHARE)
 
     @property
     def enough(self) -> int:
         """Number of readings in a row that saw nothing from which on there is nothing: 1 without drop-outs."""
-        share = self.share
-        return math.ceil(math.log(_RARE) / math.log(min(share, 0.5))) if share else 1
+        return _enough(self.share)
+
+    def enough_after(self, before: int) -> int:
+        """The same for a caller to whom it was ``before`` at the last step.
+
+        A sensor that has counted as one that misses walls remains one until its share has halved.
+        """
+        return _enough(self._share_above(0.5 * _LEAST_SHARE)) if before > 1 else self.enough
+
+    def _share_above(self, least: float) -> float:
+        between, missed = self._counts.tolist()
+        return missed / between if missed >= _LEAST_MISSES and missed > least * between else 0.0
 
 
 def without_dropouts(robot: RobotSpec, ranges: FloatArray, measured: BoolArray) -> BoolArray:
@@ -70,19 +76,20 @@ def without_dropouts(robot: RobotSpec, ranges: FloatArray, measured: BoolArray) 
     ranges, measured
         Readings (t, n_beams), m, and which of them are new.
     """
+    from limslam_agent.kernels.readings import mark_dropouts
+
     dropouts = Dropouts(robot)
     for row, new in zip(np.array(ranges, dtype=float), np.array(measured), strict=True):
         dropouts.note(row, new)
     kept = np.array(measured)
     for beam in range(ranges.shape[1]):
         rows = np.flatnonzero(measured[:, beam])
-        nothing = ranges[rows, beam] >= robot.too_far[beam]
-        kept[rows, beam] = ~nothing | (_lengths_of_series(nothing) >= dropouts.enough)
+        nothing = (ranges[rows, beam] >= robot.too_far[beam])[:, None]
+        missed = np.empty_like(nothing)
+        mark_dropouts(nothing, dropouts.enough, missed)
+        kept[rows, beam] = ~missed[:, 0]
     return kept
 
 
-def _lengths_of_series(values: BoolArray) -> IntArray:
-    """For each value (n,) the number of equal values in a row that it belongs to."""
-    begins = np.flatnonzero(np.append(True, values[1:] != values[:-1])[: len(values)])
-    lengths = np.diff(np.append(begins, len(values)))
-    return np.repeat(lengths, lengths)
+def _enough(share: float) -> int:
+    return math.ceil(math.log(_RARE) / math.log(min(share, 0.5))) if share else 1

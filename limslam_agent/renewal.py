@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.dropouts import without_dropouts
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.rays import rays_of
@@ -133,11 +132,9 @@ class Renewal:
 
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
-        grid, robot = self._first_grid.copied(), self._slam.robot
+        grid = self._first_grid.copied()
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        drawn = without_dropouts(robot, np.array(ranges), np.array(measured))
-        for pose, row, shown in zip(poses, ranges, drawn, strict=True):
-            grid.update(pose, robot, row, shown)
+        grid.draw(self._slam.robot, np.array(poses)[:, None], np.array(ranges)[:, None], np.array(measured)[:, None])
         return grid
 
     def _fit(self, slam: LineSlam, grid: OccupancyGrid, poses: Sequence[FloatArray]) -> float:

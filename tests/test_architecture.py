@@ -80,7 +80,7 @@ AGENT = {
     },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "dropouts", "grid", "places", "status"),
+        *agent("config", "grid", "places", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
@@ -112,7 +112,7 @@ AGENT = {
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
-        *agent("dropouts", "slam.merging", "slam.online_graph", "status"),
+        *agent("slam.merging", "slam.online_graph", "status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.live.ros2": {

@@ -142,6 +142,23 @@ class OccupancyGrid:
             self._grow(low, high)
         self._know(low, high)
 
+    def draw(self, robot: RobotSpec, poses: FloatArray, ranges: FloatArray, measured: BoolArray) -> None:
+        """Update the grid by all readings of a finished stretch. Those that may be drop-outs are not drawn.
+
+        Parameters
+        ----------
+        robot
+            Body and beams.
+        poses
+            Poses (t, n, 3) of n robots, m and rad.
+        ranges, measured
+            Readings (t, n, n_beams), m, and a mask of the readings that are new.
+        """
+        drawn = [without_dropouts(robot, ranges[:, number], measured[:, number]) for number in range(ranges.shape[1])]
+        for row in range(len(poses)):
+            for number, pose in enumerate(poses[row]):
+                self.update(pose, robot, ranges[row, number], drawn[number][row])
+
     def absorb(self, view: GridView, frame: FloatArray) -> None:
         """Add the values of another grid whose frame has a pose (3,) in this one, cell by cell where they overlap."""
         sides = view.cell * np.array(view.values.shape[::-1])
@@ -191,11 +208,8 @@ def drawn_grid(
     poses
         Poses (t, n, 3) of n robots, m and rad.
     ranges, measured
-        Readings (t, n, n_beams), m, and a mask of the readings that are new. Those that may be drop-outs are not drawn.
+        Readings (t, n, n_beams), m, and a mask of the readings that are new.
     """
     grid = OccupancyGrid(config)
-    drawn = [without_dropouts(robot, ranges[:, number], measured[:, number]) for number in range(ranges.shape[1])]
-    for row in range(len(poses)):
-        for number, pose in enumerate(poses[row]):
-            grid.update(pose, robot, ranges[row, number], drawn[number][row])
+    grid.draw(robot, poses, ranges, measured)
     return grid.view

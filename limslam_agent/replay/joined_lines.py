@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.places import PlaceConfig
-from limslam_agent.dropouts import without_dropouts
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.decision import find_place, runner_up
 from limslam_agent.places.matching import best_fits
@@ -201,7 +200,5 @@ def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray]) -> GridView:
         log = replay.log
         rows = np.flatnonzero(log.has_scan)
         ranges = log.ranges[rows].astype(np.float64)
-        drawn = without_dropouts(log.robot, ranges, np.isfinite(ranges))
-        for pose, readings, shown in zip(path[rows], ranges, drawn, strict=True):
-            grid.update(pose, log.robot, readings, shown)
+        grid.draw(log.robot, path[rows, None], ranges[:, None], np.isfinite(ranges)[:, None])
     return grid.view

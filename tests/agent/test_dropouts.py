@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.exploration import GridConfig
+from limslam_agent.config.presets import preset
 from limslam_agent.dropouts import Dropouts, without_dropouts
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid, drawn_grid
+from limslam_agent.mapper import Mapper
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 COUNT = len(ROBOT.beams)
@@ -118,3 +120,22 @@ def test_without_drop_outs_every_reading_is_kept() -> None:
     ranges = readings_of_a_wall(100, 0.0)
     measured = np.random.default_rng(1).random(ranges.shape) < 0.8
     np.testing.assert_array_equal(without_dropouts(ROBOT, ranges, measured), measured)
+
+
+def test_a_sensor_near_the_least_share_does_not_alternate_between_both_ways_of_drawing() -> None:
+    dropouts = noted(readings_of_a_wall(500, 0.015))
+    assert dropouts.enough == dropouts.enough_after(1) == 1
+    assert dropouts.enough_after(3) > 1
+    assert noted(readings_of_a_wall(500, 0.0)).enough_after(3) == 1
+
+
+def test_a_mapper_that_is_reset_draws_no_reading_of_the_estimate_before() -> None:
+    mapper = Mapper(ROBOT, preset("consistent", NominalNoise(0.02)))
+    for row in readings_of_a_wall(300, 0.1, at=0.5):
+        mapper.step({"wheels": np.zeros(2), "ranges": row})
+    mapper.step({"wheels": np.zeros(2), "ranges": ROBOT.max_ranges})  # these readings wait
+    mapper.reset(np.array([20.0, 0.0, 0.0]))
+    for _ in range(8):
+        mapper.step({"wheels": np.zeros(2), "ranges": ROBOT.max_ranges})
+    cells = mapper.grid.centres(np.argwhere(mapper.grid.free))
+    assert np.hypot(*(cells - np.array([20.0, 0.0])).T).max() < 1.7
