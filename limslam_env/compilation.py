@@ -48,11 +48,12 @@ def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
     if getattr(numba.config, "DISABLE_JIT", False) or not numba.__version__.startswith(_TRIED):
         return njit(**options)(kernel)
     try:
-        from limslam_env.linking import InnerPipeline, KernelPipeline, retry_as_usual
+        from limslam_env.linking import InnerPipeline, KernelPipeline, compile_once_for_constants, retry_as_usual
     except (ImportError, AttributeError):
         return njit(**options)(kernel)
     function = njit(pipeline_class=KernelPipeline if is_kernel else InnerPipeline, **options)(kernel)
     retry_as_usual(function)
+    compile_once_for_constants(function)
     return function
 
 

@@ -17,6 +17,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from llvmlite.binding import newpassmanagers
 from numba.core import (
     codegen,
     compiler,
@@ -24,16 +25,34 @@ from numba.core import (
     cpu,
     dispatcher,
     errors,
+    ir,
     lowering,
+    targetconfig,
     typed_passes,
+    types,
 )
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
+from numba.core.types import functions
 from numba.extending import overload
 from numba.np import arrayobj
 
 
-class _Library(codegen.JITCodeLibrary):
+class _Kernel(codegen.JITCodeLibrary):
+    """Code of a function that Python calls."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Make the code shorter. All that numba does here is done again once the functions inside are linked."""
+        target = self._codegen
+        ll_module.data_layout = target._data_layout  # noqa: SLF001
+        passes = newpassmanagers.create_new_module_pass_manager()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_instruction_combine_pass()
+        passes.run(ll_module, target._pass_builder(opt=0))  # noqa: SLF001
+
+
+class _Library(_Kernel):
     """Code of a function that is handed on to the functions that call it, without machine code."""
 
     wrapped: tuple[Any, ...] | None = None
@@ -75,7 +94,7 @@ class _Later:
             raise RuntimeError(f"{self.library.name!r} was compiled for calls from other compiled functions only")
         context, description, environment, helper, release_gil = self.library.wrapped
         with global_compiler_lock:
-            library = codegen.JITCodeLibrary(context.codegen(), self.library.name)
+            library = _Kernel(context.codegen(), self.library.name)
             library.add_linking_library(self.library)
             context.create_cpython_wrapper(library, description, environment, helper, release_gil=release_gil)
             code = _executable(context, library, description, environment)
@@ -173,6 +192,41 @@ def _equal(first: Any, second: Any) -> Any:
     )
 
 
+_usual_call_type = functions.BaseFunction.get_call_type
+_call_types: dict[tuple[Any, ...], Any] = {}
+
+
+def _call_type(function: Any, context: Any, arguments: Any, named: Any) -> Any:
+    """Types of a call of a function of numba's own, which numba works out anew for each call."""
+    key = function, arguments, tuple(named.items()), targetconfig.ConfigStack.top_or_none()
+    known = _call_types.get(key)
+    if known is None:
+        known = _usual_call_type(function, context, arguments, named)
+        if known is not None and known.return_type.is_precise():
+            _call_types[key] = known
+    return known
+
+
+_usual_variables = ir.Inst._rec_list_vars  # noqa: SLF001
+_NO_VARIABLES = frozenset((str, int, float, bool, type(None), ir.Loc))
+
+
+def _variables(instruction: Any, parts: Any) -> Any:
+    """Variables of an instruction: numba asks what each of its parts is, most of which are plain."""
+    if type(parts) is not dict:
+        return _usual_variables(instruction, parts)
+    found: list[Any] = []
+    for part in parts.values():
+        if type(part) is ir.Var:
+            found.append(part)
+        elif type(part) not in _NO_VARIABLES:
+            found += instruction._rec_list_vars(part)  # noqa: SLF001
+    return found
+
+
+_size_of = functools.cache(cpu.CPUContext.get_abi_sizeof)
+
+
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
     """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
     del scheme, colours
@@ -222,9 +276,11 @@ def _linking(target: Any) -> Iterator[None]:
     with (
         _without_collection(),
         _replaced(target, create_library=create, unserialize_library=load),
-        _replaced(cpu.CPUContext, get_executable=_executable),
+        _replaced(cpu.CPUContext, get_executable=_executable, get_abi_sizeof=_size_of),
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
+        _replaced(functions.BaseFunction, get_call_type=_call_type),
+        _replaced(ir.Inst, _rec_list_vars=_variables),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
         _replaced(compiler.Flags, __hash__=_hash, __eq__=_equal),
         _replaced(type(errors.termcolor()), _markup=_without_colour),
@@ -239,7 +295,7 @@ class _Lowering(typed_passes.NativeLowering):
     _name = "limslam_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        state.library = codegen.JITCodeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = _Kernel(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return bool(super().run_pass(state))
 
@@ -276,6 +332,17 @@ class KernelPipeline(InnerPipeline):
     """Compiles a function that Python calls."""
 
     is_kernel = True
+
+
+def compile_once_for_constants(function: Any) -> None:
+    """Let calls with constants share the code of calls with variables; numba compiles a function for each constant."""
+    of_types = function.get_call_template
+
+    def of_plain_types(arguments: Any, named: Any) -> Any:
+        plain = tuple(types.unliteral(argument) for argument in arguments)
+        return of_types(plain, {name: types.unliteral(argument) for name, argument in named.items()})
+
+    function.get_call_template = of_plain_types
 
 
 def retry_as_usual(function: Any) -> None:

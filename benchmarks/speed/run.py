@@ -13,6 +13,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+from limslam_agent.cli.main import collect_rarely
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapper import Mapper
 from limslam_agent.places.recovery import Recovery
@@ -106,6 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--max-time", type=float, default=1800.0, help="longest simulated time of a run, s")
     parser.add_argument("worlds", nargs="*", default=WORLDS)
     chosen = parser.parse_args(arguments)
+    collect_rarely()
     print("| world | x real time | " + " | ".join(f"{name}, us" for name in (*PARTS, "all")) + " |")
     print("|---" * (len(PARTS) + 3) + "|")
     for world in chosen.worlds:

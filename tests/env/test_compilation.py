@@ -187,11 +187,13 @@ print("cannot assign slice" in str(error(copied, np.zeros(1), np.zeros(2))))
 
 def test_nothing_of_numba_stays_changed_after_a_compilation(tmp_path):
     statements = """
-from numba.core import cpu, dispatcher, lowering
+from numba.core import cpu, dispatcher, ir, lowering
 from numba.core.registry import cpu_target
+from numba.core.types import functions
 from numba.np import arrayobj
 import gc
 holders = (cpu.CPUContext, dispatcher.Dispatcher, lowering.Lower, cpu_target.target_context.codegen(), arrayobj)
+holders += (functions.BaseFunction, ir.Inst)
 before = [dict(vars(holder)) for holder in holders]
 from inner_kernels import copied
 copied(np.array([1.0, 2.0]), np.array([4.0]))
@@ -201,7 +203,7 @@ for holder, values in zip(holders, before):
     print([name for name in names if now.get(name) is not values.get(name)])
 print(gc.isenabled())
 """
-    assert run_inner(tmp_path, statements) == ["[]"] * 5 + ["True"]
+    assert run_inner(tmp_path, statements) == ["[]"] * 7 + ["True"]
 
 
 @compiled
@@ -219,3 +221,18 @@ def test_threads_that_share_a_counter_take_each_number_once():
             done.result()
     assert (taken == 1).all()
     assert counter[0] == len(taken) + 4
+
+
+@compiled
+def shifted(values, by):
+    return values[0] + by
+
+
+@compiled
+def shifted_twice(values):
+    return shifted(values, 1) * shifted(values, 2) + shifted(values, by=3)
+
+
+def test_calls_with_constants_share_the_code_of_one_function():
+    assert shifted_twice(np.array([1.0])) == 10.0
+    assert len(shifted.overloads) == 1
