@@ -24,7 +24,7 @@ class Robots(NamedTuple):
     control_period
         Duration of a step, s.
     beams
-        (n_beams, 9), as :func:`limslam_env.kernels.observation.observe` takes them.
+        (n_beams, 9), as :func:`limslam_env.kernels.observation.drive_and_observe` takes them.
     fan
         (8, lanes), as :func:`fan_of` makes it.
     is_small
@@ -80,8 +80,8 @@ class Episodes(NamedTuple):
     world_of
         (n,), the world of each environment.
     noise
-        (n, 14): the noise as :func:`limslam_env.kernels.observation.observe` takes it, then rate and share of slips,
-        and the distance between the wheels, m.
+        (n, 14): the noise as :func:`limslam_env.kernels.observation.drive_and_observe` takes it, then rate and share
+        of slips, and the distance between the wheels, m.
     keys
         (n,), keys of the episodes' random numbers.
     steps

@@ -1,9 +1,9 @@
-"""All measurements of one time step in one simulation."""
+"""One time step of one simulation: the motion of robots that are far from all obstacles, and all measurements."""
 
 import math
 
-from limslam_env.compilation import lean_entry
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
+from limslam_env.compilation import inlined, lean_entry, merged
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray, se2
 from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.rays import measure, turned
 from limslam_env.kernels.readings import noisy_reading, reported_travel
@@ -12,16 +12,43 @@ from limslam_env.kernels.wall_cells import scene_walls
 CONE = (-1.0, -0.5, 0.5, 1.0)
 """Directions of the further rays of a cone, besides its middle, in shares of half its opening angle."""
 
+AXLE, CLEARANCE, LONGEST = range(3)
+"""What a motion depends on besides the wheels, m: the distance between them, the distance that the robots can travel in
+total before one of them may touch something, and the longest move between two checks for contact."""
+
+arc_end = inlined(se2.arc_end)
+
+
+@merged
+def move_freely(poses: FloatArray, ground: FloatArray, motion: FloatArray) -> bool:
+    """Move robots (n, 3) to the ends of their arcs if none of them can touch anything, and say whether they were."""
+    farthest = 0.0
+    for robot in range(len(poses)):
+        farthest = max(farthest, 0.5 * abs(ground[robot, 0] + ground[robot, 1]))
+    # Two robots may approach each other.
+    clearance = motion[CLEARANCE] - (farthest if len(poses) == 1 else 2.0 * farthest)
+    if farthest > motion[LONGEST] or clearance <= 0.0:
+        return False
+    motion[CLEARANCE] = clearance
+    for robot in range(len(poses)):
+        poses[robot, 0], poses[robot, 1], poses[robot, 2] = arc_end(
+            poses[robot, 0], poses[robot, 1], poses[robot, 2], ground[robot, 0], ground[robot, 1], motion[AXLE]
+        )
+    return True
+
 
 @lean_entry
-def observe(
+def drive_and_observe(
+    is_moved: bool,
+    ground: FloatArray,
     poses: FloatArray,
+    motion: FloatArray,
     travel: FloatArray,
     step: int,
+    draws: FloatArray,
     radius: float,
     beams: FloatArray,
     noise: FloatArray,
-    draws: FloatArray,
     edges: FloatArray,
     cell_starts: IntArray,
     cell_edges: IntArray,
@@ -34,15 +61,25 @@ def observe(
     ranges: ReadingArray,
     wheels: ReadingArray,
     new_cells: IntArray,
-) -> None:
-    """Take all robots' measurements of one step, and mark what their true beams and bodies cover.
+) -> bool:
+    """Move all robots if none can touch anything, take their measurements, and mark what beams and bodies cover.
 
     Parameters
     ----------
-    poses, travel
-        Robots (n, 3), m and rad, and how far their wheels have turned (n, 2), m.
+    is_moved
+        Whether the robots are where they are to be; then they are not moved.
+    ground
+        Distance (n, 2), m, that the wheels move over the ground.
+    poses
+        Robots (n, 3), m and rad; changed in place.
+    motion
+        (3,), see ``AXLE``; the clearance changes.
+    travel
+        How far the wheels have turned (n, 2), m.
     step
         Number of this step; beams whose turn it is not keep ``hits`` and ``ranges``.
+    draws
+        (n, n_beams + 2, 2) numbers from N(0, 1) and U(0, 1): for each beam, then for each wheel.
     radius
         Of their bodies, m.
     beams
@@ -51,8 +88,6 @@ def observe(
     noise
         What :func:`noisy_reading` needs, half the opening of the beams' cone (rad), then the factor of the left and
         the right wheel and what follows it in :func:`reported_travel`.
-    draws
-        (n, n_beams + 2, 2) numbers from N(0, 1) and U(0, 1): for each beam, then for each wheel.
     edges, cell_starts, cell_edges, grid
         The walls.
     seen, coverable, area
@@ -65,7 +100,14 @@ def observe(
         (n, 2), set to what the encoders say, m.
     new_cells
         (n,), set to the number of cells that each robot covered as the first.
+
+    Returns
+    -------
+    is_done
+        False if a robot may touch something, so that it has to be moved with a check for contact. Nothing has changed.
     """
+    if not is_moved and not move_freely(poses, ground, motion):
+        return False
     # Numbers are taken out of the arrays one by one: a slice costs as much as a ray.
     walls = scene_walls(edges, cell_starts, cell_edges, grid)
     for robot in range(len(poses)):
@@ -103,3 +145,4 @@ def observe(
                 travel[robot, side], unreported[robot, side],
                 noise[6 + side], noise[8], noise[9], noise[10], draws[robot, len(beams) + side, 0],
             )  # fmt: skip
+    return True

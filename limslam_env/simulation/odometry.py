@@ -7,7 +7,7 @@ from limslam_env.geometry import FloatArray
 
 
 def wheel_noise(noise: DrawnNoise, limit: float) -> FloatArray:
-    """The noise of encoders as :func:`limslam_env.kernels.observation.observe` reads it, (5,).
+    """The noise of encoders as :func:`limslam_env.kernels.observation.drive_and_observe` reads it, (5,).
 
     ``limit`` (m) is the largest travel that they report.
     """

@@ -1,9 +1,10 @@
 """The motion of round robots and their contact with walls and each other, with pymunk.
 
-A robot that is far from all obstacles moves to the end of the arc of its wheels. Near obstacles pymunk moves the bodies
-and reports their contacts. pymunk's contact solver is switched off, because in one step of 0.1 s a robot could
-penetrate a wall by 3 cm before the solver notices, and because the wheels set a new velocity at each step. Instead, a
-robot that overlaps an obstacle is moved out of it along the shortest way: it slides without friction and turns freely.
+A robot that is far from all obstacles moves to the end of the arc of its wheels. ``kernels.observation`` does the same
+where it measures. Near obstacles pymunk moves the bodies and reports their contacts. pymunk's contact solver is
+switched off, because in one step of 0.1 s a robot could penetrate a wall by 3 cm before the solver notices, and because
+the wheels set a new velocity at each step. Instead, a robot that overlaps an obstacle is moved out of it along the
+shortest way: it slides without friction and turns freely.
 """
 
 import math
@@ -16,6 +17,7 @@ import pymunk
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc_end, wrap_angle
 from limslam_env.kernels.contact import DEEPEST, LONGEST_MOVE, MAX_PUSHES, TOUCH
+from limslam_env.kernels.observation import AXLE, CLEARANCE, LONGEST
 
 _WALL, _ROBOT, _QUERY = 1, 2, 4
 
@@ -36,11 +38,16 @@ class Physics:
         Of every robot, m.
     num_robots
         Number of robots; :meth:`place` them before the first step.
+
+    Attributes
+    ----------
+    current, motion
+        Where the robots are (n, 3), and what their motion depends on (3,), as
+        :func:`limslam_env.kernels.observation.drive_and_observe` reads and changes them.
     """
 
     def __init__(self, edges: FloatArray, radius: float, num_robots: int) -> None:
         self._edges, self._radius = edges, radius
-        self._longest_move = LONGEST_MOVE * radius
         self._space = pymunk.Space()
         self._space.iterations = 1
         for x1, y1, x2, y2 in edges.tolist():
@@ -53,21 +60,18 @@ class Physics:
             pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT) for number in range(num_robots)
         ]
         # A disc has no orientation, so pymunk does not have to know the headings.
-        self._poses: list[_Pose] = [(0.0, 0.0, 0.0)] * num_robots
-        # Distance that the robots can travel in total before one of them may touch something, m.
-        self._clearance = 0.0
-        self._axle = 1.0
+        self.current, self.motion = np.zeros((num_robots, 3)), np.zeros(3)
+        self.motion[AXLE], self.motion[LONGEST] = 1.0, LONGEST_MOVE * radius
 
     def place(self, poses: FloatArray, axle: float) -> None:
         """Put the robots at poses (n, 3); their wheels are ``axle`` (m) apart."""
-        self._axle = axle
-        self._poses = [(x, y, wrap_angle(theta)) for x, y, theta in poses.tolist()]
-        self._clearance = 0.0
+        self.current[:] = [(x, y, wrap_angle(theta)) for x, y, theta in poses.tolist()]
+        self.motion[AXLE], self.motion[CLEARANCE] = axle, 0.0
 
     @property
     def poses(self) -> FloatArray:
-        """Where the robots are (n, 3); headings wrapped."""
-        return np.array(self._poses)
+        """Where the robots are (n, 3); headings wrapped; a copy."""
+        return self.current.copy()
 
     def step(self, travel: Sequence[tuple[float, float]], period: float) -> list[bool]:
         """Carry each robot's left and right wheel on by ``travel``, m, in ``period`` s.
@@ -81,40 +85,41 @@ class Physics:
             Whether each robot touched something.
         """
         farthest = 0.5 * max([abs(left + right) for left, right in travel])
-        if farthest <= self._longest_move:
+        if farthest <= self.motion[LONGEST]:
             return self._move(travel, period, farthest)
         # A move of more than the radius could end beyond a wall; an arc in pieces is the same arc.
-        parts = math.ceil(farthest / self._longest_move)
+        parts = math.ceil(farthest / self.motion[LONGEST])
         pieces = [(left / parts, right / parts) for left, right in travel]
         contacts = [self._move(pieces, period / parts, farthest / parts) for _ in range(parts)]
         return [any(robot) for robot in zip(*contacts, strict=True)]
 
     def _move(self, travel: Sequence[tuple[float, float]], period: float, farthest: float) -> list[bool]:
         # Two robots may approach each other.
-        approach = farthest if len(travel) == 1 else 2.0 * farthest
-        self._clearance -= approach
-        goals = [arc_end(*pose, *wheels, self._axle) for pose, wheels in zip(self._poses, travel, strict=True)]
-        if self._clearance <= 0.0:
-            return self._move_bodies(goals, period)
+        self.motion[CLEARANCE] -= farthest if len(travel) == 1 else 2.0 * farthest
+        before: list[_Pose] = [(x, y, heading) for x, y, heading in self.current.tolist()]
+        axle = float(self.motion[AXLE])
+        goals = [arc_end(*pose, *wheels, axle) for pose, wheels in zip(before, travel, strict=True)]
+        if self.motion[CLEARANCE] <= 0.0:
+            return self._move_bodies(before, goals, period)
         # No robot can touch anything: pymunk is not needed.
-        self._poses = goals
+        self.current[:] = goals
         return [False] * len(goals)
 
-    def _move_bodies(self, goals: list[_Pose], period: float) -> list[bool]:
-        for body, (x, y, _), (goal_x, goal_y, _) in zip(self._bodies, self._poses, goals, strict=True):
+    def _move_bodies(self, before: list[_Pose], goals: list[_Pose], period: float) -> list[bool]:
+        for body, (x, y, _), (goal_x, goal_y, _) in zip(self._bodies, before, goals, strict=True):
             self._put(body, (x, y))
             body.velocity = (goal_x - x) / period, (goal_y - y) / period
         self._space.step(period)
         contact = self._separate() if self._touches_or_looks_ahead() else [False] * len(goals)
-        self._poses = [(*body.position, heading) for body, (_, _, heading) in zip(self._bodies, goals, strict=True)]
+        self.current[:] = [(*body.position, heading) for body, (_, _, heading) in zip(self._bodies, goals, strict=True)]
         return contact
 
     def _touches_or_looks_ahead(self) -> bool:
-        """Whether a robot touches something; if none does, ``_clearance`` says for how long none can."""
+        """Whether a robot touches something; if none does, the clearance says for how long none can."""
         nearest = [self._nearest(number, _OUTLOOK) for number in range(len(self._bodies))]
         gaps = [_OUTLOOK if found is None else found.distance - self._radius for found in nearest]
-        self._clearance = min(gaps) - TOUCH
-        return self._clearance <= 0.0
+        self.motion[CLEARANCE] = clearance = min(gaps) - TOUCH
+        return clearance <= 0.0
 
     def _add_robot(self, number: int) -> pymunk.Body:
         body = pymunk.Body(mass=1.0, moment=1.0)
@@ -125,7 +130,7 @@ class Physics:
 
     def _separate(self) -> list[bool]:
         contact = [False] * len(self._bodies)
-        self._clearance = 0.0
+        self.motion[CLEARANCE] = 0.0
         for _ in range(MAX_PUSHES):
             pushed = [self._push_out(number, contact) for number in range(len(self._bodies))]
             if not any(pushed):
@@ -135,7 +140,8 @@ class Physics:
         for _ in self._bodies:
             deep = [number for number in range(len(self._bodies)) if self._is_deep(number)]
             for number in deep:
-                self._put(self._bodies[number], self._poses[number][:2])
+                x, y, _ = self.current[number].tolist()
+                self._put(self._bodies[number], (x, y))
         return contact
 
     def _is_deep(self, number: int) -> bool:
@@ -170,12 +176,10 @@ class Physics:
         return {
             "edges": self._edges,
             "radius": self._radius,
-            "axle": self._axle,
-            "poses": self._poses,
-            "room": self._clearance,
+            "poses": self.current,
+            "motion": self.motion,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
-        self.place(np.array(state["poses"]), state["axle"])
-        self._clearance = state["room"]
+        self.current[:], self.motion[:] = state["poses"], state["motion"]

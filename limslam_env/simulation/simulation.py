@@ -9,7 +9,7 @@ import numpy as np
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.observation import observe
+from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
 from limslam_env.simulation.draws import StepDraws
 from limslam_env.simulation.odometry import ground_travel, wheel_noise
@@ -17,6 +17,8 @@ from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
 from limslam_env.simulation.starts import drawn_starts, starting_places
 from limslam_env.worlds.world import World
+
+_CELL_AREA = CELL**2
 
 
 class Readings(NamedTuple):
@@ -129,18 +131,22 @@ class Simulation:
         poses = drawn_starts(places, self.world, robot, count, starts)
         self._noise = noise.drawn(settings)
         limits = wheel_noise(self._noise, robot.max_wheel_travel)
-        self._noise_table = np.concatenate((range_noise(self._noise), limits))
+        noise_table = np.concatenate((range_noise(self._noise), limits))
         self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
         self._physics.place(poses, robot.axle * (1.0 + self._noise.axle_mismatch))
         self._grid = coverage_grid(self.world, robot, poses)
-        self._area, self._total = self._grid.area, max(self._grid.total, 1)
-        self._coverable, self._seen = self._grid.coverable, np.zeros_like(self._grid.coverable)
+        self._total, self._seen = max(self._grid.total, 1), np.zeros_like(self._grid.coverable)
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
-        self._reported, self._unreported = np.zeros((count, 2), dtype=np.float32), np.zeros((count, 2))
-        self._new_cells = np.zeros(count, dtype=np.int64)
-        return self._observe(np.zeros((count, 2)), self._draws.next(), [False] * count)
+        self._travel, self._reported = np.zeros((count, 2)), np.zeros((count, 2), dtype=np.float32)
+        self._unreported, self._new_cells = np.zeros((count, 2)), np.zeros(count, dtype=np.int64)
+        self._arrays = (
+            robot.radius, self._beams, noise_table, *self._scene, self._seen, self._grid.coverable, self._grid.area,
+            self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
+        )  # fmt: skip
+        self._measure(self._travel, self._draws.next(), is_moved=True)
+        return self._results([False] * count)
 
     def carry(self, number: int, pose: FloatArray) -> None:
         """Carry a robot to another pose (3,). Its wheels do not turn on the way. It reads its beams in the next step.
@@ -158,26 +164,29 @@ class Simulation:
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
         """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
         self._steps += 1
-        draws = self._draws.next()
-        turned = [(_clipped(left) * self._farthest, _clipped(right) * self._farthest) for left, right in actions]
-        travel = np.array(turned)
-        if self._noise.slip_rate:
-            turned = ground_travel(travel, self._noise, draws[:, -2:, 1]).tolist()
-        contact = self._physics.step(turned, self.robot.control_period)
-        return self._observe(travel, draws, contact)
+        draws, travel, noise = self._draws.next(), self._travel, self._noise
+        for robot, (left, right) in enumerate(actions):
+            travel[robot, 0], travel[robot, 1] = _clipped(left) * self._farthest, _clipped(right) * self._farthest
+        ground = ground_travel(travel, noise, draws[:, -2:, 1]) if noise.slip_rate else travel
+        contact = [False] * self.num_robots
+        if not self._measure(ground, draws, is_moved=False):
+            contact = self._physics.step(ground.tolist(), self.robot.control_period)
+            self._measure(ground, draws, is_moved=True)
+        return self._results(contact)
 
-    def _observe(self, travel: FloatArray, draws: FloatArray, contact: list[bool]) -> tuple[Readings, Truth]:
-        poses = self._physics.poses
-        observe(
-            poses, travel, self._steps, self.robot.radius, self._beams, self._noise_table, draws,
-            *self._scene, self._seen, self._coverable, self._area,
-            self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
-        )  # fmt: skip
+    def _measure(self, ground: FloatArray, draws: FloatArray, *, is_moved: bool) -> bool:
+        """Move the robots unless one of them may touch something or all are moved, and take all measurements."""
+        body = self._physics
+        return drive_and_observe(
+            is_moved, ground, body.current, body.motion, self._travel, self._steps, draws, *self._arrays
+        )
+
+    def _results(self, contact: list[bool]) -> tuple[Readings, Truth]:
         new_cells = self._new_cells.tolist()
         self._covered += sum(new_cells)
         time, coverage = self._steps * self.robot.control_period, self._covered / self._total
-        new_area = [cells * CELL**2 for cells in new_cells]
-        truth = Truth(poses, time, coverage, new_area, contact, self._hits.copy())
+        new_area = [cells * _CELL_AREA for cells in new_cells]
+        truth = Truth(self._physics.poses, time, coverage, new_area, contact, self._hits.copy())
         return Readings(self._ranges.copy(), self._reported.copy()), truth
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.geometry.segment import distances, inside_polygon
+from limslam_env.kernels.observation import CLEARANCE
 from limslam_env.simulation.physics import Physics
 from limslam_env.worlds.formats.loading import load_world
 
@@ -288,7 +289,7 @@ def test_not_asking_pymunk_where_nothing_is_near_changes_nothing(edges, starts):
     short, full = physics(edges, *starts), physics(edges, *starts)
     contacts = 0
     for travel in random_actions(5, len(starts), 2000, hold=30):
-        full._clearance = 0.0
+        full.motion[CLEARANCE] = 0.0
         contact = short.step(travel, PERIOD)
         assert contact == full.step(travel, PERIOD)
         np.testing.assert_allclose(short.poses, full.poses, atol=1e-9)

@@ -9,6 +9,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
+from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World, WorldError
@@ -274,3 +275,21 @@ def test_a_world_that_a_robot_could_leave_is_refused():
 def test_more_starts_than_robots_are_refused():
     with pytest.raises(WorldError, match="2 starts for 1 robots"):
         start_poses(box_world(), 1, start=np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))
+
+
+@pytest.mark.parametrize("speed", [0.3, 2.0], ids=["usual", "fast"])
+@pytest.mark.parametrize("robots", [1, 3])
+def test_the_compiled_step_moves_robots_as_the_physics_does(robots, speed):
+    robot, world = RobotSpec(max_wheel_speed=speed), load_world("env3")
+    simulation, physics = Simulation(world, robot, robots), Physics(world.edges, robot.radius, robots)
+    physics.place(simulation.reset(np.random.SeedSequence(1), NoiseConfig())[1].poses, robot.axle)
+    generator, touches = np.random.default_rng(2), 0
+    for step in range(600):
+        if step % 20 == 0:
+            actions = generator.uniform(-0.2, 1.0, (robots, 2))
+        truth = simulation.step(actions.tolist())[1]
+        travel = actions * (speed * robot.control_period)
+        assert truth.contact == physics.step(travel.tolist(), robot.control_period)
+        np.testing.assert_array_equal(truth.poses, physics.poses)
+        touches += sum(truth.contact)
+    assert 0 < touches < 600 * robots
