@@ -178,7 +178,7 @@ class OccupancyGrid:
 
     def _know(self, low: IntArray, high: IntArray) -> None:
         """Take the cells from ``low`` to before ``high`` (2,) for known ones."""
-        is_first = (self._known_low == self._known_high).all()
+        is_first = self._known_low.tolist() == self._known_high.tolist()
         self._known_low = low if is_first else np.minimum(self._known_low, low)
         self._known_high = high if is_first else np.maximum(self._known_high, high)
 

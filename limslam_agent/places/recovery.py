@@ -332,9 +332,10 @@ class Recovery:
 
     def _weigh(self, own: StatusMonitor, slam: LineSlam, driven: float = 0.0) -> Doubt | None:
         """The likeliest moment at which the robot was carried away."""
-        last, changes = self.log.end - 1, []
-        if self.log.largest_correction <= self._config.apart:  # a closed loop moves robot and map alike
-            changes = [(last - ago, each) for ago, each in own.changes(_WATCHED) if last - ago > self.log.begin]
+        last = self.log.end - 1
+        changes = [(last - ago, each) for ago, each in own.changes(_WATCHED) if last - ago > self.log.begin]
+        if changes and self.log.largest_correction > self._config.apart:  # a closed loop moves robot and map alike
+            changes = []
         return self._kidnapping.doubt(changes, self.log, slam.covariance, slam.range_sensor, driven)
 
     def _first_doubt(self, own: StatusMonitor, slam: LineSlam) -> tuple[Status, int, bool, bool]:

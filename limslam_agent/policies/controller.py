@@ -38,9 +38,10 @@ def point_ahead(path: FloatArray, away: FloatArray, lookahead: float) -> tuple[i
     The latter is the first point after the nearest one that is farther away than ``lookahead`` (m), or the last one.
     ``away`` (k,) has the distances of the points from the robot, m.
     """
-    nearest = int(np.argmin(away))
-    ahead = np.flatnonzero(away[nearest:] > lookahead)
-    return nearest, path[nearest + ahead[0]] if ahead.size else path[-1]
+    nearest = int(away.argmin())
+    is_ahead = away[nearest:] > lookahead
+    first = int(is_ahead.argmax())
+    return nearest, path[nearest + first] if is_ahead[first] else path[-1]
 
 
 def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
@@ -50,8 +51,8 @@ def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
 
 def bearing_of(pose: FloatArray, place: FloatArray) -> float:
     """Direction from a pose (3,) to a place (2,), m, as an angle from straight ahead, rad."""
-    offset = place - pose[:2]
-    return wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]))
+    (x, y, heading), (goal_x, goal_y) = pose.tolist(), place.tolist()
+    return wrap_angle(math.atan2(goal_y - y, goal_x - x) - heading)
 
 
 def _turn_rate(error: float, config: PolicyConfig) -> float:

@@ -233,7 +233,7 @@ class FrontierPolicy:
             self._known = max(known, self._known)
         if is_nearer or not math.isfinite(pursuit.left):
             pursuit.left = left
-        pursuit.standing = pursuit.standing + 1 if abs(float(action.sum())) < _CREEP else 0
+        pursuit.standing = pursuit.standing + 1 if abs(float(action[0] + action[1])) < _CREEP else 0
         return pursuit.standing > self._config.patience or self._idle > 3 * self._config.patience
 
     def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:

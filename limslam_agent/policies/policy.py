@@ -1,5 +1,6 @@
 """The interface of a policy, from the belief of a robot to wheel speeds, and checks of what a policy answers."""
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -45,7 +46,7 @@ def checked_action(policy: Policy, belief: Belief) -> FloatArray:
         If the answer is not two finite numbers, or if ``stop_reason`` is neither None nor a text.
     """
     action = _numbers(answer := policy.act(belief))
-    if action is None or action.shape != (2,) or not np.isfinite(action).all():
+    if action is None or action.shape != (2,) or not all(map(math.isfinite, action.tolist())):
         raise _refusal(policy, "act must return two finite numbers, the left and the right wheel speed", answer)
     if not isinstance(policy.stop_reason, str | None):
         raise _refusal(policy, "stop_reason must be None or a text", policy.stop_reason)

@@ -118,19 +118,22 @@ def arc_end(x: float, y: float, heading: float, left: float, right: float, axle:
     return x + chord * math.cos(middle), y + chord * math.sin(middle), end
 
 
-def arc_jacobian(distance: float, turn: float) -> FloatArray:
-    """Derivative (3, 2) of :func:`arc` by ``(distance, turn)``."""
+def arc_derivatives(distance: float, turn: float) -> tuple[tuple[float, float], ...]:
+    """Derivatives of x, y and heading of :func:`arc`, each by ``(distance, turn)``, in plain numbers."""
     half = 0.5 * turn
     cos, sin, sinc = math.cos(half), math.sin(half), _sinc(half)
     chord_by_turn = 0.5 * distance * _sinc_derivative(half)
     chord = distance * sinc
-    return np.array(
-        [
-            [sinc * cos, chord_by_turn * cos - 0.5 * chord * sin],
-            [sinc * sin, chord_by_turn * sin + 0.5 * chord * cos],
-            [0.0, 1.0],
-        ]
+    return (
+        (sinc * cos, chord_by_turn * cos - 0.5 * chord * sin),
+        (sinc * sin, chord_by_turn * sin + 0.5 * chord * cos),
+        (0.0, 1.0),
     )
+
+
+def arc_jacobian(distance: float, turn: float) -> FloatArray:
+    """Derivative (3, 2) of :func:`arc` by ``(distance, turn)``."""
+    return np.array(arc_derivatives(distance, turn))
 
 
 def wheels_to_arc(wheels: FloatArray, axle: float) -> tuple[float, float]:

@@ -198,8 +198,12 @@ class CloneEKF(LineEKF):
 
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""
-        self._add_slots(self._clones.missing(self.clones_from))
-        (number, slot), moved = self._clones.fill(), slice(POSE * robot, POSE * robot + POSE)
+        moved, missing = slice(POSE * robot, POSE * robot + POSE), self._clones.missing(self.clones_from)
+        if missing == 1:
+            self._append_copy(moved)
+            return self._clones.fill()[0]
+        self._add_slots(missing)
+        number, slot = self._clones.fill()
         part = slice(self.clones_from + POSE * slot, self.clones_from + POSE * slot + POSE)
         self.x[part] = self.x[moved]
         self.P[part] = self.P[moved]
@@ -466,6 +470,16 @@ class CloneEKF(LineEKF):
             self._clones.append(count)
             for bias in self._biases:
                 bias.insert_independent(old, POSE * count)
+
+    def _append_copy(self, moved: slice) -> None:
+        """Append a slot with a copy of a pose. In a small map this is done at every step."""
+        old, size = len(self.x), len(self.x) + POSE
+        P, rows = self._spare(size), self.P[moved]
+        P[:old, :old], P[old:, :old], P[:old, old:], P[old:, old:] = self.P, rows, rows.T, rows[:, moved]
+        self.x, self.P, self.dim_x = np.concatenate((self.x, self.x[moved])), P, size
+        self._clones.append(1)
+        for bias in self._biases:
+            bias.append_copy(moved)
 
     def _keep(self, places: IntArray) -> None:
         """Marginalise all of the state but some places of it."""

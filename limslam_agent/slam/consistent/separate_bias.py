@@ -63,6 +63,10 @@ class SeparateBias:
         """A part of the state has become a copy of another part."""
         self._by_errors[part] = self._by_errors[other]
 
+    def append_copy(self, other: slice) -> None:
+        """A copy of a part of the state was added at its end."""
+        self._by_errors = np.concatenate((self._by_errors, self._by_errors[other]))
+
     def keep(self, places: IntArray) -> None:
         """All states but these were removed."""
         self._by_errors = self._by_errors[places]
