@@ -27,7 +27,9 @@ from numba.core import (
     errors,
     ir,
     lowering,
+    postproc,
     targetconfig,
+    transforms,
     typed_passes,
     types,
 )
@@ -224,6 +226,19 @@ def _variables(instruction: Any, parts: Any) -> Any:
     return found
 
 
+_usual_lifetimes = postproc.PostProcessor.run
+
+
+def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:  # noqa: FBT002
+    """Where variables are alive: numba works it out after each step, and only generators and the last step ask."""
+    code = processor.func_ir
+    if emit_dels or code.is_generator:
+        _usual_lifetimes(processor, emit_dels, extend_lifetimes)
+        return
+    code.blocks = transforms.canonicalize_cfg(code.blocks)
+    code.variable_lifetime, code.generator_info = postproc.VariableLifetime(code.blocks), None
+
+
 _size_of = functools.cache(cpu.CPUContext.get_abi_sizeof)
 
 
@@ -280,6 +295,7 @@ def _linking(target: Any) -> Iterator[None]:
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(functions.BaseFunction, get_call_type=_call_type),
+        _replaced(postproc.PostProcessor, run=_lifetimes),
         _replaced(ir.Inst, _rec_list_vars=_variables),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
         _replaced(compiler.Flags, __hash__=_hash, __eq__=_equal),

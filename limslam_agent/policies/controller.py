@@ -52,7 +52,7 @@ def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
 def bearing_of(pose: FloatArray, place: FloatArray) -> float:
     """Direction from a pose (3,) to a place (2,), m, as an angle from straight ahead, rad."""
     (x, y, heading), (goal_x, goal_y) = pose.tolist(), place.tolist()
-    return wrap_angle(math.atan2(goal_y - y, goal_x - x) - heading)
+    return float(wrap_angle(math.atan2(goal_y - y, goal_x - x) - heading))
 
 
 def _turn_rate(error: float, config: PolicyConfig) -> float:

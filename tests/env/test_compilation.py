@@ -187,13 +187,13 @@ print("cannot assign slice" in str(error(copied, np.zeros(1), np.zeros(2))))
 
 def test_nothing_of_numba_stays_changed_after_a_compilation(tmp_path):
     statements = """
-from numba.core import cpu, dispatcher, ir, lowering
+from numba.core import cpu, dispatcher, ir, lowering, postproc
 from numba.core.registry import cpu_target
 from numba.core.types import functions
 from numba.np import arrayobj
 import gc
 holders = (cpu.CPUContext, dispatcher.Dispatcher, lowering.Lower, cpu_target.target_context.codegen(), arrayobj)
-holders += (functions.BaseFunction, ir.Inst)
+holders += (functions.BaseFunction, ir.Inst, postproc.PostProcessor)
 before = [dict(vars(holder)) for holder in holders]
 from inner_kernels import copied
 copied(np.array([1.0, 2.0]), np.array([4.0]))
@@ -203,7 +203,7 @@ for holder, values in zip(holders, before):
     print([name for name in names if now.get(name) is not values.get(name)])
 print(gc.isenabled())
 """
-    assert run_inner(tmp_path, statements) == ["[]"] * 7 + ["True"]
+    assert run_inner(tmp_path, statements) == ["[]"] * 8 + ["True"]
 
 
 @compiled
