@@ -61,7 +61,7 @@ def test_a_change_of_what_a_kernel_calls_or_of_a_constant_makes_its_cache_stale(
 def test_the_kernels_of_the_simulator_are_kept_with_the_stamp_of_their_sources():
     stamp = source_stamp(*ENV_SOURCES)
     for kernel in (
-        batch_step.advance, coverage.sweep, observation.observe, random_numbers.draw_starts, rays.cast_rays,
+        batch_step.advance, coverage.sweep, observation.drive_and_observe, random_numbers.draw_starts, rays.cast_rays,
         wall_cells.list_walls,
     ):  # fmt: skip
         assert kernel._cache._cache_file._source_stamp == stamp
