@@ -8,7 +8,7 @@ once.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dgemm
@@ -16,6 +16,7 @@ from scipy.linalg.blas import dgemm
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_of
 from limslam_agent.slam.consistent.clone_slots import CloneSlots
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors, RangeErrors, SeparateBias
+from limslam_agent.slam.consistent.spare_memory import SpareMemory
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
@@ -78,7 +79,7 @@ class CloneEKF(LineEKF):
         self._bias = None if calibration is None else OdometryErrors(self._poses_end, calibration)
         self._range_errors = None if range_errors is None else RangeErrors(self._poses_end, range_errors)
         self._anchors = np.zeros((0, 2))
-        self._memory = [np.empty(0), np.empty(0)]
+        self._memory = SpareMemory()
         self._clones = CloneSlots()
 
     @property
@@ -138,7 +139,7 @@ class CloneEKF(LineEKF):
         (errors, covariance), by_errors, size = bias.estimate, bias.by_errors, len(self.x)
         added = np.arange(self._first, 2 * self._first)
         old = np.concatenate((np.arange(self._first), np.arange(2 * self._first, size + self._first)))
-        P, joint = self._spare(size + len(added)), by_errors @ covariance
+        P, joint = self._memory.square(size + len(added)), by_errors @ covariance
         P[np.ix_(old, old)] = self.P + joint @ by_errors.T
         P[np.ix_(old, added)], P[np.ix_(added, old)] = joint, joint.T
         P[np.ix_(added, added)] = covariance
@@ -249,7 +250,7 @@ class CloneEKF(LineEKF):
         """
         at, old = self.clones_from, len(self.x)
         places = np.concatenate((np.arange(at), np.arange(at + 2, old + 2)))
-        x, P = np.zeros(old + 2), self._spare(old + 2)
+        x, P = np.zeros(old + 2), self._memory.square(old + 2)
         P[at : at + 2] = P[:, at : at + 2] = 0.0
         x[places] = self.x
         P[np.ix_(places, places)] = 0.5 * (self.P + self.P.T)
@@ -449,22 +450,11 @@ class CloneEKF(LineEKF):
         normals = np.stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])), axis=1)
         return np.column_stack((lines[:, 0] + np.sum(normals * self._anchors, axis=1), lines[:, 1]))
 
-    def _spare(self, size: int) -> FloatArray:
-        """An uninitialised matrix (size, size) outside of P's memory. Allocating one takes longer than filling it."""
-        self._memory.reverse()
-        if self._memory[0].size < size**2:
-            self._memory[0] = np.empty(2 * size**2)
-        return self._memory[0][: size**2].reshape(size, size)
-
-    def __getstate__(self) -> dict[str, Any]:
-        # Copies of an estimate are made all the time, and need no spare memory.
-        return {**self.__dict__, "_memory": [np.empty(0), np.empty(0)]}
-
     def _add_slots(self, count: int) -> None:
         """Append free slots for clones."""
         if count:
             old, size = len(self.x), len(self.x) + POSE * count
-            P = self._spare(size)
+            P = self._memory.square(size)
             P[:old, :old], P[old:], P[:old, old:] = self.P, 0.0, 0.0
             self.x, self.P, self.dim_x = np.concatenate((self.x, np.zeros(POSE * count))), P, size
             self._clones.append(count)
@@ -474,7 +464,7 @@ class CloneEKF(LineEKF):
     def _append_copy(self, moved: slice) -> None:
         """Append a slot with a copy of a pose. In a small map this is done at every step."""
         old, size = len(self.x), len(self.x) + POSE
-        P, rows = self._spare(size), self.P[moved]
+        P, rows = self._memory.square(size), self.P[moved]
         P[:old, :old], P[old:, :old], P[:old, old:], P[old:, old:] = self.P, rows, rows.T, rows[:, moved]
         self.x, self.P, self.dim_x = np.concatenate((self.x, self.x[moved])), P, size
         self._clones.append(1)
@@ -483,7 +473,7 @@ class CloneEKF(LineEKF):
 
     def _keep(self, places: IntArray) -> None:
         """Marginalise all of the state but some places of it."""
-        P = self._spare(len(places))
+        P = self._memory.square(len(places))
         # Usually the last states are removed. Copying a block is five times as fast as indexing rows and columns.
         is_block = bool(np.array_equal(places, np.arange(len(places))))
         P[:] = self.P[: len(places), : len(places)] if is_block else self.P.take(places, axis=0).take(places, axis=1)
