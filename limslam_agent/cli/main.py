@@ -114,7 +114,7 @@ def collect_rarely() -> None:
     A search goes through all objects of numba and numpy, takes 50 ms, and finds next to nothing. All other objects are
     freed when nothing refers to them any more.
     """
-    gc.set_threshold(50_000, 20, 100)
+    gc.set_threshold(50_000)
 
 
 def _fail(message: str) -> None:
