@@ -5,8 +5,9 @@ of the encoders says. No bumper is needed to notice most contacts: a beam reads 
 goes on towards what the beam sees.
 
 Let a be the distance that a robot should have driven along a beam since that beam first read its minimum m. The surface
-was between 0 and m away then, so that all but m / 2 of that distance is probably slip. If a beam comes to its minimum
-by a jump, the robot has met an edge in a gap between its beams, and may have touched it for some time.
+was u away then, between 0 and m, and what exceeds u is slip. The mean square of max(a - u, 0) is
+(a^3 - max(a - m, 0)^3) / (3 m). If a beam comes to its minimum by a jump, the robot has met an edge in a gap between its
+beams, and may have touched it for some time.
 
 Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
 quarters of the body's radius say nothing about contact.
@@ -28,6 +29,9 @@ NEAR = 0.75
 
 LASTING = 2.0
 """A contact lasts until the beam reads more than its minimum by this number of standard deviations."""
+
+LEAST_MINIMUM = 1e-6
+"""A beam's minimum counts as at least this, m."""
 
 JUMP, SURE_JUMP = 0.05, 4.0
 """A reading has jumped to the minimum from at least so much more, m, and so many standard deviations more."""
@@ -93,7 +97,7 @@ def slip(
     beams, most, angle, is_earlier = len(ranges), 0.0, 0.0, False
     memory[0] = (1.0 - FORGOTTEN) * memory[0] + abs(ahead)
     for beam in range(beams):
-        least, old, before = too_near[beam], memory[1 + beam], memory[1 + beams + beam]
+        least, old, before = max(too_near[beam], LEAST_MINIMUM), memory[1 + beam], memory[1 + beams + beam]
         if measured[beam]:
             memory[1 + beams + beam] = ranges[beam]
         if least > NEAR * radius or (old < 0.0 and not (measured[beam] and ranges[beam] <= least)):
@@ -108,7 +112,8 @@ def slip(
         else:
             # A robot that has driven back has to come near again.
             memory[1 + beam] = new = 0.0 if driven < 0.0 else old + driven
-            gained = max(new - 0.5 * least, 0.0) ** 2 - max(old - 0.5 * least, 0.0) ** 2
+            cubes = new**3 - max(new - least, 0.0) ** 3 - old**3 + max(old - least, 0.0) ** 3
+            gained = cubes / (3.0 * least)
         if gained > most:
             most, angle, is_earlier = gained, angles[beam], has_jumped
     return most, angle, is_earlier
