@@ -6,8 +6,8 @@ goes on towards what the beam sees.
 
 Let a be the distance that a robot should have driven along a beam since that beam first read its minimum m. The surface
 was u away then, between 0 and m, and what exceeds u is slip. The mean square of max(a - u, 0) is
-(a^3 - max(a - m, 0)^3) / (3 m). If a beam comes to its minimum by a jump, the robot has met an edge in a gap between its
-beams, and may have touched it for some time.
+(a^3 - max(a - m, 0)^3) / (3 m). If a beam comes to its minimum by a jump, the robot has met an edge between its beams,
+and may have touched it for some time.
 
 Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
 quarters of the body's radius say nothing about contact.
