@@ -27,14 +27,20 @@ from limslam_env.interface import RobotSpec
 NEAR = 0.75
 """A beam shows contact if its minimum is at most this share of the body's radius."""
 
+LEAST_SLIP = 0.005
+"""Slip counts from this root mean square on, m. Less than that follows from noise of the readings near a wall."""
+
 LASTING = 2.0
 """A contact lasts until the beam reads more than its minimum by this number of standard deviations."""
 
 LEAST_MINIMUM = 1e-6
 """A beam's minimum counts as at least this, m."""
 
-JUMP, SURE_JUMP = 0.05, 4.0
-"""A reading has jumped to the minimum from at least so much more, m, and so many standard deviations more."""
+JUMP, SURE_JUMP = 0.3, 4.0
+"""A reading has jumped to the minimum from at least so much more, m, and so many standard deviations more.
+
+Smaller jumps are frequent where a robot passes the edges of a narrow door without touching them.
+"""
 
 LEAST_AHEAD = 0.002
 """After a jump, contact needs a motion of at least this much along the beam in the step, m."""
@@ -112,8 +118,12 @@ def slip(
         else:
             # A robot that has driven back has to come near again.
             memory[1 + beam] = new = 0.0 if driven < 0.0 else old + driven
-            cubes = new**3 - max(new - least, 0.0) ** 3 - old**3 + max(old - least, 0.0) ** 3
-            gained = cubes / (3.0 * least)
+            gained = (new**3 - max(new - least, 0.0) ** 3) / (3.0 * least)
+            counted = (old**3 - max(old - least, 0.0) ** 3) / (3.0 * least)
+            if gained < LEAST_SLIP**2:
+                gained = 0.0
+            elif counted >= LEAST_SLIP**2:
+                gained -= counted
         if gained > most:
             most, angle, is_earlier = gained, angles[beam], has_jumped
     return most, angle, is_earlier

@@ -47,6 +47,8 @@ def test_a_robot_that_goes_on_towards_a_wall_slips() -> None:
     # The first reading at the minimum only says that the wall is near.
     assert found[:4] == [0.0] * 4
     assert all(each > 0.0 for each in found[4:])
+    slow = Contacts(ROBOT, STD)
+    assert [variance_of(slow, 0.005, LEAST) for _ in range(4)] == [0.0] * 4
     driven = 10 * 0.02 * math.cos(ROBOT.beam_angles[RIGHT_OF_FRONT])
     free = np.linspace(0.0, LEAST, 10_001)
     assert sum(found) == pytest.approx(np.mean(np.maximum(driven - free, 0.0) ** 2), rel=1e-3)
@@ -125,7 +127,7 @@ def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     start = np.array([0.5, 1.0, generator.uniform(-0.4, 0.4)])
     readings, truth = simulation.reset(np.random.SeedSequence(seed), NoiseConfig(sensor_noise=STD), start)
     rows, pushed, turning = [(readings.ranges[0], readings.wheels[0], truth.poses[0])], 0, 0
-    for _ in range(400):
+    for _ in range(250):
         pushed = pushed + 1 if (rows[-1][0][1:5] <= ROBOT.too_near[1:5]).any() else 0
         if pushed > 10:
             pushed, turning = 0, int(generator.integers(8, 16))
@@ -161,8 +163,8 @@ def consistency(seed: int) -> tuple[float, float]:
 
 
 def test_a_robot_that_pushes_against_walls_knows_how_uncertain_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = np.array([consistency(seed) for seed in range(3)])
+    honest = np.array([consistency(seed) for seed in range(2)])
     monkeypatch.setattr(Contacts, "slip", lambda *_: (0.0, 0.0, False))
-    blind = np.array([consistency(seed) for seed in range(3)])
-    assert np.median(blind, axis=0).min() > 10.0
-    assert np.median(honest, axis=0).max() < 3.0
+    blind = np.array([consistency(seed) for seed in range(2)])
+    assert blind.mean(axis=0).min() > 10.0
+    assert honest.mean(axis=0).max() < 3.0
