@@ -9,7 +9,8 @@ import pytest
 from limslam_agent.config.presets import preset
 from limslam_agent.slam.core.contact import JUMP_STEPS, Contacts, slip_covariance, slips_of
 from limslam_agent.slam.core.motion import motion_from_wheels
-from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+from limslam_agent.slam.line_graph.line_smoother import make_problem
+from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, with_breaks
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import FloatArray
@@ -117,6 +118,17 @@ def test_the_smoother_allows_the_same_slip_and_earlier_for_an_edge() -> None:
     ahead = np.array([0.5, 0.5, 0.0])
     found = sum(ahead @ np.linalg.inv(each.root.T @ each.root) @ ahead for each in slips)
     assert found - len(slips) * 0.5e-6 == pytest.approx(total[0, 0])
+
+
+def test_nothing_is_known_of_a_motion_in_which_the_robot_was_carried_away_into_a_wall() -> None:
+    ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
+    wheels = np.full((len(ranges), 1, 2), 0.02)
+    problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges)
+    assert 8 in [each.motion for each in problem.slips]
+    off = np.zeros((1, len(ranges) - 1, 3))
+    off[0, 8] = 1.0
+    assert np.abs(problem.whitened(off)).max() > 5.0
+    assert np.abs(with_breaks(problem, [(0, 9)]).whitened(off)).max() < 0.2
 
 
 def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
