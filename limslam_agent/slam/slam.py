@@ -9,6 +9,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.core.contact import Contacts
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
@@ -57,6 +58,7 @@ class LineSlam:
         self.robot, self.config = robot, config
         start = np.atleast_2d(np.zeros(3) if start_pose is None else start_pose)
         self.robots = [FrontEnd(robot) for _ in start]
+        self._contacts = [Contacts(robot, config.range_std) for _ in start]
         self.increments: list[FloatArray] = []
         self._estimator = _estimator_of(robot, config, start, sensor)
 
@@ -78,7 +80,7 @@ class LineSlam:
         motions = [self._calibrated(number, motion) for number, motion in enumerate(reported)]
         for number, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
             self.robots[number].accept(observation)
-            self._estimator.predict(motion, number)
+            self._estimator.predict(self._loosened(number, motion, observation), number)
         if len(self.robots) > 1:
             self._drop_beams_on_robots()
         for number, motion in enumerate(motions):
@@ -283,6 +285,13 @@ class LineSlam:
     def _calibrated(self, number: int, motion: Motion) -> Motion:
         assumed = self._estimator.assumed_calibration(number)
         return motion if assumed is None else calibrated(motion, self.robot.axle, assumed)
+
+    def _loosened(self, number: int, motion: Motion, observation: Observation) -> Motion:
+        """A motion by wheels, less certain if the robot touches something. The published estimator knows no contact."""
+        if "wheels" not in observation or not isinstance(self._estimator, ConsistentEstimator):
+            return motion
+        front = self.robots[number]
+        return self._contacts[number].loosened(motion, front.ranges, front.measured)
 
     def _drop_beams_on_robots(self) -> None:
         poses, covariance = self._estimator.poses, self._estimator.joint_covariance

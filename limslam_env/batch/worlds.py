@@ -93,9 +93,10 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     """
     places = starting_places(world, robot, num_robots, start)
     grid = coverage_grid(world, robot, places.known)
-    firsts = np.flatnonzero(np.diff(places.cells, prepend=-2) != 1)
-    runs = np.column_stack((places.cells[firsts], firsts)).astype(np.int32)
-    starts = StartCells(places.given, runs, len(places.cells), places.space)
+    cells = places.cells[~places.is_pocket]
+    firsts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
+    runs = np.column_stack((cells[firsts], firsts)).astype(np.int32)
+    starts = StartCells(places.given, runs, len(cells), places.space)
     tiles = to_tiles(grid.coverable)
     return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
 

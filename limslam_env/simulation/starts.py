@@ -24,11 +24,15 @@ class StartingPlaces:
         (k,), numbers of the free cells, row by row, for robots without a pose; empty if each robot has one.
     space
         (4,): lower left corner x, y and side of the cells, m, and columns.
+    is_pocket
+        (k,), which of the cells lie in a pocket (:meth:`limslam_env.worlds.free_space.FreeSpace.pockets`). No robot is
+        put there, since it could hardly get out.
     """
 
     given: FloatArray
     cells: IntArray
     space: FloatArray
+    is_pocket: BoolArray
 
     @property
     def known(self) -> FloatArray:
@@ -59,14 +63,15 @@ def starting_places(world: World, robot: RobotSpec, num_robots: int, start: Floa
     given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
     known, counts = known_poses(world, robot, num_robots, given[None])
     poses = known[0, : counts[0]]
-    cells, space = np.zeros(0, dtype=np.int64), np.array([0.0, 0.0, 1.0, 1.0])
+    cells, space, is_pocket = np.zeros(0, dtype=np.int64), np.array([0.0, 0.0, 1.0, 1.0]), np.zeros(0, dtype=bool)
     if len(poses) < num_robots:
         grid = world.free_space(robot.radius)
         region = grid.region_of(poses[0, :2]) if len(poses) else grid.largest_closed_region()
         cells, space = np.flatnonzero(region), np.array([*grid.origin, grid.cell, region.shape[1]])
+        is_pocket = grid.pockets(region)[region]
         if not len(cells):
             raise no_room(world, num_robots)
-    return StartingPlaces(poses, cells, space)
+    return StartingPlaces(poses, cells, space, is_pocket)
 
 
 def known_poses(world: World, robot: RobotSpec, num_robots: int, given: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -115,9 +120,9 @@ def drawn_starts(
     poses = list(places.given)
     if len(poses) == num_robots:
         return places.given
-    for cell in generator.choice(places.cells, TRIES):
-        pose = np.array([*places.centre(int(cell)), generator.uniform(-np.pi, np.pi)])
-        if is_apart(pose, poses, robot):
+    for number in generator.choice(len(places.cells), TRIES):
+        pose = np.array([*places.centre(int(places.cells[number])), generator.uniform(-np.pi, np.pi)])
+        if not places.is_pocket[number] and is_apart(pose, poses, robot):
             poses.append(pose)
         if len(poses) == num_robots:
             return np.array(poses)

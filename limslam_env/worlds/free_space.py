@@ -19,6 +19,7 @@ MAX_CELLS = 4_000_000
 COARSEST = 0.6
 """Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a wall."""
 
+_EIGHT = np.ones((3, 3), dtype=int)  # a cell and its eight neighbours
 _BATCH = 200_000  # cells looked at in one go: enough for numpy, little enough for the processor's cache
 _COUNTED = 1_000_000  # cells counted in one go, for each of which bincount makes a number of eight bytes
 
@@ -85,6 +86,21 @@ class FreeSpace:
         sizes[self._border_labels] = 0
         return np.asarray(labels == np.argmax(sizes)) if sizes.any() else np.zeros_like(self.free)
 
+    def pockets(self, region: BoolArray) -> BoolArray:
+        """The parts of a region that are only reached through gaps which are hardly wider than the disc.
+
+        A gap is that narrow if a disc with one cell more of radius does not pass. The cavity of a wall whose lines
+        leave a slit is such a part. The largest part of the region is no pocket.
+        """
+        parts, count = ndimage.label(ndimage.binary_erosion(region, _EIGHT), structure=_EIGHT)
+        if count < 2:
+            return np.zeros_like(region)
+        sizes = np.bincount(parts.ravel())
+        sizes[0] = 0
+        main = parts == np.argmax(sizes)
+        others = ndimage.binary_dilation((parts > 0) & ~main, _EIGHT)
+        return np.asarray(region & others & ~ndimage.binary_dilation(main, _EIGHT))
+
     def is_open(self, points: FloatArray) -> BoolArray:
         """Whether a disc at each point (n, 2) does not fit, or can reach the outermost cells, beyond every wall."""
         labels = self.labels_of(points)
@@ -99,7 +115,7 @@ class FreeSpace:
     def labels(self) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
         """The number of each cell's connected region, from 1; 0 where the disc does not fit."""
         # Diagonal steps cannot cross a wall: free centres keep a radius away from it on either side.
-        labels, _ = ndimage.label(self.free, structure=np.ones((3, 3), dtype=int))
+        labels, _ = ndimage.label(self.free, structure=_EIGHT)
         return np.asarray(labels, dtype=np.int32)
 
 

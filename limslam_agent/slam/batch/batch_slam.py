@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.batch.clone_ekf import predict
-from limslam_agent.slam.batch.compilation import algebra, entry
+from limslam_agent.slam.batch.compilation import algebra, compiled, entry
 from limslam_agent.slam.batch.consistent import measure, process
 from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.motion import motion_from_wheels
 from limslam_agent.slam.batch.pending_readings import has_ended
 from limslam_agent.slam.batch.state import (
+    ANGLE,
     CLOSURES,
     DRIVEN,
     DRIVEN_AT,
@@ -43,6 +44,7 @@ from limslam_agent.slam.batch.state import (
 )
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.wall_extent import WallExtent
+from limslam_agent.slam.core import contact
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.compilation import next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -51,6 +53,12 @@ from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
 _NUM_SIDES = len(SIDES)
+
+slip, slip_covariance, forgotten = (
+    compiled(contact.slip),
+    compiled(contact.slip_covariance),
+    compiled(contact.new_memory),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +284,8 @@ def state_of(states: States, number: int) -> States:
         Walls(
             walls.table[number], walls.counted[number], walls.reached[number], walls.seen[number], walls.behind[number]
         ),
-        states.travel[number], states.pending[number], states.grid[number], states.window[number],
+        states.travel[number], states.pending[number], states.contact[number], states.grid[number],
+        states.window[number],
     )  # fmt: skip
 
 
@@ -287,15 +296,17 @@ def accept(
     """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,) are new."""
     ekf, hits = state.filter, np.zeros(len(ranges), dtype=np.bool_)
     ekf.counts[STEP] += 1
-    increment, covariance = motion_from_wheels(wheels, settings)
-    predict(ekf, increment, covariance)
-    state.travel[DRIVEN] += math.hypot(increment[0], increment[1])
-    state.travel[TURNED] += abs(increment[2])
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
         measured[beam] = is_number and ekf.counts[STEP] % int(beams[beam, PERIOD]) == 0
         hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
+    increment, covariance = motion_from_wheels(wheels, settings)
+    angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
+    variance, angle, _ = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
+    predict(ekf, increment, covariance + slip_covariance(variance, angle) if variance else covariance)
+    state.travel[DRIVEN] += math.hypot(increment[0], increment[1])
+    state.travel[TURNED] += abs(increment[2])
     measure(ekf, state.walls, state.travel, state.pending, ranges, measured, hits, settings, beams)
 
 
@@ -348,6 +359,7 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     ekf.x[:POSE] = start
     ekf.top[:, :POSE] = 0.0
     state.travel[:] = 0.0
+    state.contact[:] = forgotten(len(state.contact) // 2)
     state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2

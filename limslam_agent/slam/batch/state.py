@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.consistent.pending_readings import SIDES, thinned
+from limslam_agent.slam.core.contact import new_memory
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.hough import bin_size, max_distance
 from limslam_env.geometry import FloatArray, IntArray
@@ -121,6 +122,8 @@ class States(NamedTuple):
         distance driven at the last hit of each side.
     pending
         (n, 3, most, 4): the pending readings of each side: clone, beam, range (m), distance driven (m).
+    contact
+        (n, 1 + 2 beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
     grid, window
         Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers modulo ``cells``.
         Row and column (n, 2) of the lowest world cell that the grid holds.
@@ -130,6 +133,7 @@ class States(NamedTuple):
     walls: Walls
     travel: FloatArray
     pending: FloatArray
+    contact: FloatArray
     grid: NDArray[np.int16]
     window: IntArray
 
@@ -298,6 +302,7 @@ def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capaci
         walls=walls,
         travel=np.zeros((num_envs, 7)),
         pending=np.zeros((num_envs, len(SIDES), clones * widest, 4)),
+        contact=np.zeros((num_envs, len(new_memory(len(robot.beams))))),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),
     )

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from limslam_agent.config.smoother import CalibrationPrior
+from limslam_agent.slam.core.contact import Slip, slips_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
 from limslam_agent.slam.line_graph.beam_width import widen
@@ -75,6 +76,8 @@ class Problem:
         Lengths of the boards and of the walls with two faces that are known, m.
     bias
         By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
+    slips
+        The motions in which the robots may have touched something.
     """
 
     robot: RobotSpec
@@ -89,6 +92,7 @@ class Problem:
     kinds: tuple[float, float] = (0.0, 0.0)
     growth: float = 0.0
     bias: float = 0.0
+    slips: tuple[Slip, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -124,6 +128,13 @@ class Problem:
     def assumed_calibration(self) -> FloatArray:
         """The calibration (n, 4) of robots that are as specified, but for the known bias."""
         return np.tile((0.0, 0.0, 0.0, self.bias), (len(self.starts), 1))
+
+    def whitened(self, errors: FloatArray) -> FloatArray:
+        """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""
+        result = errors / self.stds.reshape(self.stds.shape + (1,) * (errors.ndim - 3))
+        for number, motion, root in self.slips:
+            result[number, motion] = root @ errors[number, motion]
+        return np.asarray(result)
 
     def _noise_of(self, readings: Readings) -> FloatArray:
         sensor = RangeSensor(1.0, self.growth)
@@ -225,11 +236,13 @@ def make_problem(
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
+    contact_std = max(noise.range_std, LEAST_RANGE_STD)
     return Problem(
         robot, np.asarray(starts, dtype=float), motions, stds, readings, looks,
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
         prior=None if prior is None else prior.information, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
+        slips=slips_of(robot, contact_std, reported, stds, ranges, fresh & np.isfinite(ranges)),
     )  # fmt: skip
 
 
@@ -355,7 +368,7 @@ def _motion_residuals(problem: Problem, state: State) -> FloatArray:
     """Reported wheel travel, corrected by the calibration, minus true travel (n, t - 1, 3), in standard deviations."""
     sizes = np.ones((len(state.motions), 1, 3))
     sizes[:, 0, :2] += state.calibration[:, :2]
-    return np.asarray((problem.wheels * sizes - state.motions) / problem.stds)
+    return problem.whitened(problem.wheels * sizes - state.motions)
 
 
 def range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
@@ -441,13 +454,14 @@ class _Equations:
         self._by_axle = np.zeros_like(problem.wheels)
         turned = 0.5 * np.diff(state.poses[..., 2], axis=1) * problem.robot.axle
         self._by_axle[..., 0], self._by_axle[..., 1] = -turned, turned
-        for number in range(len(state.poses)):
+        for number, poses in enumerate(state.poses):
             axle = _axle(problem, state.calibration[number])
-            before, after = self._by_before[number], self._by_after[number]
-            kernels.motion_jacobians(state.poses[number], axle, before, after)
-            stds = problem.stds[number][:, :, None]
+            kernels.motion_jacobians(poses, axle, self._by_before[number], self._by_after[number])
+        by_calibration = np.array([self._by_calibration(number) for number in range(len(state.poses))])
+        before, after, by_sizes = (problem.whitened(each) for each in (self._by_before, self._by_after, by_calibration))
+        for number in range(len(state.poses)):
             kernels.add_motions(
-                before / stds, after / stds, self._by_calibration(number) / stds, residuals[number],
+                before[number], after[number], by_sizes[number], residuals[number],
                 self._diagonal[number], self._below[number], self._border[number], self._right[number],
                 self._shared[: self._first_line, : self._first_line], self._shared_right[: self._first_line],
             )  # fmt: skip

@@ -318,7 +318,7 @@ def merge(
     moved far. This repeats until no pair can merge.
     """
     has_merged = False
-    for _ in range(_MOST_MERGES):
+    for _ in range(_MOST_MERGES if len(found.state.lines) else 0):
         state = found.state
         merged_into = np.empty(len(state.lines), dtype=np.int64)
         lines, ends = state.lines.copy(), ends_of(problem, state, found.labels)

@@ -206,10 +206,12 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
 
 def with_breaks(problem: Problem, breaks: Iterable[tuple[int, int]]) -> Problem:
     """A problem in which nothing is known about the motions to some steps, given as robots and steps."""
-    stds = problem.stds.copy()
-    for number, step in breaks:
-        stds[number, step - 1] = _CARRIED_STD
-    return replace(problem, stds=stds)
+    stds, free = problem.stds.copy(), {(number, step - 1) for number, step in breaks}
+    for number, motion in free:
+        stds[number, motion] = _CARRIED_STD
+    # The covariance of a slip would hold the robot near where it was.
+    slips = tuple(each for each in problem.slips if (each.robot, each.motion) not in free)
+    return replace(problem, stds=stds, slips=slips)
 
 
 def filter_labels(

@@ -57,6 +57,13 @@ def test_a_thousand_starts_have_the_free_space_computed_once(monkeypatch):
     assert len(places.sites) == 1
 
 
+def test_no_robot_of_a_batch_starts_behind_a_slit_that_is_hardly_wider_than_its_body():
+    box = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
+    walls = np.array([*box, [3.0, 0.0, 3.0, 1.88], [3.0, 2.115, 3.0, 4.0]])
+    places = Places(World("box", (4.0, 4.0), walls), ROBOT, 1, 100)
+    assert (places.begin(np.arange(100), keys_of(100), None)[:, 0, 0] < 3.05).all()
+
+
 def test_starts_in_floor_plans_made_beforehand_need_no_further_places():
     places = Places(FloorPlanConfig(width=4.0, height=4.0), ROBOT, 1, 6, [1, 2])
     keys = keys_of(6)

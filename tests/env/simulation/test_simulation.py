@@ -11,6 +11,7 @@ from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.simulation import Simulation
+from limslam_env.simulation.starts import TRIES
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World, WorldError
 
@@ -180,6 +181,28 @@ def test_drawn_starts_lie_in_the_largest_region():
     world = box_world(extra=np.array([[3.0, 0.0, 3.0, 4.0]]))
     poses = np.vstack([start_poses(world, 1, seed) for seed in range(25)])
     assert (poses[:, 0] < 3.0).all()
+
+
+def test_no_robot_starts_behind_a_slit_that_is_hardly_wider_than_its_body():
+    # The slit of 0.235 m connects the cavity on the right with the rest, so that both are one region.
+    world = box_world(extra=np.array([[3.0, 0.0, 3.0, 1.88], [3.0, 2.115, 3.0, 4.0]]))
+    space = world.free_space(ROBOT.radius)
+    assert (space.centres(space.largest_closed_region())[:, 0] > 3.5).any()
+    for robots, start in ((1, None), (3, np.array([1.0, 1.0, 0.0]))):
+        poses = np.vstack([start_poses(world, robots, seed, start) for seed in range(25)])
+        assert (poses[:, 0] < 3.05).all()
+    # A start that was good without the rule stays the same.
+    free = [start_poses(box_world(), 1, seed) for seed in range(5)]
+    np.testing.assert_array_equal(free, [drawn_anywhere(seed) for seed in range(5)])
+
+
+def drawn_anywhere(seed: int) -> FloatArray:
+    """The first start that is drawn from all cells of the empty box."""
+    generator = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[0])
+    space = box_world().free_space(ROBOT.radius)
+    centres = space.centres(space.largest_closed_region())
+    place = centres[generator.choice(len(centres), TRIES)[0]]
+    return np.array([[*place, generator.uniform(-np.pi, np.pi)]])
 
 
 def test_extra_robots_start_where_the_first_can_get_to():

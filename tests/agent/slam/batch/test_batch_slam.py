@@ -88,6 +88,27 @@ def test_it_is_the_single_filter_in_every_world(noise: float) -> None:
     assert batch.num_landmarks.min() >= 3
 
 
+def test_contact_is_noticed_alike() -> None:
+    env, config = world_env("env3", 0.02), config_of(0.02)
+    observation, info = env.reset(seed=3)
+    slam, batch, in_contact, slipped = LineSlam(ROBOT, config, info["pose"]), BatchSlam(ROBOT, config, 1), 0, 0.0
+    batch.reset(info["pose"][None])
+    for number in range(250):
+        before = slam.covariance
+        slam.step(observation)
+        slipped = max(slipped, float(np.diag(slam.covariance - before)[:2].max()))
+        belief = batch.step(observation["ranges"][None], observation["wheels"][None])
+        np.testing.assert_allclose(belief.pose[0], slam.pose, rtol=0.0, atol=EQUAL)
+        np.testing.assert_allclose(belief.covariance[0], slam.covariance, rtol=0.0, atol=EQUAL)
+        # It drives against whatever is in front of it, and then turns a little.
+        observation, _, _, _, info = env.step(
+            np.array([0.6, 0.6] if number % 50 < 40 else [-0.5, 0.5], dtype=np.float32)
+        )
+        in_contact += info["collision"]
+    assert in_contact > 30
+    assert slipped > 1e-4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("seed", [8, 9])

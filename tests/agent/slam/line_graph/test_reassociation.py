@@ -59,6 +59,14 @@ def test_lines_of_one_wall_are_merged():
     assert agreeing(found, wanted) == 1.0
 
 
+def test_a_drive_of_which_no_line_is_left_has_nothing_to_merge():
+    problem, _ = noisy_run(2)
+    nothing = solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1), 6)
+    found, has_merged = merge(problem, nothing, LIMITS, 6)
+    assert found is nothing
+    assert not has_merged
+
+
 def test_anchors_move_with_the_world():
     problem, poses = noisy_run(2)
     found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6)

@@ -1,0 +1,223 @@
+"""Contact with a wall, as the readings show it, and the slip of the wheels that it allows.
+
+A robot that touches a wall is held back, while its wheels go on turning. Its motion is then less certain than the noise
+of the encoders says. No bumper is needed to notice most contacts: a beam reads its minimum, and by the wheels the robot
+goes on towards what the beam sees.
+
+Let a be the distance that a robot should have driven along a beam since that beam first read its minimum m. The surface
+was u away then, between 0 and m, and what exceeds u is slip. The mean square of max(a - u, 0) is
+(a^3 - max(a - m, 0)^3) / (3 m). If a beam comes to its minimum by a jump, the robot has met an edge between its beams,
+and may have touched it for some time.
+
+Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
+quarters of the body's radius say nothing about contact.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.slam.core.motion import Motion
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+
+NEAR = 0.75
+"""A beam shows contact if its minimum is at most this share of the body's radius."""
+
+LEAST_SLIP = 0.005
+"""Slip counts from this root mean square on, m. Less than that follows from noise of the readings near a wall."""
+
+LASTING = 2.0
+"""A contact lasts until the beam reads more than its minimum by this number of standard deviations."""
+
+LEAST_MINIMUM = 1e-6
+"""A beam's minimum counts as at least this, m."""
+
+JUMP, SURE_JUMP = 0.3, 4.0
+"""A reading has jumped to the minimum from at least so much more, m, and so many standard deviations more.
+
+Smaller jumps are frequent where a robot passes the edges of a narrow door without touching them.
+"""
+
+LEAST_AHEAD = 0.002
+"""After a jump, contact needs a motion of at least this much along the beam in the step, m."""
+
+FORGOTTEN = 0.2
+"""Share of the recent travel that is forgotten in a step. The rest is that of about the last five steps."""
+
+JUMP_STEPS = 5
+"""Number of steps over which the slip before a jump may have happened."""
+
+ALONG, ACROSS = 0.8, 0.2
+"""Shares of the slip's variance along the beam and across it: the surface's normal is within some 45 degrees of it."""
+
+TURN = 0.5
+"""Standard deviation of the heading's slip for each metre of slip, rad/m."""
+
+
+def new_memory(beams: int) -> FloatArray:
+    """What has to be known of earlier steps (1 + 2 beams,): see :func:`slip`. Nothing is known yet."""
+    memory = np.zeros(1 + 2 * beams)
+    memory[1 : 1 + beams] = -1.0
+    return memory
+
+
+def slip(
+    memory: FloatArray,
+    ranges: FloatArray,
+    measured: BoolArray,
+    ahead: float,
+    angles: FloatArray,
+    too_near: FloatArray,
+    radius: float,
+    std: float,
+) -> tuple[float, float, bool]:
+    """How much of the wheels' travel may have been slip by contact.
+
+    Plain numbers and loops, because the batch compiles the same function.
+
+    Parameters
+    ----------
+    memory
+        Is changed: recent travel, m; for each beam the distance along it since it first read its minimum, m, -1 where
+        it does not; and for each beam the latest reading, m.
+    ranges, measured
+        Readings (n_beams,), m, and which of them are new.
+    ahead
+        Distance by the wheels in this step, m; negative backwards.
+    angles, too_near
+        Directions (n_beams,) of the beams, rad, and the readings up to which something is near, m.
+    radius, std
+        Radius of the body, m, and standard deviation of a range, m.
+
+    Returns
+    -------
+    variance, angle
+        Variance of the slip in this step, m^2, 0 without contact, and the direction of the beam that shows it, rad.
+    is_earlier
+        Whether the slip may as well have happened in the steps before.
+    """
+    beams, most, angle, is_earlier = len(ranges), 0.0, 0.0, False
+    memory[0] = (1.0 - FORGOTTEN) * memory[0] + abs(ahead)
+    for beam in range(beams):
+        least, old, before = max(too_near[beam], LEAST_MINIMUM), memory[1 + beam], memory[1 + beams + beam]
+        if measured[beam]:
+            memory[1 + beams + beam] = ranges[beam]
+        if least > NEAR * radius or (old < 0.0 and not (measured[beam] and ranges[beam] <= least)):
+            continue
+        driven, gained, has_jumped = ahead * math.cos(angles[beam]), 0.0, False
+        if old < 0.0:
+            memory[1 + beam] = 0.0
+            has_jumped = driven > LEAST_AHEAD and before > least + driven + JUMP + SURE_JUMP * std
+            gained = memory[0] ** 2 if has_jumped else 0.0
+        elif measured[beam] and ranges[beam] > least + LASTING * std:
+            memory[1 + beam] = -1.0
+        else:
+            # A robot that has driven back has to come near again.
+            memory[1 + beam] = new = 0.0 if driven < 0.0 else old + driven
+            gained = (new**3 - max(new - least, 0.0) ** 3) / (3.0 * least)
+            counted = (old**3 - max(old - least, 0.0) ** 3) / (3.0 * least)
+            if gained < LEAST_SLIP**2:
+                gained = 0.0
+            elif counted >= LEAST_SLIP**2:
+                gained -= counted
+        if gained > most:
+            most, angle, is_earlier = gained, angles[beam], has_jumped
+    return most, angle, is_earlier
+
+
+def slip_covariance(variance: float, angle: float) -> FloatArray:
+    """Covariance (3, 3) of a pose increment, m and rad, by slip of this variance, m^2, at a beam's angle, rad."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    covariance = np.zeros((3, 3))
+    covariance[0, 0] = variance * (ALONG * cos * cos + ACROSS * sin * sin)
+    covariance[1, 1] = variance * (ALONG * sin * sin + ACROSS * cos * cos)
+    covariance[0, 1] = covariance[1, 0] = variance * (ALONG - ACROSS) * cos * sin
+    covariance[2, 2] = variance * TURN * TURN
+    return covariance
+
+
+class Contacts:
+    """Follows the readings and the wheels of one robot, and makes motions in contact less certain.
+
+    Parameters
+    ----------
+    robot
+        Body and beams.
+    std
+        Standard deviation of a range, m.
+    """
+
+    def __init__(self, robot: RobotSpec, std: float) -> None:
+        self._robot, self._std, self._memory = robot, std, new_memory(len(robot.beams))
+
+    def slip(self, ahead: float, ranges: FloatArray, measured: BoolArray) -> tuple[float, float, bool]:
+        """:func:`slip` in the next step."""
+        robot = self._robot
+        return slip(
+            self._memory, ranges, measured, ahead, robot.beam_angles, robot.too_near, robot.radius, self._std
+        )  # fmt: skip
+
+    def loosened(self, motion: Motion, ranges: FloatArray, measured: BoolArray) -> Motion:
+        """The motion of the next step, with the slip that its readings allow in its covariance."""
+        variance, angle, _ = self.slip(float(motion.increment[0]), ranges, measured)
+        if not variance:
+            return motion
+        return replace(motion, covariance=motion.covariance + slip_covariance(variance, angle))
+
+
+class Slip(NamedTuple):
+    """A motion of a finished drive in which the wheels may have slipped by contact.
+
+    Attributes
+    ----------
+    robot, motion
+        Number of the robot, and index of the motion.
+    root
+        Root (3, 3) of the inverse covariance of the motion, slip included: it makes the errors of the left and the
+        right wheel's travel and of the motion aside, m, independent with a variance of 1.
+    """
+
+    robot: int
+    motion: int
+    root: FloatArray
+
+
+def slips_of(
+    robot: RobotSpec, std: float, wheels: FloatArray, stds: FloatArray, ranges: FloatArray, measured: BoolArray
+) -> tuple[Slip, ...]:
+    """The motions of a drive of n robots in which their wheels may have slipped by contact.
+
+    Parameters
+    ----------
+    robot, std
+        Body and beams of each robot, and standard deviation of a range, m.
+    wheels, stds
+        Wheel travel (n, t, 2), m, and standard deviations of the motions (n, t, 3) without slip: of left and right
+        wheel and of the motion aside, m.
+    ranges, measured
+        Readings (t + 1, n, n_beams), m, the first ones from before the first motion, and which of them are new.
+    """
+    by_increment = np.array([[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]])
+    found: dict[tuple[int, int], FloatArray] = {}
+    for number in np.flatnonzero((measured & (ranges <= robot.too_near)).any(axis=(0, 2))).tolist():
+        for motion, covariance in _slips(robot, std, wheels[number], ranges[:, number], measured[:, number]):
+            own = found.setdefault((number, motion), np.diag(stds[number, motion] ** 2))
+            own += by_increment @ covariance @ by_increment.T
+    return tuple(Slip(*place, np.linalg.inv(np.linalg.cholesky(each))) for place, each in found.items())
+
+
+def _slips(
+    robot: RobotSpec, std: float, wheels: FloatArray, ranges: FloatArray, measured: BoolArray
+) -> Iterator[tuple[int, FloatArray]]:
+    """The slips of one robot: index of the motion, and covariance (3, 3). A motion may have more than one."""
+    contacts = Contacts(robot, std)
+    contacts.slip(0.0, ranges[0], measured[0])
+    for motion, ahead in enumerate(wheels.mean(axis=1).tolist()):
+        variance, angle, is_earlier = contacts.slip(ahead, ranges[motion + 1], measured[motion + 1])
+        count = min(JUMP_STEPS, motion + 1) if is_earlier else 1
+        for back in range(count if variance else 0):
+            yield motion - back, slip_covariance(variance / count, angle)

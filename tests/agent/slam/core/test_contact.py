@@ -1,0 +1,182 @@
+"""Contact: which readings show it, how uncertain it makes the motion, and that the estimates stay honest in it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.presets import preset
+from limslam_agent.slam.core.contact import JUMP_STEPS, Contacts, slip_covariance, slips_of
+from limslam_agent.slam.core.motion import motion_from_wheels
+from limslam_agent.slam.line_graph.line_smoother import make_problem
+from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, with_breaks
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.metrics import metrics
+from limslam_env.simulation.simulation import Simulation
+from limslam_env.worlds.world import World
+
+ROBOT, STD, NOISE = RobotSpec(), 0.02, NominalNoise(0.02)
+LEAST = 0.05
+ALL = np.ones(6, dtype=bool)
+RIGHT_OF_FRONT = 3  # at -15 degrees
+
+
+def seen(near: float, beam: int = RIGHT_OF_FRONT) -> FloatArray:
+    """Readings (6,), m, of which one is given."""
+    ranges = np.full(6, 1.0)
+    ranges[beam] = near
+    return ranges
+
+
+def variance_of(contacts: Contacts, ahead: float, near: float, beam: int = RIGHT_OF_FRONT) -> float:
+    return contacts.slip(ahead, seen(near, beam), ALL)[0]
+
+
+def test_a_drive_along_walls_is_as_certain_as_the_wheels() -> None:
+    contacts, motion = Contacts(ROBOT, STD), motion_from_wheels(np.array([0.02, 0.02]), ROBOT, NOISE)
+    for near in np.linspace(0.3, 0.06, 20):
+        assert contacts.loosened(motion, seen(near), ALL) is motion
+
+
+def test_a_robot_that_goes_on_towards_a_wall_slips() -> None:
+    contacts = Contacts(ROBOT, STD)
+    found = [variance_of(contacts, 0.02, near) for near in (0.12, 0.1, 0.08, *[LEAST] * 11)]
+    # The first reading at the minimum only says that the wall is near.
+    assert found[:4] == [0.0] * 4
+    assert all(each > 0.0 for each in found[4:])
+    slow = Contacts(ROBOT, STD)
+    assert [variance_of(slow, 0.005, LEAST) for _ in range(4)] == [0.0] * 4
+    driven = 10 * 0.02 * math.cos(ROBOT.beam_angles[RIGHT_OF_FRONT])
+    free = np.linspace(0.0, LEAST, 10_001)
+    assert sum(found) == pytest.approx(np.mean(np.maximum(driven - free, 0.0) ** 2), rel=1e-3)
+
+
+def test_noise_does_not_end_a_contact_and_free_space_does() -> None:
+    steady, noisy = Contacts(ROBOT, STD), Contacts(ROBOT, STD)
+    expected = [variance_of(steady, 0.02, LEAST) for _ in range(10)]
+    found = [
+        variance_of(noisy, 0.02, near) for near in (LEAST, 0.07, LEAST, LEAST, 0.08, LEAST, LEAST, 0.06, 0.07, 0.06)
+    ]
+    assert found == expected
+    assert variance_of(noisy, 0.02, 0.15) == 0.0
+    assert variance_of(noisy, 0.02, LEAST) == 0.0
+
+
+def test_a_robot_that_backs_off_has_to_come_near_again() -> None:
+    contacts, again = Contacts(ROBOT, STD), Contacts(ROBOT, STD)
+    for _ in range(10):
+        variance_of(contacts, 0.02, LEAST)
+    assert variance_of(contacts, -0.02, LEAST) == 0.0
+    variance_of(again, 0.02, LEAST)
+    assert variance_of(contacts, 0.02, LEAST) == pytest.approx(variance_of(again, 0.02, LEAST))
+
+
+def test_an_edge_between_the_beams_may_have_been_touched_before_it_is_seen() -> None:
+    contacts = Contacts(ROBOT, STD)
+    for _ in range(8):
+        assert variance_of(contacts, 0.02, 1.0) == 0.0
+    variance, angle, is_earlier = contacts.slip(0.02, seen(LEAST), ALL)
+    assert is_earlier
+    assert angle == ROBOT.beam_angles[RIGHT_OF_FRONT]
+    assert 0.06 < math.sqrt(variance) < 0.1
+    # A robot that turns on the spot passes edges without touching them.
+    turning = Contacts(ROBOT, STD)
+    assert [variance_of(turning, 0.0, near) for near in (1.0, 1.0, LEAST)] == [0.0] * 3
+
+
+def test_beams_to_the_sides_and_beams_that_cannot_measure_near_the_body_show_no_contact() -> None:
+    blind = replace(ROBOT, beams=tuple(replace(beam, min_range=0.1) for beam in ROBOT.beams))
+    for contacts, near, beam in ((Contacts(ROBOT, STD), LEAST, 0), (Contacts(blind, STD), 0.1, RIGHT_OF_FRONT)):
+        assert sum(variance_of(contacts, 0.02, near, beam) for _ in range(10)) < 1e-12
+
+
+def test_the_slip_is_along_the_beam_above_all() -> None:
+    angle = math.radians(-45.0)
+    covariance = slip_covariance(0.01, angle)
+    along = np.array([math.cos(angle), math.sin(angle)])
+    across = np.array([-along[1], along[0]])
+    assert np.trace(covariance[:2, :2]) == pytest.approx(0.01)
+    assert along @ covariance[:2, :2] @ along > 3.0 * (across @ covariance[:2, :2] @ across)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_the_smoother_allows_the_same_slip_and_earlier_for_an_edge() -> None:
+    ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
+    wheels = np.full((1, len(ranges) - 1, 2), 0.02)
+    stds = np.full((1, len(ranges) - 1, 3), 1e-3)
+    slips = slips_of(ROBOT, STD, wheels, stds, ranges, np.ones(ranges.shape, dtype=bool))
+    contacts, total = Contacts(ROBOT, STD), np.zeros((3, 3))
+    contacts.slip(0.0, ranges[0, 0], ALL)
+    for row in ranges[1:, 0]:
+        total += slip_covariance(*contacts.slip(0.02, row, ALL)[:2])
+    assert sorted(each.motion for each in slips) == list(range(8 - JUMP_STEPS + 1, len(ranges) - 1))
+    # The mean of the wheels is the motion ahead.
+    ahead = np.array([0.5, 0.5, 0.0])
+    found = sum(ahead @ np.linalg.inv(each.root.T @ each.root) @ ahead for each in slips)
+    assert found - len(slips) * 0.5e-6 == pytest.approx(total[0, 0])
+
+
+def test_nothing_is_known_of_a_motion_in_which_the_robot_was_carried_away_into_a_wall() -> None:
+    ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
+    wheels = np.full((len(ranges), 1, 2), 0.02)
+    problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges)
+    assert 8 in [each.motion for each in problem.slips]
+    off = np.zeros((1, len(ranges) - 1, 3))
+    off[0, 8] = 1.0
+    assert np.abs(problem.whitened(off)).max() > 5.0
+    assert np.abs(with_breaks(problem, [(0, 9)]).whitened(off)).max() < 0.2
+
+
+def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A robot that drives against the walls of a room, pushes for a second, and turns: ranges, wheels and poses."""
+    walls = [[0, 0, 2.5, 0], [2.5, 0, 2.5, 2], [2.5, 2, 0, 2], [0, 2, 0, 0], [1.2, 0.0, 1.2, 0.5]]
+    world = World("room", (2.5, 2.0), np.array(walls, dtype=float))
+    simulation, generator = Simulation(world, ROBOT, 1), np.random.default_rng(seed)
+    start = np.array([0.5, 1.0, generator.uniform(-0.4, 0.4)])
+    readings, truth = simulation.reset(np.random.SeedSequence(seed), NoiseConfig(sensor_noise=STD), start)
+    rows, pushed, turning = [(readings.ranges[0], readings.wheels[0], truth.poses[0])], 0, 0
+    for _ in range(250):
+        pushed = pushed + 1 if (rows[-1][0][1:5] <= ROBOT.too_near[1:5]).any() else 0
+        if pushed > 10:
+            pushed, turning = 0, int(generator.integers(8, 16))
+        action = (-0.6, 0.6) if turning else (0.7, 0.7)
+        turning = max(turning - 1, 0)
+        readings, truth = simulation.step([action])
+        rows.append((readings.ranges[0], readings.wheels[0], truth.poses[0]))
+    ranges, wheels, poses = (np.array(each, dtype=float) for each in zip(*rows, strict=True))
+    return ranges, wheels, poses
+
+
+def consistency(seed: int) -> tuple[float, float]:
+    """Mean NEES / 3 of the filter and of the smoothed path."""
+    ranges, wheels, true = bumping(seed)
+    slam, records = LineSlam(ROBOT, preset("consistent", NOISE), true[0]), []
+    slam.on_association = records.append
+    poses, covariances = [], []
+    for row, travel in zip(ranges, wheels, strict=True):
+        slam.step({"ranges": row, "wheels": travel})
+        poses.append(slam.poses)
+        covariances.append(slam.covariances)
+    slam.finish()
+    usable = np.ones((len(ranges), 1, 6), dtype=bool)
+    run = FilteredRun(
+        ROBOT, NOISE, wheels[:, None], ranges[:, None], usable, np.array(poses), np.array(covariances), records,
+        slam.closures,
+    )  # fmt: skip
+    smoothed = smooth_run(run)
+    assert smoothed is not None
+    found = [(np.array(poses), np.array(covariances)), (smoothed.poses, smoothed.covariances)]
+    filtered, finished = (metrics.consistency_metrics(true, each[:, 0], own[:, 0])["anees"] for each, own in found)
+    return filtered, finished
+
+
+def test_a_robot_that_pushes_against_walls_knows_how_uncertain_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = np.array([consistency(seed) for seed in range(2)])
+    monkeypatch.setattr(Contacts, "slip", lambda *_: (0.0, 0.0, False))
+    blind = np.array([consistency(seed) for seed in range(2)])
+    assert blind.mean(axis=0).min() > 10.0
+    assert honest.mean(axis=0).max() < 3.0
