@@ -429,6 +429,9 @@ class ReversingConfig(Bounded):
         A stretch was driven backwards if this fits with at least this score, and better than driving ahead by ``lead``
         and by ``lead_per_metre`` for each metre. Robots rarely drive backwards over long distances, and in a corridor
         both directions fit.
+    contradicted, fewest
+        Odometry counts as having no sign if at least ``fewest`` of these stretches contradict that they were driven
+        ahead: at least this share of their points would lie where only free space was seen before.
     """
 
     reach: NonNegative = 2.5
@@ -443,6 +446,8 @@ class ReversingConfig(Bounded):
     score: NonNegative = 0.45
     lead: NonNegative = 0.12
     lead_per_metre: NonNegative = 0.06
+    contradicted: NonNegative = 0.03
+    fewest: Count = 2
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ START = np.array([1.0, 1.0, 0.0])
 
 
 def there_and_back(robot=SIX_BEAMS, noise=0.01):
-    """A log with true odometry: ahead to a corner, back and round it, back once more, and on."""
+    """A log with true odometry: ahead to a corner, back and round it, back twice more, and on."""
     turned = turn(90.0, robot)
     wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turned + straight(3.0) + STOP
-    wheels += straight(-0.6) + STOP + straight(3.0)
+    wheels += straight(-0.6) + STOP + straight(1.2) + STOP + straight(-0.6) + STOP + straight(3.0)
     observations, poses = drive(walls(), START, wheels, robot, noise)
     rows = np.arange(0, len(poses), EVERY)
     ranges = np.array([observations[row]["ranges"] for row in rows], dtype=float)
