@@ -391,6 +391,9 @@ class AgreementConfig(Bounded):
         Largest number of groups whose removal is tried in a pass.
     prune_gain
         A group of loops is removed if its removal raises the score by this.
+    strain
+        By how much the score falls for a path whose hops differ from the local smoothing by a chi-square of 1 on
+        average, after the kernel of the hops. Wrong loops bend the path, and places that look alike raise the score.
     doubtful_share
         If other visits contradict a larger share of the points that they confirm or contradict, the result is doubtful.
     """
@@ -402,6 +405,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
+    strain: NonNegative = 0.1
     doubtful_share: NonNegative = 0.12
 
 
