@@ -100,4 +100,4 @@ def _cells_at(grid: SearchGrid, places: FloatArray) -> IntArray:
     """The cells (k,) of a grid at places (k, 2), m. Outside of the grid nothing is known, as at its border."""
     last = np.array(grid.padded.shape) - 1
     rows, columns = np.clip(np.floor((places - grid.low) / grid.cell).astype(np.int64), 0, last).T
-    return grid.padded[rows, columns].astype(np.int64)
+    return np.asarray(grid.padded[rows, columns], dtype=np.int64)

@@ -1,7 +1,7 @@
 """The smoothing of a log: all stages of the graph of local maps in order.
 
 No stage uses the ground truth. Alternatives are compared by the score G of :class:`MapScore`: the share of points that
-other visits of a place confirm, minus the share that other visits contradict.
+other visits of a place confirm, minus the share that other visits contradict, minus the strain of a path that is bent.
 
 The log is solved in frames in which it begins at the origin, and the result is then transformed to the start pose. The
 result therefore does not depend on the start pose. The heading of the frame determines the positions of the bins of the
