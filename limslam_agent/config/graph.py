@@ -266,8 +266,7 @@ class ChunkGraphConfig(Bounded):
     kept
         Loops with a lower weight are not used further.
     bent
-        A hop whose difference from the local smoothing has a larger chi-square is taken from the local smoothing at the
-        beginning of a round.
+        A hop that differs from the local smoothing by a larger chi-square follows it again at the beginning of a round.
     """
 
     hop_inflation: NonNegative = 6.0
@@ -297,8 +296,7 @@ class WideSearchConfig(Bounded):
         The part of the window that does not depend on the uncertainty (m, rad), and the number of standard deviations
         added.
     near
-        Chunks are compared up to this distance beyond the window, m. Within this distance two chunks can show the same
-        place.
+        Chunks are compared up to this distance beyond the window, m, where two chunks can show the same place.
     score
         Least score.
     neighbours, neighbour_window, neighbour_turn
@@ -391,6 +389,8 @@ class AgreementConfig(Bounded):
         Largest number of groups whose removal is tried in a pass.
     prune_gain
         A group of loops is removed if its removal raises the score by this.
+    strain
+        By how much a mean chi-square of 1 between hops and local smoothing, after the kernel, lowers the score.
     doubtful_share
         If other visits contradict a larger share of the points that they confirm or contradict, the result is doubtful.
     """
@@ -402,6 +402,7 @@ class AgreementConfig(Bounded):
     max_group: Count = 8
     doubtful: Count = 8
     prune_gain: NonNegative = 0.002
+    strain: NonNegative = 0.1
     doubtful_share: NonNegative = 0.12
 
 
@@ -412,8 +413,7 @@ class ReversingConfig(Bounded):
     Attributes
     ----------
     reach
-        Logs whose beams reach less are not judged, m. Where they see too little of the ground ahead of a stop, driving
-        backwards over known ground fits better in any case.
+        Logs whose beams reach less are not judged, m: they see too little of the ground ahead of a stop.
     unsigned
         Odometry counts as never reporting it if at most this share of the path is driven backwards by odometry.
     slow
@@ -427,8 +427,10 @@ class ReversingConfig(Bounded):
         The window of a match, m and rad.
     score, lead, lead_per_metre
         A stretch was driven backwards if this fits with at least this score, and better than driving ahead by ``lead``
-        and by ``lead_per_metre`` for each metre. Robots rarely drive backwards over long distances, and in a corridor
-        both directions fit.
+        and by ``lead_per_metre`` for each metre, since in a corridor both directions fit.
+    contradicted, fewest
+        Odometry has no sign if at least ``fewest`` of these stretches contradict that they were driven ahead: at least
+        this share of their points would lie where only free space was seen before.
     """
 
     reach: NonNegative = 2.5
@@ -443,6 +445,8 @@ class ReversingConfig(Bounded):
     score: NonNegative = 0.45
     lead: NonNegative = 0.12
     lead_per_metre: NonNegative = 0.06
+    contradicted: NonNegative = 0.03
+    fewest: Count = 2
 
 
 @dataclass(frozen=True)
@@ -458,11 +462,9 @@ class RoundConfig(Bounded):
     wide_search
         Number of rounds with a wide search. Some places can be found only after other places have been found.
     orientations
-        First headings of the log in the frames of the searches, rad. The headings determine which bins of the Hough
-        transforms the walls fall into.
+        First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
     tried, trial
-        Number of searches, those with the highest scores after the first round, that are continued, up to round
-        ``trial``.
+        Number of searches with the highest scores after the first round that are continued, up to round ``trial``.
     finished, hopeless
         Number of these searches that do all rounds. Their scores are the highest, and none is worse than the best score
         by ``hopeless``.

@@ -13,6 +13,22 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 _FEWEST_POINTS = 10
 
 
+@dataclass(frozen=True)
+class Fit:
+    """How well what was seen next fits to what was seen before.
+
+    Attributes
+    ----------
+    score
+        Score of the best match.
+    contradicted
+        Share of the points that the best match places where only free space was seen before.
+    """
+
+    score: float
+    contradicted: float
+
+
 @dataclass(eq=False)
 class LocalViews:
     """What was seen along a log.
@@ -59,12 +75,14 @@ class LocalViews:
         """The last event of some metres after an event."""
         return int(np.searchsorted(self.travel, self.travel[event] + metres, side="right")) - 1
 
-    def score(self, known: SearchGrid, event: int, moves: FloatArray) -> float:
+    def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> Fit:
         """How well that fits which was seen from an event on, along motions (k, 3)."""
         events = np.arange(event, event + len(moves) + 1)
         places, _ = self._seen(events, integrate(np.zeros(3), moves))
         points = thinned(places, self.config.maps.cell)
-        return match(known, points, np.zeros(3), self.window, self.config.matching, NO_MATCH).score
+        found = match(known, points, np.zeros(3), self.window, self.config.matching, NO_MATCH)
+        cells = _cells_at(known, se2.transform_points(found.pose, points))
+        return Fit(found.score, float(np.mean(cells < 0)) if len(cells) else 0.0)
 
     def _seen(self, events: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points and origins of their beams, (p, 2) each, at events (k,) with poses (k, 3)."""
@@ -76,3 +94,10 @@ class LocalViews:
 def moves_of(data: LogData) -> FloatArray:
     """Motions (n - 1, 3) of odometry from event to event."""
     return se2.between(data.odometry[:-1], data.odometry[1:])
+
+
+def _cells_at(grid: SearchGrid, places: FloatArray) -> IntArray:
+    """The cells (k,) of a grid at places (k, 2), m. Outside of the grid nothing is known, as at its border."""
+    last = np.array(grid.padded.shape) - 1
+    rows, columns = np.clip(np.floor((places - grid.low) / grid.cell).astype(np.int64), 0, last).T
+    return np.asarray(grid.padded[rows, columns], dtype=np.int64)

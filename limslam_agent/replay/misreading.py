@@ -71,7 +71,7 @@ def _score(views: LocalViews, place: int) -> float:
     known, last = views.known(place, _BEFORE), views.last_event(place, _AFTER)
     if known is None or last <= place:
         return np.nan
-    score = views.score(known, place, views.moves[place:last])
+    score = views.fit(known, place, views.moves[place:last]).score
     return score if score > NO_MATCH else np.nan
 
 

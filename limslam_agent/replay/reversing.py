@@ -6,6 +6,9 @@ which no model of noise explains.
 
 A robot can change its direction only where it stops. After a stop it sees the walls that it has seen before the stop
 again: from where it has been before, if it drives backwards, and from ahead otherwise. Both are tried.
+
+New ground ahead fits worse than known ground behind in any case, above all in corridors and halls. So a log is changed
+only if driving ahead contradicts what was seen in several stretches: walls would stand where there was free space.
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,7 +25,8 @@ from limslam_env.geometry import FloatArray, IntArray
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     """The log with the motions turned round that the ranges say were driven backwards.
 
-    A log whose odometry reports driving backwards itself stays as it is, and so does a log of short beams.
+    A log whose odometry reports driving backwards itself stays as it is, and so does a log of short beams, or one in
+    which nearly no stretch contradicts that it was driven ahead.
     """
     settings = config.reversing
     if data.max_range < settings.reach:
@@ -31,13 +35,16 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     if not _is_unsigned(views, settings):
         return data
     drive = _Drive(views, settings)
-    leads = {number: drive.lead(number) for number in range(len(drive.stretches))}
+    judged = [drive.judged(number) for number in range(len(drive.stretches))]
+    if sum(each.lead > 0.0 and each.contradicted >= settings.contradicted for each in judged) < settings.fewest:
+        return data
+    leads = {number: each.lead for number, each in enumerate(judged)}
     while leads and leads[best := max(leads, key=leads.__getitem__)] > 0.0:
         del leads[best]
         drive.turn_round(best)
         for number in drive.near(best):
             if number in leads:
-                leads[number] = drive.lead(number)
+                leads[number] = drive.judged(number).lead
     return replace(data, odometry=integrate(data.odometry[0], views.moves)) if drive.has_changed else data
 
 
@@ -53,6 +60,25 @@ def _is_unsigned(views: LocalViews, settings: ReversingConfig) -> bool:
     """Whether odometry has never reported driving backwards."""
     ahead = views.moves[:, 0]
     return bool(-ahead[ahead < 0.0].sum() <= settings.unsigned * views.travel[-1])
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """What speaks for a stretch having been driven backwards.
+
+    Attributes
+    ----------
+    lead
+        By how much the stretch fits better than is needed if it was driven backwards.
+    contradicted
+        Share of its points that would lie in free space if it was driven ahead.
+    """
+
+    lead: float
+    contradicted: float
+
+
+_UNKNOWN = _Judgement(NO_MATCH, 0.0)
 
 
 @dataclass(eq=False)
@@ -89,20 +115,22 @@ class _Drive:
         reach = self.settings.before + self.settings.after
         return np.flatnonzero((begins <= ends[number] + reach) & (ends >= begins[number] - reach))
 
-    def lead(self, number: int) -> float:
-        """By how much a stretch fits better than is needed if it was driven backwards."""
+    def judged(self, number: int) -> _Judgement:
+        """What speaks for a stretch having been driven backwards."""
         begin, end = map(int, self.stretches[number])
         views, settings = self.views, self.settings
         known = views.known(begin, settings.before)
         if known is None:
-            return NO_MATCH
+            return _UNKNOWN
         length = float(views.travel[end] - views.travel[begin])
         moves = views.moves[begin : views.last_event(begin, min(settings.after, length + settings.beyond))].copy()
-        ahead = views.score(known, begin, moves)
+        ahead = views.fit(known, begin, moves)
         moves[: end - begin, :2] *= -1.0
-        backwards = views.score(known, begin, moves)
+        backwards = views.fit(known, begin, moves)
+        if backwards.score < settings.score:
+            return _UNKNOWN
         needed = settings.lead + settings.lead_per_metre * length
-        return backwards - ahead - needed if backwards >= settings.score else NO_MATCH
+        return _Judgement(backwards.score - ahead.score - needed, ahead.contradicted)
 
 
 def _stretches(time: FloatArray, travel: FloatArray, settings: ReversingConfig) -> IntArray:

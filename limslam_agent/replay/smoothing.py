@@ -19,7 +19,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
-from limslam_agent.replay.trust import PathSignals, crossings
+from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -115,7 +115,9 @@ def _signals(found: GraphResult, config: GraphConfig, data: LogData) -> tuple[li
     agreement = agreement_of_visits(keys, trajectory, config, data.max_range) if len(keys) > 1 else (0.0, 0.0)
     time = data.time[keys.first_event] - data.time[0]
     crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
-    return landmarks, PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *agreement, loops)
+    bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
+    driven = float(keys.travel[-1])
+    return landmarks, PathSignals(driven, tuple(crossed.tolist()), *agreement, loops, tuple(bent.tolist()))
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:

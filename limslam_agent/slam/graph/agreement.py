@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import AgreementConfig, GraphConfig, LoopConfig
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, refine, solve_annealed
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain, refine, solve_annealed
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
@@ -112,6 +112,8 @@ class MapScore:
         Distance (c,) driven up to each chunk, m.
     config
         The settings.
+    strain
+        What is subtracted because the path bends away from the local smoothing. None for nothing.
     """
 
     grids: NDArray[np.int8]
@@ -121,6 +123,7 @@ class MapScore:
     starts: IntArray
     travel: FloatArray
     config: AgreementConfig
+    strain: Strain | None = None
 
     @classmethod
     def of(cls, maps: Sequence[LocalMap], config: AgreementConfig) -> "MapScore":
@@ -147,9 +150,13 @@ class MapScore:
         return (hits > 0) & (hits >= frees), frees > hits
 
     def __call__(self, poses: FloatArray) -> float:
-        """Share of points that other visits confirm, minus the share that other visits contradict, for poses (c, 3)."""
+        """Share of points that other visits confirm, minus the share that they contradict, minus the strain.
+
+        ``poses`` (c, 3) are those of the chunks.
+        """
         confirmed, contradicted = self.verdicts(poses)
-        return float(confirmed.mean() - contradicted.mean())
+        agreed = float(confirmed.mean() - contradicted.mean())
+        return agreed if self.strain is None else agreed - self.strain(poses)
 
 
 def agreement_of_visits(

@@ -153,10 +153,7 @@ def unbent(trajectory: Trajectory, local: Trajectory, middles: IntArray, hops: H
     ``hops`` are the hops of the local trajectory between the key poses ``middles`` (c,). All later key poses move with
     a hop.
     """
-    poses = trajectory.poses[middles]
-    numbers = np.arange(len(middles) - 1)
-    error, _ = relation_factor(poses, numbers, numbers + 1, hops.motions)
-    bent = np.einsum("fi,fij,fj->f", error, np.linalg.inv(hops.covariances), error) > limit
+    bent = hop_chi_squares(trajectory.poses[middles], hops) > limit
     if not bent.any():
         return trajectory
     steps = se2.between(trajectory.poses[:-1], trajectory.poses[1:])
@@ -164,6 +161,37 @@ def unbent(trajectory: Trajectory, local: Trajectory, middles: IntArray, hops: H
     for begin, end in zip(middles[:-1][bent], middles[1:][bent], strict=True):
         steps[begin:end] = by_local[begin:end]
     return Trajectory(integrate(trajectory.poses[0], steps), trajectory.bias)
+
+
+def hop_chi_squares(poses: FloatArray, hops: Hops) -> FloatArray:
+    """How far the motions between poses (c, 3) are from the hops, as chi-squares (c - 1,)."""
+    numbers = np.arange(len(poses) - 1)
+    error, _ = relation_factor(poses, numbers, numbers + 1, hops.motions)
+    return np.asarray(np.einsum("fi,fij,fj->f", error, np.linalg.inv(hops.covariances), error))
+
+
+@dataclass(frozen=True, eq=False)
+class Strain:
+    """What a map costs because its path bends away from the local smoothing.
+
+    Attributes
+    ----------
+    hops
+        The hops (c - 1) of the local smoothing.
+    kernel, weight
+        Scale of the Cauchy kernel, as in the graph of chunks, and the cost of a mean of 1 after the kernel.
+    """
+
+    hops: Hops
+    kernel: float
+    weight: float
+
+    def __call__(self, poses: FloatArray) -> float:
+        """The cost of poses (c, 3) of the chunks."""
+        if len(poses) < 2:
+            return 0.0
+        bends = np.log1p(hop_chi_squares(poses, self.hops) / self.kernel)
+        return self.weight * self.kernel * float(bends.mean())
 
 
 def _edges(hops: Hops, loops: Sequence[Loop], count: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 """One round of the smoothing of a log: the loops of its chunks are found and tested, and the bundle is solved."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,8 +23,11 @@ from limslam_agent.slam.graph.agreement import (
 from limslam_agent.slam.graph.bundle import bundle
 from limslam_agent.slam.graph.chunk_graph import (
     ChunkSolution,
+    Hops,
     Loop,
+    Strain,
     carry_over,
+    hop_chi_squares,
     hops_between,
     information_matrix,
     solve_annealed,
@@ -52,7 +55,7 @@ class Round:
     trajectory
         The trajectory after the bundle.
     score
-        G of the bundled map.
+        G of the bundled map, less the strain of its path.
     verdicts
         The verdicts on all loops that were found.
     middles, chunk_covariances
@@ -98,14 +101,26 @@ class LogProblem:
 
         Links between visits can pull at a segment of the path that no loop holds, and bend it more in each round.
         """
-        middles, covariances = self.middles(number), self._hop_covariances(number)
-        hops = hops_between(self.local.poses[middles], covariances, self.config.chunks)
-        return unbent(trajectory, self.local, middles, hops, self.config.chunks.bent)
+        return unbent(trajectory, self.local, self.middles(number), self.local_hops(number), self.config.chunks.bent)
 
     def score(self, trajectory: Trajectory) -> float:
-        """G of a trajectory's map."""
+        """G of a trajectory's map, less the strain of its path."""
         confirmed, contradicted = agreement_of_visits(self.keys, trajectory, self.config, self.data.max_range)
-        return confirmed - contradicted
+        return confirmed - contradicted - self.strain(0)(trajectory.poses[self.middles(0)])
+
+    def strain(self, number: int) -> Strain:
+        """What the chunks of a round cost where their path bends away from the local smoothing."""
+        return Strain(self.local_hops(number), self.config.chunks.hop_kernel, self.config.agreement.strain)
+
+    def bends(self, trajectory: Trajectory) -> tuple[IntArray, FloatArray]:
+        """The key poses (h,) at which the hops of a trajectory begin, and their chi-squares (h,) by local smoothing."""
+        middles = self.middles(0)
+        return middles[:-1], hop_chi_squares(trajectory.poses[middles], self.local_hops(0))
+
+    def local_hops(self, number: int) -> Hops:
+        """The hops of a round along the local trajectory."""
+        poses = self.local.poses[self.middles(number)]
+        return hops_between(poses, self._hop_covariances(number), self.config.chunks)
 
     def _hop_covariances(self, number: int) -> FloatArray:
         """Covariances (c - 1, 3, 3) of the hops of a round, from the graph of the local smoothing."""
@@ -151,7 +166,8 @@ class Candidates:
 def do_round(log: LogProblem, trajectory: Trajectory, number: int, candidates: Candidates, start: str) -> Round:
     """Do one round: support, wide search, unions from the second round on, and the bundle."""
     config, chunks = log.config, candidates.chunks
-    placed, score = _supported(chunks, candidates.loops), MapScore.of(chunks.maps, config.agreement)
+    placed = _supported(chunks, candidates.loops)
+    score = replace(MapScore.of(chunks.maps, config.agreement), strain=log.strain(number))
     if number < config.rounds.wide_search:
         placed = STARTS[start](candidates, placed, score)
     elif start == "guard":

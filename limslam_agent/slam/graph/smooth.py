@@ -1,7 +1,7 @@
 """The smoothing of a log: all stages of the graph of local maps in order.
 
 No stage uses the ground truth. Alternatives are compared by the score G of :class:`MapScore`: the share of points that
-other visits of a place confirm, minus the share that other visits contradict.
+other visits of a place confirm, minus the share that other visits contradict, minus the strain of a path that is bent.
 
 The log is solved in frames in which it begins at the origin, and the result is then transformed to the start pose. The
 result therefore does not depend on the start pose. The heading of the frame determines the positions of the bins of the
@@ -65,6 +65,9 @@ class GraphResult:
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
     keys, trajectory
         The key poses and their trajectory, from which the points can be drawn.
+    hop_events, hop_errors
+        First events (h,) of the hops between chunks, and how far each hop is from the local smoothing, as a chi-square
+        (h,).
     """
 
     poses: FloatArray
@@ -78,6 +81,8 @@ class GraphResult:
     errors: FloatArray
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
+    hop_events: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False)
+    hop_errors: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
 
 
 Report = Callable[[str], None]
@@ -145,7 +150,8 @@ def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Rep
     best = max(searches, key=_score)
     found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
-    return _result(keys, best.name, found, scores)
+    begins, errors = best.log.bends(found.trajectory)
+    return replace(_result(keys, best.name, found, scores), hop_events=keys.first_event[begins], hop_errors=errors)
 
 
 def _silent(_: str) -> None:

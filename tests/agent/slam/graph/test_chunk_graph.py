@@ -8,6 +8,8 @@ from limslam_agent.slam.graph.agreement import agreements, distances_after_align
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,
     Loop,
+    Strain,
+    hop_chi_squares,
     hops_between,
     information_matrix,
     solve,
@@ -110,6 +112,21 @@ def test_a_bent_hop_follows_the_local_path_again_and_the_others_stay(truth):
     assert found.bias is bias
     healthy = Trajectory(integrate(truth[0], corrected), bias)
     assert unbent(healthy, local, middles, hops, 25.0) is healthy
+
+
+def test_one_sharp_bend_strains_the_path(truth):
+    std = np.array([0.1, 0.1, np.radians(2.0)])
+    hops = Hops(se2.between(truth[:-1], truth[1:]), np.tile(np.diag(std**2), (len(truth) - 1, 1, 1)))
+    motions = hops.motions.copy()
+    motions[20, 2] += np.radians(12.0)
+    bent = integrate(np.array([3.0, 1.0, 0.5]), motions)
+    errors = hop_chi_squares(bent, hops)
+    assert errors[20] == pytest.approx(36.0, abs=1e-6)
+    assert np.delete(errors, 20) == pytest.approx(np.zeros(len(errors) - 1), abs=1e-9)
+    strain = Strain(hops, kernel=9.0, weight=0.1)
+    assert strain(bent) == pytest.approx(0.9 * np.log(5.0) / len(errors))
+    assert strain(truth) == pytest.approx(0.0, abs=1e-9)
+    assert strain(truth[:1]) == 0.0
 
 
 def test_paths_are_compared_after_the_motion_that_fits_them(truth):
