@@ -10,8 +10,8 @@ the recorded drives.
 
 The input is what the grid shows in 24 directions, among it how much nearer a step would bring the robot to a frontier
 along free cells. An action is one of these directions, chosen every half second: the one in which the recorded robot
-was 0.2 m later. Wheel speeds would be a poor action to clone. A policy that sees its last wheel speeds repeats them,
-and one that pushes straight on in front of a wall, where the collision guard stops the robot, never leaves that place.
+was 0.2 m later. Wheel speeds would be a poor action to clone: a policy that asks for full speed ahead in front of a
+wall, where the collision guard stops the robot, never leaves that place, and no recorded robot shows how to.
 
 Implicit Q-learning (IQL): Kostrikov, Nair and Levine, Offline Reinforcement Learning with Implicit Q-Learning, ICLR
 2022. Its value is an expectile of the values of recorded actions, so no other action is ever evaluated.

@@ -49,9 +49,9 @@ class BaselineConfig:
         If a number is below 1, or the noise is no standard deviation.
     """
 
-    steps: int = 200_000
+    steps: int = 120_000
     seeds: int = 5
-    tries: int = 10
+    tries: int = 6
     plans: int = 1000
     held_out: int = 20
     envs: int = 64

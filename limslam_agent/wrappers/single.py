@@ -12,7 +12,6 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import Mapper
-from limslam_agent.wrappers.crop import crop
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
@@ -132,6 +131,9 @@ def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], siz
     size
         Side of the observed grid in cells.
     """
+    # A kernel. Who imports this module need not wait for numba.
+    from limslam_agent.wrappers.crop import crop
+
     return {
         "pose": observed_pose(start, belief.pose),
         "covariance": observed_covariance(belief.covariance),
