@@ -103,7 +103,7 @@ def train(
 @app.command()
 def baselines(
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/baselines"),
-    steps: Annotated[int, typer.Option(help="Decisions of training for each learner and seed.")] = 120_000,
+    steps: Annotated[int, typer.Option(help="Decisions of training for each learner and seed.")] = 100_000,
     seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
     learners: Annotated[str, typer.Option(help="Names of the learners, with commas.")] = "recurrent,belief",
     table_only: Annotated[bool, typer.Option("--table-only", help="Train nothing, print what is there.")] = False,

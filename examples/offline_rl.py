@@ -318,7 +318,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, default=Path("runs/dataset"), help="folder of the datasets")
     parser.add_argument("--policies", default="frontier,learned,random", help="datasets that are learned from")
     parser.add_argument("--held-out", type=int, default=20, help="number of plans that are kept for the evaluation")
-    parser.add_argument("--updates", type=int, default=4000, help="gradient steps of each method")
+    parser.add_argument("--updates", type=int, default=1000, help="gradient steps of each method")
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()
 

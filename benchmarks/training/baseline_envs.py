@@ -49,9 +49,9 @@ class BaselineConfig:
         If a number is below 1, or the noise is no standard deviation.
     """
 
-    steps: int = 120_000
+    steps: int = 100_000
     seeds: int = 5
-    tries: int = 6
+    tries: int = 5
     plans: int = 1000
     held_out: int = 20
     envs: int = 64
