@@ -32,8 +32,8 @@ class BaselineConfig:
     ----------
     steps, seeds
         Decisions for each learner and seed, and number of seeds.
-    tries
-        How often each network is tried while it is trained, after equal numbers of decisions.
+    every
+        Decisions after which each network is tried, again and again.
     plans, held_out
         Number of plans that are learned on, and of those that are tried.
     envs
@@ -51,7 +51,7 @@ class BaselineConfig:
 
     steps: int = 100_000
     seeds: int = 5
-    tries: int = 5
+    every: int = 20_000
     plans: int = 1000
     held_out: int = 20
     envs: int = 64
@@ -65,6 +65,11 @@ class BaselineConfig:
                 raise ValueError(f"{name} must be 1 or more, not {value}")
         if not 0.0 <= self.noise <= 1.0:
             raise ValueError(f"the noise is a standard deviation from 0 to 1 m, not {self.noise:g}")
+
+    @property
+    def trials(self) -> tuple[int, ...]:
+        """Numbers of decisions after which a network is tried, at least all of them."""
+        return (*range(self.every, self.steps, self.every), self.steps)
 
 
 class HeldActions(gym.vector.VectorWrapper):  # type: ignore[type-arg, misc, unused-ignore]

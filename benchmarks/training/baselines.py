@@ -50,7 +50,7 @@ def train_baselines(config: BaselineConfig, folder: Path, learners: Sequence[str
             _note(folder / RESULTS, name, 0, 0, reference_trial(name, config))
     for seed in range(config.seeds):
         for learner in learners:
-            if _rows_of(folder, learner, seed) < config.tries:
+            if _rows_of(folder, learner, seed) < len(config.trials):
                 _drop(folder, learner, seed)
                 begin = time.process_time()
                 _train(learner, config, seed, folder / RESULTS)
@@ -90,7 +90,7 @@ def _train(learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
     # Threads that wait for each other lose more than they gain on networks of this size.
     torch.set_num_threads(1)
     env = Sb3VecEnv(environment(learner, config, is_trial=False))
-    rollout = max(min(_ROLLOUT, config.steps // (config.envs * config.tries)), 2)
+    rollout = max(min(_ROLLOUT, min(config.every, config.steps) // config.envs), 2)
     shared = {
         "n_steps": rollout,
         "batch_size": min(_BATCH, rollout * config.envs),
@@ -150,7 +150,7 @@ class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
     def __init__(self, learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
         super().__init__()
         self._learner, self._config, self._seed, self._path = learner, config, seed, path
-        self._due = [config.steps * (number + 1) // config.tries for number in range(config.tries)]
+        self._due = list(config.trials)
 
     def _on_rollout_start(self) -> None:
         # A network has learned from all rollouts that have ended.

@@ -101,7 +101,7 @@ def test_both_learn_for_some_steps_and_go_on(tmp_path):
     from benchmarks.training.baseline_envs import BaselineConfig
     from benchmarks.training.baselines import REFERENCES, train_baselines
 
-    config = BaselineConfig(steps=64, seeds=1, tries=2, plans=2, held_out=2, envs=2, episode=6, hold=2)
+    config = BaselineConfig(steps=64, seeds=1, every=32, plans=2, held_out=2, envs=2, episode=6, hold=2)
     said = []
     train_baselines(config, tmp_path / "run", say=said.append)
     assert [line.split(":")[0] for line in said] == ["recurrent, seed 0", "belief, seed 0"]
