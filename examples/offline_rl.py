@@ -94,7 +94,8 @@ def view(grid: NDArray[np.uint8], ranges: NDArray[np.float32]) -> NDArray[np.flo
     part = signs[first[0] : last[0] + 3, first[1] : last[1] + 3]
     low = (first[::-1] - 0.5 * len(signs)) * CELL
     # The robot looks up the picture.
-    return observe(GridView(low, CELL, part), np.array([0.0, 0.0, 0.5 * np.pi]), ranges, ROBOT, VIEW)
+    pose = np.array([0.0, 0.0, 0.5 * np.pi])
+    return observe(GridView(low, CELL, part), pose, ranges.astype(float), ROBOT, VIEW)
 
 
 def directions(poses: NDArray[np.float32]) -> NDArray[np.int64]:

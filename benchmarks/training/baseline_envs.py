@@ -183,7 +183,7 @@ def reference_trial(policy: str, config: BaselineConfig) -> dict[str, list[float
     returns = np.zeros(env.num_envs)
     for _ in range(config.episode * config.hold):
         for number, team in enumerate(teams):
-            team.observe([{name: observation[name][number] for name in ("ranges", "wheels")}])
+            team.observe([{"ranges": observation["ranges"][number], "wheels": observation["wheels"][number]}])
         observation, reward, *_, info = env.step(np.array([team.decide()[0] for team in teams], dtype=np.float32))
         returns += reward
     env.close()
