@@ -156,7 +156,8 @@ def draw_efficiency(folder: Path, path: Path) -> None:
     """
     figure, [[left, right]] = sheet_of(1, 2, (5.2, 3.6))
     curves = read_trials(folder, "coverage")
-    handles = [_draw_curve(left, number, *each) for number, each in enumerate(curves.items())]
+    learners_first = sorted(curves.items(), key=lambda each: _is_reference(each[1]))
+    handles = [_draw_curve(left, number, *each) for number, each in enumerate(learners_first)]
     left.set(xlabel="decisions of training", ylabel="coverage after a minute, IQM", ylim=(0.0, None))
     left.ticklabel_format(axis="x", style="sci", scilimits=(3, 3), useMathText=True)
     _draw_improvements(right, _pairs(curves))
