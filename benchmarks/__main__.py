@@ -103,7 +103,7 @@ def train(
 @app.command()
 def baselines(
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/baselines"),
-    steps: Annotated[int, typer.Option(help="Steps of training for each learner and seed.")] = 100_000,
+    steps: Annotated[int, typer.Option(help="Decisions of training for each learner and seed.")] = 100_000,
     seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
     learners: Annotated[str, typer.Option(help="Names of the learners, with commas.")] = "recurrent,belief",
     table_only: Annotated[bool, typer.Option("--table-only", help="Train nothing, print what is there.")] = False,
@@ -113,7 +113,8 @@ def baselines(
 
     if not table_only:
         try:
-            from benchmarks.training.baselines import BaselineConfig, train_baselines
+            from benchmarks.training.baseline_envs import BaselineConfig
+            from benchmarks.training.baselines import train_baselines
         except ModuleNotFoundError as error:
             raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
         names = tuple(name.strip() for name in learners.split(","))
@@ -130,7 +131,7 @@ def dataset(
     first_plan: Annotated[int, typer.Option(help="Seed of the first plan; the next seeds follow.")] = 300_000,
     policies: Annotated[str, typer.Option(help="Names of the policies, with commas.")] = "frontier,learned,random",
     noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
-    size: Annotated[int, typer.Option(help="Side of the observed grid, cells of 0.10 m.")] = 64,
+    size: Annotated[int, typer.Option(help="Side of the observed grid, cells of 0.10 m.")] = 128,
     max_time: Annotated[float, typer.Option(help="Longest simulated time of a drive, s.")] = 300.0,
     workers: Annotated[int | None, typer.Option(min=1, help="Drives at once.", show_default="one a core")] = None,
     check: Annotated[bool, typer.Option("--check", help="Only check the datasets in the folder.")] = False,

@@ -105,7 +105,9 @@ AGENT = {
     "limslam_agent.agent": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),
     },
-    "limslam_agent.wrappers": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "mapper", "slam.batch")},
+    "limslam_agent.wrappers": {
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("belief", "config", "grid", "mapper", "slam.batch"),
+    },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
@@ -300,6 +302,7 @@ def test_importing_the_agent_loads_no_simulator():
     compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
     compiled += [
         "limslam_agent.policies.learned.look_ahead",
+        "limslam_agent.wrappers.crop",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.slam.merging"],
         *PLACES["limslam_agent.slam.online_graph"],

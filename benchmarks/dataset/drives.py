@@ -21,7 +21,6 @@ from limslam_agent.runs.results import drive_scores
 from limslam_agent.status.status import LEVELS
 from limslam_agent.team import LimSlamTeam
 from limslam_agent.wrappers.single import SlamObservation, default_config, observed_belief
-from limslam_env.geometry.shapes import places_around
 
 FORMAT = 1
 """Version of what a drive records. Datasets of another version are not continued."""
@@ -66,7 +65,7 @@ class DatasetConfig:
     first_plan: int = FIRST_PLAN
     policies: tuple[str, ...] = ("frontier", "learned", "random")
     noise: float = 0.02
-    size: int = 64
+    size: int = 128
     max_time: float = 300.0
 
     def __post_init__(self) -> None:
@@ -108,14 +107,13 @@ class _Recorder:
     """The rows of a drive, one for each observation, and one for each action."""
 
     def __init__(self, team: LimSlamTeam, start: NDArray[Any], size: int) -> None:
-        self._team, self._start = team, start
-        self._places = places_around(size, team.config.grid.cell)
+        self._team, self._start, self._size = team, start, size
         self._rows: dict[str, list[Any]] = {}
 
     def observe(self, observation: dict[str, Any], info: dict[str, Any]) -> None:
         """Keep what is believed after an observation, the readings, and the truth."""
         mapper = self._team.mapper
-        belief = observed_belief(mapper.belief, self._start, observation["ranges"], self._places)
+        belief = observed_belief(mapper.belief, self._start, observation["ranges"], self._size)
         self._add({f"observations/{name}": part for name, part in belief.items()})
         self._add({"infos/wheels": observation["wheels"], "infos/status": LEVELS.index(mapper.statuses[0].level)})
         self._add({f"{TRUTH}/{name}": info[name] for name in ("pose", "coverage", "collision")})

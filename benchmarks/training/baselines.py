@@ -1,123 +1,37 @@
-"""Two baselines with known algorithms, trained from several seeds and tried after equal numbers of steps.
+"""Two baselines with known algorithms, trained from several seeds and tried after equal numbers of decisions.
 
 ``recurrent`` is PPO with a recurrent network (LSTM) on the raw readings, without a map. ``belief`` is PPO on the
-observations of `SlamVectorObservation`: pose, covariance, readings, and a crop of the grid. Both are those of
-Stable-Baselines3 with its default networks, act on the wheels at every step, and get the same steps on the same plans.
+observations of `SlamVectorObservation`: readings, and a crop of the grid around the robot. Both are the algorithms of
+Stable-Baselines3 and sb3-contrib with small networks, choose wheel speeds twice a second, and get the same number of
+decisions on the same plans. Explorers that do not learn stand beside them.
 """
 
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
+import torch
 from gymnasium import spaces
-from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
 
-import limslam_env  # noqa: F401 (registers the environments)
+from benchmarks.training.baseline_envs import BaselineConfig, environment, reference_trial, trial
 from benchmarks.training.efficiency import RESULTS
 from limslam_agent.output.atomic_write import append_line, mend_lines, replace_content
-from limslam_agent.wrappers.vector import SlamVectorObservation
 from limslam_env.envs.sb3 import Sb3VecEnv
 
 LEARNERS = ("recurrent", "belief")
-TRAINING_PLANS, HELD_OUT_PLANS = 100_000, 200_000
-"""First seeds of the plans that are learned on, and of those that are tried, as in the suite ``explore``."""
+REFERENCES = ("random", "frontier", "frontier_fast")
+"""Policies of ``limslam run`` that drive once on the held-out plans. Their rows have 0 steps of training."""
 
 _SETTINGS = "baselines.json"
-
-
-@dataclass(frozen=True)
-class BaselineConfig:
-    """The budget of the baselines.
-
-    Attributes
-    ----------
-    steps, seeds
-        Steps of the environment for each learner and seed, and number of seeds.
-    tries
-        How often each network is tried while it is trained, after equal numbers of steps.
-    plans, held_out
-        Number of plans that are learned on, and of those that are tried.
-    envs
-        Number of environments in the batch.
-    episode
-        Steps of an episode, in training and in a trial.
-    noise
-        Standard deviation of the ranges, m.
-
-    Raises
-    ------
-    ValueError
-        If a number is below 1, or the noise is no standard deviation.
-    """
-
-    steps: int = 100_000
-    seeds: int = 5
-    tries: int = 5
-    plans: int = 1000
-    held_out: int = 20
-    envs: int = 16
-    episode: int = 600
-    noise: float = 0.02
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if name != "noise" and value < 1:
-                raise ValueError(f"{name} must be 1 or more, not {value}")
-        if not 0.0 <= self.noise <= 1.0:
-            raise ValueError(f"the noise is a standard deviation from 0 to 1 m, not {self.noise:g}")
-
-
-class RawReadings(gym.vector.VectorWrapper):  # type: ignore[type-arg, misc, unused-ignore]
-    """Readings and wheel travel of a batch as vectors (n, 8) from -1 to 1, those of ``final_obs`` too."""
-
-    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
-        super().__init__(env)
-        parts: Any = env.single_observation_space
-        self._low, self._high = (
-            np.concatenate([getattr(parts[name], side) for name in ("ranges", "wheels")]) for side in ("low", "high")
-        )
-        self.single_observation_space = spaces.Box(-1.0, 1.0, self._low.shape, np.float32)
-        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-
-    def reset(self, **arguments: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin new episodes."""
-        observation, info = self.env.reset(**arguments)
-        return self._vectors(observation), info
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Drive for one control period."""
-        observation, reward, terminated, truncated, info = self.env.step(actions)
-        for number in np.flatnonzero(terminated | truncated):
-            info["final_obs"][number] = self._vectors(info["final_obs"][number])
-        return self._vectors(observation), reward, terminated, truncated, info
-
-    def _vectors(self, observation: Any) -> NDArray[np.float32]:
-        values = np.concatenate((observation["ranges"], observation["wheels"]), axis=-1)
-        return np.asarray(2.0 * (values - self._low) / (self._high - self._low) - 1.0, dtype=np.float32)
-
-
-def environment(learner: str, config: BaselineConfig, *, is_trial: bool) -> Any:
-    """The batch that a learner sees. For a trial: endless episodes, one on each held-out plan."""
-    shared: dict[str, Any] = {"autoreset_mode": "SameStep", "sensor_noise": config.noise, "num_threads": 1}
-    if is_trial:
-        worlds = [f"random:{HELD_OUT_PLANS + number}" for number in range(config.held_out)]
-        endless = {"coverage_goal": None, "max_episode_steps": None}
-        batch = gym.make_vec("LimSlam-World-v0", config.held_out, world=worlds, **endless, **shared)
-    else:
-        plans = range(TRAINING_PLANS, TRAINING_PLANS + config.plans)
-        batch = gym.make_vec(
-            "LimSlam-Random-v0", config.envs, plans=list(plans), max_episode_steps=config.episode, **shared
-        )
-    return SlamVectorObservation(batch, num_threads=1) if learner == "belief" else RawReadings(batch)
+_ROLLOUT, _BATCH, _EPOCHS, _RATE, _GAMMA, _UNITS = 60, 768, 5, 7e-4, 0.97, 64
 
 
 def train_baselines(config: BaselineConfig, folder: Path, learners: Sequence[str] = LEARNERS, say: Any = print) -> None:
@@ -131,9 +45,12 @@ def train_baselines(config: BaselineConfig, folder: Path, learners: Sequence[str
     if unknown := [name for name in learners if name not in LEARNERS]:
         raise ValueError(f"no baseline is called {unknown[0]!r}; there are {', '.join(LEARNERS)}")
     _open(folder, config)
+    for name in REFERENCES:
+        if not _rows_of(folder, name, 0):
+            _note(folder / RESULTS, name, 0, 0, reference_trial(name, config))
     for seed in range(config.seeds):
         for learner in learners:
-            if _rows_of(folder, learner, seed) < config.tries:
+            if _rows_of(folder, learner, seed) < len(config.trials):
                 _drop(folder, learner, seed)
                 begin = time.process_time()
                 _train(learner, config, seed, folder / RESULTS)
@@ -165,21 +82,66 @@ def _drop(folder: Path, learner: str, seed: int) -> None:
     replace_content(folder / RESULTS, b"".join(json.dumps(row).encode() + b"\n" for row in kept))
 
 
+def _note(path: Path, learner: str, seed: int, steps: int, scores: dict[str, list[float]]) -> None:
+    append_line(path, json.dumps({"learner": learner, "seed": seed, "steps": steps, **scores}).encode() + b"\n")
+
+
 def _train(learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
+    # Threads that wait for each other lose more than they gain on networks of this size.
+    torch.set_num_threads(1)
     env = Sb3VecEnv(environment(learner, config, is_trial=False))
-    rollout = max(min(128, config.steps // (config.envs * config.tries)), 2)
+    rollout = max(min(_ROLLOUT, min(config.every, config.steps) // config.envs), 2)
     shared = {
         "n_steps": rollout,
-        "batch_size": min(256, rollout * config.envs),
-        "n_epochs": 4,
+        "batch_size": min(_BATCH, rollout * config.envs),
+        "n_epochs": _EPOCHS,
+        "learning_rate": _RATE,
+        "gamma": _GAMMA,
         "seed": seed,
         "device": "cpu",
     }
-    model: Any = (
-        PPO("MultiInputPolicy", env, **shared) if learner == "belief" else RecurrentPPO("MlpLstmPolicy", env, **shared)
-    )
+    model = _model(learner, env, shared)
     model.learn(config.steps, callback=_Trials(learner, config, seed, path))
     env.close()
+
+
+def _model(learner: str, env: Sb3VecEnv, shared: dict[str, Any]) -> Any:
+    if learner == "belief":
+        networks: dict[str, Any] = {"features_extractor_class": GridAndRanges, "net_arch": [_UNITS]}
+        return PPO("MultiInputPolicy", env, policy_kwargs=networks, **shared)
+    networks = {"lstm_hidden_size": _UNITS, "shared_lstm": True, "enable_critic_lstm": False, "net_arch": [_UNITS]}
+    return RecurrentPPO("MlpLstmPolicy", env, policy_kwargs=networks, **shared)
+
+
+class GridAndRanges(BaseFeaturesExtractor):  # type: ignore[misc, unused-ignore]
+    """Features of a belief: two convolutions over the shares of free and occupied cells, and the readings.
+
+    The pose and its covariance are left out. Where the robot is in the world says nothing about where to go.
+    """
+
+    def __init__(self, space: spaces.Dict, features: int = 128) -> None:
+        super().__init__(space, features)
+        parts: Any = space
+        self.register_buffer("farthest", torch.from_numpy(parts["ranges"].high))
+        self.near = nn.Sequential(
+            nn.AvgPool2d(2, ceil_mode=True),
+            nn.Conv2d(2, 16, 4, stride=4),
+            nn.ReLU(),
+            nn.Conv2d(16, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+        )
+        cells = self.near(torch.zeros(1, 2, *parts["grid"].shape[1:])).shape[1]
+        self.head = nn.Sequential(nn.Linear(cells + len(self.farthest), features), nn.ReLU())
+
+    def forward(self, observations: dict[str, Tensor]) -> Tensor:
+        """The features (n, features). Stable-Baselines3 has scaled the grid to the values 0, 0.5 and 1."""
+        grid = observations["grid"]
+        occupied = grid > 0.75
+        free = (grid > 0.25) & ~occupied
+        near = self.near(torch.cat((free, occupied), dim=1).float())
+        found: Tensor = self.head(torch.cat((near, observations["ranges"] / self.farthest), dim=1))
+        return found
 
 
 class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
@@ -188,7 +150,7 @@ class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
     def __init__(self, learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
         super().__init__()
         self._learner, self._config, self._seed, self._path = learner, config, seed, path
-        self._due = [config.steps * (number + 1) // config.tries for number in range(config.tries)]
+        self._due = list(config.trials)
 
     def _on_rollout_start(self) -> None:
         # A network has learned from all rollouts that have ended.
@@ -203,20 +165,4 @@ class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
     def _try(self) -> None:
         while self._due and self.num_timesteps >= self._due[0]:
             scores = trial(self.model, self._learner, self._config)
-            row = {"learner": self._learner, "seed": self._seed, "steps": self._due.pop(0), **scores}
-            append_line(self._path, json.dumps(row).encode() + b"\n")
-
-
-def trial(model: Any, learner: str, config: BaselineConfig) -> dict[str, list[float]]:
-    """Coverage and return of an episode on each held-out plan. Actions are drawn, as in training."""
-    env = environment(learner, config, is_trial=True)
-    observation, info = env.reset(seed=0)
-    returns, state = np.zeros(env.num_envs), None
-    starts = np.ones(env.num_envs, dtype=bool)
-    for _ in range(config.episode):
-        actions, state = model.predict(observation, state, starts, deterministic=False)
-        starts[:] = False
-        observation, reward, *_, info = env.step(actions)
-        returns += reward
-    env.close()
-    return {"coverage": np.asarray(info["coverage"], dtype=float).tolist(), "return": returns.tolist()}
+            _note(self._path, self._learner, self._seed, self._due.pop(0), scores)

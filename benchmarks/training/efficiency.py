@@ -2,19 +2,21 @@
 
 Both follow Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, whose
 tasks are floor plans here. Its package rliable was last released in 2024 and depends on arch, so that its two
-definitions stand here. The seeds are resampled as wholes: the plans of a seed share one trained network.
+definitions stand here. The seeds are resampled as wholes: the plans of a seed share one trained network. A policy that
+does not learn has one row, with 0 steps, and counts as known.
 """
 
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from scipy import stats
 
-from benchmarks.analysis.figure_style import BAND, COLOURS, legend_below, plain_axes, sheet_of
+from benchmarks.analysis.figure_style import BAND, COLOURS, DASHES, FAINT, legend_below, plain_axes, sheet_of
 from benchmarks.analysis.statistics import LEAST, LEVEL, RESAMPLES, Estimate
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.safe_files import read_limited
@@ -67,7 +69,8 @@ def interquartile_mean(scores: FloatArray) -> Estimate:
 def probability_of_improvement(first: FloatArray, second: FloatArray) -> Estimate:
     """The probability that the first learner is better than the second, of scores (seeds, plans), with its interval.
 
-    The mean over plans of the Mann-Whitney statistic, in which a tie counts as one half.
+    The mean over plans of the Mann-Whitney statistic, in which a tie counts as one half. A second learner of one seed
+    is not resampled.
     """
 
     def statistic(mine: IntArray, other: IntArray, axis: int = -1) -> FloatArray:
@@ -75,6 +78,8 @@ def probability_of_improvement(first: FloatArray, second: FloatArray) -> Estimat
         pairs = first[mine][..., :, None, :] - second[other][..., None, :, :]
         return np.asarray(((pairs > 0.0) + 0.5 * (pairs == 0.0)).mean(axis=(-3, -2, -1)))
 
+    if len(second) == 1:
+        return _estimate(lambda mine, axis=-1: statistic(mine, np.zeros_like(mine[..., :1]), axis), len(first))
     return _estimate(statistic, len(first), len(second))
 
 
@@ -117,14 +122,26 @@ def efficiency_table(folder: Path) -> str:
 
 
 def _improvements(curves: Mapping[str, Curve]) -> list[str]:
-    last = {learner: curve[max(curve)] for learner, curve in curves.items()}
-    names = list(last)
     return [
-        f"P({first} sees more than {second} after training) = "
-        f"{_words(probability_of_improvement(last[first], last[second]), 2)}"
-        for number, first in enumerate(names)
-        for second in names[number + 1 :]
+        f"P({first} sees more than {second} after training) = {_words(estimate, 2)}"
+        for first, second, estimate in _pairs(curves)
     ]
+
+
+def _pairs(curves: Mapping[str, Curve]) -> list[tuple[str, str, Estimate]]:
+    """Each learner with the learners after it and with the policies that do not learn: how probably it sees more."""
+    last = {learner: curve[max(curve)] for learner, curve in curves.items()}
+    learners = [name for name in curves if not _is_reference(curves[name])]
+    others = [name for name in curves if name not in learners]
+    return [
+        (first, second, probability_of_improvement(last[first], last[second]))
+        for number, first in enumerate(learners)
+        for second in [*learners[number + 1 :], *others]
+    ]
+
+
+def _is_reference(curve: Curve) -> bool:
+    return max(curve) == 0
 
 
 def _words(estimate: Estimate, digits: int) -> str:
@@ -134,19 +151,40 @@ def _words(estimate: Estimate, digits: int) -> str:
 
 
 def draw_efficiency(folder: Path, path: Path) -> None:
-    """Write a figure: the interquartile mean of the coverage over the steps, with the interval as a band."""
-    figure, [[axes]] = sheet_of(1, 1, (6.4, 3.8))
-    handles: list[Any] = []
-    for number, (learner, curve) in enumerate(read_trials(folder, "coverage").items()):
-        estimates = [interquartile_mean(scores) for scores in curve.values()]
-        colour, steps = COLOURS[number % len(COLOURS)], list(curve)
-        label = f"{learner} ({estimates[0].count} seeds)"
-        handles += axes.plot(steps, [each.value for each in estimates], color=colour, linewidth=1.8, label=label)
-        bounds = [(each.low, each.high) for each in estimates if each.low is not None and each.high is not None]
-        if len(bounds) == len(steps):
-            axes.fill_between(steps, *np.array(bounds).T, color=colour, alpha=BAND, linewidth=0.0)
-    axes.set(xlabel="steps of training", ylabel="coverage, true", ylim=(0.0, None))
-    plain_axes(axes)
-    legend_below(figure, handles, 2)
+    """Write a figure: the interquartile mean of the coverage over the steps, with the interval as a band, and the
+    probabilities of improvement after training. Policies that do not learn are dashed lines.
+    """
+    figure, [[left, right]] = sheet_of(1, 2, (5.2, 3.6))
+    curves = read_trials(folder, "coverage")
+    learners_first = sorted(curves.items(), key=lambda each: _is_reference(each[1]))
+    handles = [_draw_curve(left, number, *each) for number, each in enumerate(learners_first)]
+    left.set(xlabel="decisions of training", ylabel="coverage after a minute, IQM", ylim=(0.0, None))
+    left.ticklabel_format(axis="x", style="sci", scilimits=(3, 3), useMathText=True)
+    _draw_improvements(right, _pairs(curves))
+    for axes in (left, right):
+        plain_axes(axes)
+    legend_below(figure, handles, 5)
     with atomic_write(path) as beside:
         figure.savefig(beside, dpi=110)
+
+
+def _draw_curve(axes: Axes, number: int, learner: str, curve: Curve) -> Line2D:
+    estimates, colour = [interquartile_mean(scores) for scores in curve.values()], COLOURS[number % len(COLOURS)]
+    if _is_reference(curve):
+        return axes.axhline(estimates[0].value, color=colour, linewidth=1.4, linestyle=DASHES[1], label=learner)
+    bounds = [(each.low, each.high) for each in estimates if each.low is not None and each.high is not None]
+    if len(bounds) == len(curve):
+        axes.fill_between(list(curve), *np.array(bounds).T, color=colour, alpha=BAND, linewidth=0.0)
+    label = f"{learner} ({estimates[0].count} seeds)"
+    (line,) = axes.plot(list(curve), [each.value for each in estimates], color=colour, linewidth=1.8, label=label)
+    return line
+
+
+def _draw_improvements(axes: Axes, pairs: Sequence[tuple[str, str, Estimate]]) -> None:
+    for row, (_, _, estimate) in enumerate(pairs):
+        if estimate.low is not None and estimate.high is not None:
+            axes.barh(row, estimate.high - estimate.low, 0.5, estimate.low, color=COLOURS[0], alpha=2.0 * BAND)
+        axes.plot([estimate.value] * 2, [row - 0.25, row + 0.25], color=COLOURS[0], linewidth=2.0)
+    axes.axvline(0.5, color=FAINT, linewidth=1.0)
+    axes.set(xlim=(0.0, 1.0), xlabel="P(the first sees more than the second)", ylim=(len(pairs) - 0.5, -0.5))
+    axes.set_yticks(range(len(pairs)), [f"{first} / {second}" for first, second, _ in pairs])

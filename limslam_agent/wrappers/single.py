@@ -1,6 +1,5 @@
 """A wrapper for learning agents: the observation is what the SLAM believes instead of raw readings."""
 
-import math
 from collections.abc import Sequence
 from typing import Any, SupportsFloat, TypeAlias
 
@@ -14,14 +13,10 @@ from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import Mapper
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import between, transform_points
-from limslam_env.geometry.shapes import places_around
+from limslam_env.geometry.se2 import between
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
 
 Observation: TypeAlias = dict[str, Any]
-
-UNKNOWN, FREE, OCCUPIED = 0, 127, 255
-"""Values of the grid's cells."""
 
 FARTHEST = 1000.0
 """Bound of the distance from the start in an observed pose, m."""
@@ -80,7 +75,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
         self._mapper = Mapper(robot, agent_config or default_config([getattr(env.unwrapped, "nominal_noise", None)]))
         self._start = np.zeros(3)
         self.observation_space = belief_space(ranges, size)
-        self._places = places_around(size, self._mapper.config.grid.cell)
+        self._size = size
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
         """Start a new episode with an empty map. Of `info`, only the start pose is used."""
@@ -96,7 +91,7 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
 
     def _believed(self, observation: Observation) -> Observation:
         self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
-        return observed_belief(self._mapper.belief, self._start, observation["ranges"], self._places)
+        return observed_belief(self._mapper.belief, self._start, observation["ranges"], self._size)
 
     def _with_status(self, info: Any) -> dict[str, Any]:
         """The info with the status after the latest observation."""
@@ -122,7 +117,7 @@ def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
     )
 
 
-def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], places: FloatArray) -> Observation:
+def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], size: int) -> Observation:
     """The observation of one robot, in new arrays.
 
     Parameters
@@ -133,25 +128,18 @@ def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], pla
         Its start pose (3,), m and rad.
     ranges
         Its latest readings (n_beams,), m.
-    places
-        Centres of the grid's cells around the robot (size * size, 2), m, as ``places_around`` gives them.
+    size
+        Side of the observed grid in cells.
     """
+    # A kernel. Who imports this module need not wait for numba.
+    from limslam_agent.wrappers.crop import crop
+
     return {
         "pose": observed_pose(start, belief.pose),
         "covariance": observed_covariance(belief.covariance),
-        "grid": _crop(belief, places),
+        "grid": crop(belief.grid, belief.pose, size)[None],
         "ranges": np.array(ranges),
     }
-
-
-def _crop(belief: Belief, places: FloatArray) -> NDArray[np.uint8]:
-    values, size = belief.grid.values, math.isqrt(len(places))
-    row, column = belief.grid.cells(transform_points(belief.pose, places)).T
-    is_inside = (row >= 0) & (row < values.shape[0]) & (column >= 0) & (column < values.shape[1])
-    signs = np.sign(values[row[is_inside], column[is_inside]])
-    crop = np.full(size**2, UNKNOWN, dtype=np.uint8)
-    crop[is_inside] = np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[signs + 1]
-    return crop.reshape(1, size, size)
 
 
 def observed_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:

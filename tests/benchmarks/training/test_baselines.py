@@ -58,17 +58,30 @@ def test_the_probability_of_improvement_is_the_mean_statistic_of_mann_and_whitne
     assert (certain.value, certain.low, certain.high) == (1.0, 1.0, 1.0)
 
 
+def test_a_policy_that_does_not_learn_is_known():
+    """Only the seeds of the learner are resampled."""
+    learner, known = np.array([[0.2], [0.4], [0.6], [0.8]]), np.array([[0.5]])
+    found = probability_of_improvement(learner, known)
+    assert found.value == 0.5
+    assert found.low < 0.5 < found.high
+    assert probability_of_improvement(known, learner).low is None
+
+
 def test_two_seeds_have_no_interval():
     assert interquartile_mean(np.ones((2, 4))).low is None
 
 
 def test_the_table_has_what_was_tried(tmp_path):
     belief = [{100: [0.2, 0.4], 200: [0.5, 0.7]}] * 3
-    written(tmp_path, {"recurrent": [{100: [0.1, 0.3], 200: [0.2, 0.4]}] * 3, "belief": [*belief, {100: [0.9, 0.9]}]})
+    recurrent = [{100: [0.1, 0.3], 200: [0.2, 0.4]}] * 3
+    written(tmp_path, {"frontier": [{0: [0.3, 0.3]}], "recurrent": recurrent, "belief": [*belief, {100: [0.9, 0.9]}]})
     assert read_trials(tmp_path, "coverage")["belief"][100].shape == (3, 2), "a seed without its last trial"
     text = efficiency_table(tmp_path)
     assert "| belief | 200 | 0.60 [0.60, 0.60] | 6.0 [6.0, 6.0] | 3 |" in text
     assert "P(recurrent sees more than belief after training) = 0.00 [0.00, 0.00]" in text
+    assert "P(recurrent sees more than frontier after training) = 0.50 [0.50, 0.50]" in text
+    assert "| frontier | 0 | 0.30 | 3.0 | 1 |" in text
+    assert "P(frontier" not in text
     done = call(main, "baselines", "--table-only", "--out", tmp_path)
     assert done.returncode == 0
     assert (tmp_path / "efficiency.png").stat().st_size > 1000
@@ -85,21 +98,23 @@ def test_a_folder_without_trials_is_refused_in_one_line(tmp_path, content):
 
 def test_both_learn_for_some_steps_and_go_on(tmp_path):
     pytest.importorskip("sb3_contrib", reason="needs the extra rl")
-    from benchmarks.training.baselines import BaselineConfig, train_baselines
+    from benchmarks.training.baseline_envs import BaselineConfig
+    from benchmarks.training.baselines import REFERENCES, train_baselines
 
-    config = BaselineConfig(steps=64, seeds=1, tries=2, plans=2, held_out=2, envs=2, episode=12)
+    config = BaselineConfig(steps=64, seeds=1, every=32, plans=2, held_out=2, envs=2, episode=6, hold=2)
     said = []
     train_baselines(config, tmp_path / "run", say=said.append)
     assert [line.split(":")[0] for line in said] == ["recurrent, seed 0", "belief, seed 0"]
     curves = read_trials(tmp_path / "run", "coverage")
-    assert {learner: list(curve) for learner, curve in curves.items()} == {"recurrent": [32, 64], "belief": [32, 64]}
+    tried = {name: [0] for name in REFERENCES} | {"recurrent": [32, 64], "belief": [32, 64]}
+    assert {learner: list(curve) for learner, curve in curves.items()} == tried
     assert all(
         (scores > 0.0).all() and scores.shape == (1, 2) for curve in curves.values() for scores in curve.values()
     )
     # As if the last one had been killed before its second trial.
     path = tmp_path / "run" / RESULTS
     before = path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join(before[:3]))
+    path.write_bytes(b"".join(before[:-1]))
     train_baselines(config, tmp_path / "run", say=said.append)
     assert path.read_bytes().splitlines(keepends=True) == before
     with pytest.raises(ValueError, match="other settings"):
@@ -108,12 +123,36 @@ def test_both_learn_for_some_steps_and_go_on(tmp_path):
         train_baselines(config, tmp_path / "run", ["tdmpc"])
 
 
+def test_a_decision_is_several_steps():
+    """Rewards add up, all readings of a decision are seen, and an episode's last ones are in ``final_obs``."""
+    pytest.importorskip("sb3_contrib", reason="needs the extra rl")
+    from benchmarks.training.baseline_envs import BaselineConfig, RawReadings, environment
+
+    config = BaselineConfig(plans=2, envs=2, episode=2, hold=3)
+    held, once = environment("recurrent", config, is_trial=False), environment("recurrent", config, is_trial=False)
+    single = RawReadings(once.env, 1)
+    seen, _ = held.reset(seed=1)
+    first, _ = single.reset(seed=1)
+    np.testing.assert_array_equal(seen, np.tile(first, 3))
+    action = np.full((2, 2), 0.4, dtype=np.float32)
+    for decision in range(2):
+        parts = [single.step(action) for _ in range(3)]
+        seen, reward, _, truncated, info = held.step(action)
+        np.testing.assert_allclose(reward, sum(part[1] for part in parts))
+        assert truncated.all() == (decision == 1)
+        last = [part[0] for part in parts]
+        if decision == 1:
+            np.testing.assert_array_equal(seen, np.tile(last[-1], 3))
+            last[-1], seen = np.stack(list(parts[-1][-1]["final_obs"])), np.stack(list(info["final_obs"]))
+        np.testing.assert_array_equal(seen, np.concatenate(last, axis=1))
+
+
 @pytest.mark.parametrize(
     ("setting", "message"), [({"steps": 0}, "steps must be 1 or more"), ({"noise": -1.0}, "noise")]
 )
 def test_what_is_no_budget_is_refused(setting, message):
     pytest.importorskip("sb3_contrib", reason="needs the extra rl")
-    from benchmarks.training.baselines import BaselineConfig
+    from benchmarks.training.baseline_envs import BaselineConfig
 
     with pytest.raises(ValueError, match=message):
         BaselineConfig(**setting)
