@@ -135,7 +135,8 @@ def world_of(found: PeerMap, scale: float, radius: float) -> World:
     """The map as a world for a robot with a body of ``radius``, m. The robot starts where its body fits.
 
     Walls run along the outlines of the wall pixels and are straightened by up to a pixel, so jagged outlines do not
-    make a wall of each pixel.
+    make a wall of each pixel. Free pixels that cannot be reached count as wall. What is solid is no floor: patches
+    inside are obstacles, and the solid ground around the rooms is open to the outside.
 
     Parameters
     ----------
@@ -152,13 +153,17 @@ def world_of(found: PeerMap, scale: float, radius: float) -> World:
         If the body fits nowhere.
     """
     with named(found.name):
-        polygons, walls = outlines_of(np.pad(~found.free, _BORDER, constant_values=True))
-        start = found.place(start_with_body(found, radius / scale), scale)
+        pixel = start_with_body(found, radius / scale)
+        regions, _ = ndimage.label(found.free)
+        polygons, walls = outlines_of(np.pad(regions != regions[pixel], _BORDER, constant_values=True))
         rows, columns = found.free.shape
+        walls, start = walls - _BORDER, found.place(pixel, scale)
+        # The outline of the border around the picture has its corners out there.
+        is_outside = ((walls < -1.0) | (walls > np.array([columns, rows] * 2) + 1.0)).reshape(-1, 2, 2).any(axis=2)
         return World(
             found.name,
             (columns * scale, rows * scale),
-            (walls - _BORDER) * scale,
+            walls[~is_outside.all(axis=1)] * scale,
             tuple((polygon - _BORDER) * scale for polygon in polygons),
             starts=np.array([[*start, 0.0]]),
         )

@@ -19,6 +19,7 @@ from benchmarks.suite.engines import Result, Work, stages
 from benchmarks.suite.jobs import Job
 from benchmarks.suite.store import Row
 from limslam_env.geometry.segment import distances
+from limslam_env.worlds.regions import start_region
 from limslam_env.worlds.world import WorldError
 
 SCALE = 0.05
@@ -116,6 +117,17 @@ def test_a_map_becomes_a_world_where_the_body_fits():
     assert distances(world.starts[:, :2], world.edges).min() >= 0.10
     with pytest.raises(WorldError, match="fits nowhere"):
         start_with_body(PeerMap("narrow.png", free[:13], (10, 40)), 2.0)
+
+
+def test_solid_ground_is_no_floor():
+    found = room(100, 200, wall=30)
+    found.free[45:55, 80:90] = False  # a pillar
+    found.free[5:15, 5:25] = True  # a room that cannot be reached
+    world = world_of(found, SCALE, 0.10)
+    assert (len(world.walls), [len(polygon) for polygon in world.obstacles]) == (4, [4])
+    region = start_region(world, 0.10)
+    assert region.share == 1.0
+    assert region.floor == pytest.approx((40 * 140 - 10 * 10) * SCALE**2, rel=0.05)
 
 
 def test_a_point_explores_a_stand_in_until_the_peers_call_it_done(tmp_path):
