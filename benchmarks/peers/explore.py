@@ -77,7 +77,8 @@ def explore_as_point(found: PeerMap, scale: float) -> Exploration:
         if np.array_equal(place, way[-1]):
             # A scan on the spot shows all that can be seen of this frontier.
             ignored[tuple(seen.view.cells(place[None])[0])] = True
-    reason = DONE if seen.is_done else "no frontier can be reached"
+    stopped = "no frontier can be reached" if len(path) <= MOST_MOVES else f"moves: {MOST_MOVES} were made"
+    reason = DONE if seen.is_done else stopped
     return Exploration(np.array(path), seen, None, len(path) - 1, time.process_time() - begin, reason)
 
 
