@@ -159,11 +159,12 @@ def world_of(found: PeerMap, scale: float, radius: float) -> World:
         rows, columns = found.free.shape
         walls, start = walls - _BORDER, found.place(pixel, scale)
         # The outline of the border around the picture has its corners out there.
-        is_outside = ((walls < -1.0) | (walls > np.array([columns, rows] * 2) + 1.0)).reshape(-1, 2, 2).any(axis=2)
+        corners = walls.reshape(-1, 2, 2)
+        is_outside = np.any((corners < -1.0) | (corners > np.array([columns, rows]) + 1.0), axis=2)
         return World(
             found.name,
             (columns * scale, rows * scale),
-            walls[~is_outside.all(axis=1)] * scale,
+            walls[~np.all(is_outside, axis=1)] * scale,
             tuple((polygon - _BORDER) * scale for polygon in polygons),
             starts=np.array([[*start, 0.0]]),
         )
