@@ -1,4 +1,4 @@
-"""``python -m benchmarks run``, ``train``, ``baselines``, ``dataset``; ``table``, ``plot``, ``report`` of results.
+"""``python -m benchmarks run``, ``train``, ``baselines``, ``dataset``, ``peers``; ``table``, ``plot``, ``report``.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -156,6 +156,40 @@ def dataset(
     for line in (*made.words, f"dataset     {out}"):
         typer.echo(line)
     return 1 if made.failures else 0
+
+
+@app.command()
+def peers(
+    maps: Annotated[Path, typer.Option(help="Folder of PNG maps.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/peers"),
+    count: Annotated[int, typer.Option(help="Most maps, in the order of the peers' test.")] = 100,
+    scale: Annotated[float, typer.Option(help="Side of a pixel for our robot, m.")] = 0.05,
+    noise: Annotated[float, typer.Option(help="Standard deviation of the six beams' ranges, m.")] = 0.02,
+    max_time: Annotated[float, typer.Option(help="Longest driving time of a run, s.")] = 3600.0,
+    lidar: Annotated[str, typer.Option(help="Explorers with 720 rays, with commas.")] = "point,frontier_fast,learned",
+    six: Annotated[str, typer.Option(help="Explorers with six beams, with commas.")] = "frontier_fast,learned",
+    stand_ins: Annotated[int, typer.Option(min=0, help="Write so many stand-in maps into --maps first.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Runs at once.", show_default="one a core")] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+) -> int:
+    """Explore maps of other work with its sensor and true pose, and with six beams. The same command goes on."""
+    from benchmarks.peers.comparison import PeersConfig, compare_peers
+    from benchmarks.peers.stand_ins import write_stand_ins
+
+    config = PeersConfig(maps, count, scale, noise, max_time, _names(lidar), _names(six))
+    if stand_ins:
+        write_stand_ins(maps, stand_ins)
+    summary, text = compare_peers(
+        config, out, _engine(EngineName.PROCESS, workers, 10.0 * max_time, None), retry_failed=retry_failed
+    )
+    for title, reason in summary.failures:
+        typer.echo(f"failed: {title}: {reason}", err=True)
+    typer.echo(f"peers: {summary.words}; {out}\n\n{text.rstrip()}")
+    return 1 if summary.failures else 0
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 @app.command()

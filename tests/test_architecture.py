@@ -143,11 +143,18 @@ BENCHMARKS = {
     "benchmarks.analysis": {"benchmarks.suite"},
     "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
     "benchmarks.dataset": {"benchmarks.suite"},
+    "benchmarks.peers": {"benchmarks.suite"},
     "benchmarks.speed": set(),
     "benchmarks.right_angles": set(),
     "benchmarks.log_variations": set(),
     "benchmarks.revisits": set(),
-    "benchmarks.__main__": {"benchmarks.suite", "benchmarks.analysis", "benchmarks.training", "benchmarks.dataset"},
+    "benchmarks.__main__": {
+        "benchmarks.suite",
+        "benchmarks.analysis",
+        "benchmarks.training",
+        "benchmarks.dataset",
+        "benchmarks.peers",
+    },
 }
 RULES = ENV | AGENT | BENCHMARKS
 COMPILED = {

@@ -128,12 +128,13 @@ def run_job(job: Job) -> Outcome:
         If the job cannot be run.
     """
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    outcome = _simulated(run_config(job)) if job.log is None else _replayed(job, job.log)
+    outcome = simulated(run_config(job)) if job.log is None else _replayed(job, job.log)
     spent = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
     return replace(outcome, cost={**outcome.cost, **spent})
 
 
-def _simulated(config: RunConfig) -> Outcome:
+def simulated(config: RunConfig) -> Outcome:
+    """Run the simulator by a configuration, and score the run. The cost of the whole job is left out."""
     episode = run_episode(config)
     made_from = {"agent": asdict(config.agent), "robot": asdict(config.robot), "world": episode.world.digest}
     return Outcome(_plain(score(episode)), cost(episode), _series(episode), digest(made_from))

@@ -2,8 +2,9 @@
 
 import io
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from limslam_env.worlds.world import WorldError
 
 _MAX_FILE_BYTES = 256_000_000
 _GREY_16_BIT = ("I;16", "I;16B", "I")
+
+_Content = TypeVar("_Content")
 
 
 def read_png(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
@@ -32,12 +35,23 @@ def read_png(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
     WorldError
         If it is no PNG file, is damaged, or has too many pixels.
     """
+    return read_picture(path, _levels)
+
+
+def read_picture(path: Path, read: Callable[[Image.Image], _Content]) -> _Content:
+    """What ``read`` makes of the picture in a PNG file.
+
+    Raises
+    ------
+    WorldError
+        If it is no PNG file, is damaged, or has too many pixels.
+    """
     content = read_bytes(path, _MAX_FILE_BYTES)
     try:
         # Pillow warns about very large pictures, which are refused here.
         with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(content), formats=["PNG"]) as image:
             _check_size(*image.size)
-            return _levels(image)
+            return read(image)
     # Damaged pictures raise errors of many types: SyntaxError, struct.error, zlib.error and others.
     except Exception as error:
         if isinstance(error, WorldError):

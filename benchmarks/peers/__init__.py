@@ -1,0 +1,1 @@
+"""Explorers on the maps of other work on exploration, with its sensor and true pose, and with six beams."""
