@@ -66,13 +66,20 @@ class WallPolicy:
 
     def _begin(self, frame: int) -> None:
         """Begin without plans in a frame of the map, and forget those of another frame."""
-        self._frame, self._frontiers = frame, FrontierPolicy(self._robot, self._config, self._index)
-        self._collision_guard = CollisionGuard(self._robot)
+        self._frontiers = FrontierPolicy(self._robot, self._config, self._index)
         self._memory = LookMemory()
         self.stop_reason: str | None = None
+        self._exploring = self._looking = 0
+        self.move(frame)
+
+    def move(self, frame: int) -> None:
+        """Plan anew in a frame in which the map is the same, but was moved: what was looked at there remains so."""
+        self._frame = frame
+        self._frontiers.move(frame)
+        self._collision_guard = CollisionGuard(self._robot)
         self.plan: FloatArray = NO_PLAN
         self._look: Look | None = None
-        self._exploring = self._looking = self._backing = 0
+        self._backing = 0
 
     @property
     def goal(self) -> FloatArray | None:
