@@ -93,7 +93,6 @@ class FrontierPolicy:
 
     def _begin(self, frame: int) -> None:
         """Begin without plans in a frame of the map, and forget those of another frame."""
-        self.stop_reason: str | None = None
         self._memory = GoalMemory(self._config.aside_steps)
         # Number of rounds on the spot, and largest number of known cells so far.
         self._rounds = self._known = 0
@@ -102,6 +101,7 @@ class FrontierPolicy:
     def move(self, frame: int) -> None:
         """Plan anew in a frame in which the map is the same, but was moved: what was settled there remains so."""
         robot, config, self._frame = self._robot, self._config, frame
+        self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
         self._excursion = Excursion(robot, config)

@@ -68,7 +68,6 @@ class WallPolicy:
         """Begin without plans in a frame of the map, and forget those of another frame."""
         self._frontiers = FrontierPolicy(self._robot, self._config, self._index)
         self._memory = LookMemory()
-        self.stop_reason: str | None = None
         self._exploring = self._looking = 0
         self.move(frame)
 
@@ -77,6 +76,7 @@ class WallPolicy:
         self._frame = frame
         self._frontiers.move(frame)
         self._collision_guard = CollisionGuard(self._robot)
+        self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._look: Look | None = None
         self._backing = 0
