@@ -14,8 +14,9 @@ from limslam_agent.policies.wall_views import LookMemory, next_view
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-# Looking at walls takes at most as many steps as exploring frontiers has taken so far, and this number more.
-_FREE_STEPS = 600
+# Looking at walls takes at most as many steps as exploring frontiers has taken so far, but at most the second number,
+# and the first number more. In a large building there is always another stretch to look at, and little is gained by it.
+_FREE_STEPS, _MOST_STEPS = 600, 9000
 
 
 def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
@@ -120,7 +121,7 @@ class WallPolicy:
     @property
     def _is_late(self) -> bool:
         """Whether the time for looking at walls is over."""
-        return self._looking > self._exploring + _FREE_STEPS
+        return self._looking > min(self._exploring, _MOST_STEPS) + _FREE_STEPS
 
     def _choose(self, belief: Belief) -> None:
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
