@@ -122,6 +122,8 @@ class Placement(NamedTuple):
     frame, before
         Pose (3,) of the local frame in the known frame, and the local frame before ``step``, if there are ``gone``
         steps; None otherwise.
+    has_drifted
+        Whether the robot was not carried away, but has drifted.
     """
 
     step: int
@@ -131,11 +133,12 @@ class Placement(NamedTuple):
     gone: list[tuple[FloatArray, FloatArray]]
     frame: FloatArray
     before: KnownFrame | None
+    has_drifted: bool = False
 
     def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
         if self.before is None or not slam.is_renewable:
-            slam.relocate(self.pose, self.covariance)
+            (slam.shift if self.has_drifted else slam.relocate)(self.pose, self.covariance)
             return
         slam.join(self.before.slam, self.frame, self.covariance)
         grid.absorb(self.before.grid.view, self.frame)

@@ -291,11 +291,11 @@ class Recovery:
     def seek_near(self, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that was just lost, if its readings since then fit the map near the believed pose.
 
-        Such a robot has drifted, and need not go on in a local frame. If something says that it was carried away, it
-        has to be sought.
+        Such a robot has drifted, and need not go on in a local frame. If something says that it was carried away, or if
+        a place was found before and is wrong, the robot has to be sought.
         """
         absence = self.absence
-        if absence is None or absence.place is None or absence.was_moved:
+        if absence is None or absence.place is None or absence.was_moved or absence.returned:
             return None
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         fit = self._near_fit(absence.place, rays)
@@ -324,10 +324,8 @@ class Recovery:
         found = self.absence.decisions[-1][1]
         is_unlikely = found.fit is not None and is_far(found.fit.pose, found.middle)
         self.absence.is_unlikely = is_unlikely and not self.absence.is_carried
-        self.absence.has_drifted = found.fit is not None and not is_far(
-            found.fit.pose, found.middle, *(DRIFT if self.absence.was_moved else FAR)
-        )
-        if not self.absence.has_drifted:
+        self.absence.has_drifted = placement.has_drifted
+        if not placement.has_drifted:
             self.breaks.append(placement.carried_at)
         self._note_event("found", step=self.log.end - 1, carried_at=placement.carried_at)
 
@@ -395,7 +393,8 @@ class Recovery:
         middle = transform_points(frame, decision.middle[None])[0]
         covariances = [match_covariance(middle, each, self._config) for each in poses]
         gone = list(zip(poses[1:], covariances[1:], strict=True))
-        return Placement(step, pose, covariances[0], moved(rays, frame), gone, frame, before)
+        has_drifted = not is_far(frame, decision.middle, *(DRIFT if absence.was_moved else FAR))
+        return Placement(step, pose, covariances[0], moved(rays, frame), gone, frame, before, has_drifted)
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

@@ -9,11 +9,12 @@ from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import preset
 from limslam_agent.config.places import PlaceConfig
-from limslam_agent.places.absence import Absence, Placement
+from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.localisation import Localisation
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
+from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose
 
@@ -54,9 +55,10 @@ def test_the_odometry_holds_for_a_robot_that_is_found_near(whole, off, details, 
     recovery = lost(whole, (0.0, 0.0, 0.0), **details)
     rays = rays_of(recovery.log.steps, ROBOT)
     (fit,) = whole.weigh(np.array([[off, 0.0, 0.0]]), rays)
-    recovery.absence.decisions.append((60, Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")))
-    recovery.has_joined(Placement(40, np.zeros(3), np.eye(3), rays, [], np.zeros(3), None))
-    assert recovery.breaks == ([40] if is_break else [])
+    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+    recovery.absence.decisions.append((60, found))
+    recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR))
+    assert recovery.breaks == ([1] if is_break else [])
 
 
 def test_a_robot_whose_readings_fit_near_the_believed_pose_is_placed_at_once(whole):
@@ -73,6 +75,7 @@ def test_only_a_robot_that_drifted_is_placed_at_once(whole):
     assert lost(whole, NEAR, is_carried=True).seek_near(SENSOR) is None
     assert lost(whole, NEAR, jump=1.1).seek_near(SENSOR) is None
     assert lost(None, NEAR).seek_near(SENSOR) is None
+    assert lost(whole, NEAR, returned=20).seek_near(SENSOR) is None, "the place that was found is wrong"
 
 
 def test_a_drifted_robot_is_lost_again_only_by_all_its_readings(whole):
@@ -99,3 +102,17 @@ def test_a_drifted_robot_need_not_wait_for_the_end_of_the_map(whole, has_drifted
     assert recovery.absence is not None
     recovery.confirm(Status(), slam, grid)
     assert (recovery.absence is None) is has_drifted
+
+
+def test_a_robot_that_is_shifted_is_as_uncertain_as_the_walls_around_it():
+    """The whole world may be turned about the start. The robot is shifted within it, and remains tied to its walls."""
+    ekf, match = LineEKF(np.array([[4.0, 0.0, 0.0]])), np.diag([0.05**2, 0.05**2, 0.03**2])
+    turn, pose = np.deg2rad(3.0), np.array([4.3, 0.5, 0.1])
+    ekf.augment(np.array([2.0, 0.5 * np.pi]), 1e-9 * np.eye(2), 0)
+    by_turn = np.array([0.0, 4.0, 1.0, 0.0, 1.0])  # the pose and the wall, which is 2 m from the origin
+    ekf.P[:] = turn**2 * np.outer(by_turn, by_turn)
+    ekf.shift(pose, match)
+    np.testing.assert_array_equal(ekf.x[:3], pose)
+    by_turn[:2] = -0.5, 4.3
+    np.testing.assert_allclose(ekf.P[:3, :3], turn**2 * np.outer(by_turn, by_turn)[:3, :3] + match, atol=1e-12)
+    np.testing.assert_allclose(ekf.P[:3, 3:], turn**2 * np.outer(by_turn, by_turn)[:3, 3:], atol=1e-12)
