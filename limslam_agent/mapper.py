@@ -13,6 +13,7 @@ from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.map_snapshot import MapSnapshot
+from limslam_agent.places.absence import Placement
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup, begin_lookup
 from limslam_agent.places.recovery import Recovery
@@ -81,6 +82,8 @@ class Mapper:
     frame
         Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
         found its place, and then in the earlier frame again. A renewal that moves the path far counts as well.
+    map_number
+        Number of the present map. A local frame has a map of its own; in the earlier frame, the number is as before.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -130,6 +133,7 @@ class Mapper:
         self._early = list[tuple[Observation, ...]]()
         self._extraction: Extraction | None = None
         self.frame, self._revisions = 0, list[Revision]()
+        self.map_number = self._own_map = self._maps = 0
         self._unplaced: Unplaced | None = None
         self._listener: Callable[[AssociationRecord], None] | None = None
         self._begin_anew()
@@ -370,6 +374,7 @@ class Mapper:
         slam.relocate(found.start, found.covariance)
         slam.on_association = self.slam.on_association
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
+        self._number_map(is_own=True)
         self._recovery = self._new_recovery()
         for step in lookup.steps:
             self._process((step.observation,))
@@ -383,12 +388,15 @@ class Mapper:
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
         recovery.note(LoggedStep.of(observation, self.slam, motion), self.slam, self._grid)
-        own = self._monitors[0]
-        if own.status.level == "lost" or recovery.is_elsewhere(own, self.slam):
+        own, sensor = self._monitors[0], self.slam.range_sensor
+        if own.status.level == "lost" and recovery.still_fits(own, sensor):
+            self._monitors = self._new_monitors()
+        elif own.status.level == "lost" or recovery.is_elsewhere(own, self.slam):
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
             recovery.lose(own, self.slam, self._grid)
-            self._go_on_locally(recovery)
+            found = recovery.seek_near(sensor)
+            self._go_on_locally(recovery) if found is None else self._go_on_at(recovery, found)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
         elif recovery.is_due():
@@ -408,6 +416,7 @@ class Mapper:
         if absence.known is not None and absence.known.slam.odometry_calibration is not None:
             slam.calibrate(absence.known.slam.odometry_calibration)
         self._use(slam, OccupancyGrid(self.config.grid))
+        self._number_map(is_own=is_anew)
         self.slam.robots[0].step = absence.first - 1
         # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
         second = min(absence.first + 1, log.end)
@@ -418,10 +427,13 @@ class Mapper:
             self._revise(absence.first, poses)
 
     def _seek(self, recovery: Recovery) -> None:
-        """Search the map that the robot was lost from, and go on there if the place is clear."""
+        """Search the map that the robot was lost from."""
         found = recovery.seek(self.slam.range_sensor)
-        if found is None:
-            return
+        if found is not None:
+            self._go_on_at(recovery, found)
+
+    def _go_on_at(self, recovery: Recovery, found: Placement) -> None:
+        """Go on in the frame that the robot was lost from, at the place that was found."""
         absence, log = recovery.absence, recovery.log
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         slam, grid = absence.known.copied()
@@ -460,6 +472,11 @@ class Mapper:
         """Replace the poses from a step on, given with their covariances."""
         self._revisions.append(Revision(begin, *(np.array(each) for each in zip(*poses, strict=True))))
 
+    def _number_map(self, *, is_own: bool) -> None:
+        """Give a new map its number. The robot never goes back to a map from before its own map."""
+        self._maps += 1
+        self.map_number, self._own_map = self._maps, self._maps if is_own else self._own_map
+
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame."""
         if self._sensor is not None and slam.sensor != self._sensor:
@@ -467,6 +484,7 @@ class Mapper:
         if self._slam_config is not self.config:
             slam.calibrate()
         self.slam, self._grid, self.frame = slam, grid, self.frame + 1
+        self.map_number = self._own_map
         self._begin_anew()
 
     def _play(self, recovery: Recovery, begin: int, end: int | None = None) -> list[tuple[FloatArray, FloatArray]]:

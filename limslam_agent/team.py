@@ -11,8 +11,9 @@ from limslam_agent.joining import JoiningMapper
 from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.mapper import Mapper
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
-from limslam_agent.policies.wall_policy import explorer
+from limslam_agent.policies.wall_policy import WallPolicy, explorer
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
@@ -130,7 +131,8 @@ class LimSlamTeam:
         )
         # Number of known cells at the time when each robot stopped.
         self._known_at_stop: dict[int, int] = {}
-        self._frame = self.mapper.frame
+        self._frame, self._map_number = self.mapper.frame, self.mapper.map_number
+        self._left: dict[int, list[Policy]] = {}
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
         """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one observation of each."""
@@ -218,9 +220,18 @@ class LimSlamTeam:
         return explorer(self.robot, replace(self.config, policy=fast), number)
 
     def _renew_in_another_frame(self) -> None:
-        """Plan anew where the frame of the map has changed. Policies that were given keep their plans."""
+        """Plan anew where the frame of the map has changed. Policies that were given keep their plans.
+
+        In a map that was there before, the policies still know what was settled there. Otherwise a robot whose map is
+        moved now and then would look at the same places again and again, and never end.
+        """
         if self._frame != self.mapper.frame and self._given_policies is None:
-            self.policies = [self._policy_in_new_frame(number) for number in range(self.num_robots)]
+            self._left[self._map_number], self._map_number = self.policies, self.mapper.map_number
+            kept = self._left.get(self._map_number) if self.num_robots == 1 else None
+            self.policies = kept or [self._policy_in_new_frame(number) for number in range(self.num_robots)]
+            for policy in self.policies:
+                if isinstance(policy, FrontierPolicy | WallPolicy):
+                    policy.move(self.mapper.frame)
         self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:

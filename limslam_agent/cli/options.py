@@ -111,7 +111,14 @@ UnknownStarts = Annotated[
     ),
 ]
 Seed = Annotated[int | None, _option(_WORLD, "Random seed.", _RUN.seed)]
-MaxTime = Annotated[float | None, _option(_WORLD, "Longest simulated time, s.", f"{_RUN.max_time:g}")]
+MaxTime = Annotated[
+    float | None,
+    _option(
+        _WORLD,
+        "Longest simulated time, s. Without it, a world has 10 s for each square metre, and at least the default.",
+        f"{_RUN.max_time:g}",
+    ),
+]
 RunPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _RUN.preset, "--preset")]
 Policy = Annotated[
     str | None,

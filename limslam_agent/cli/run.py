@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_env.messages import printable
 
     config = run_config(given, options)
+    options = replace(options, max_time=config.max_time)
     for warning in [*given.warnings(options.preset), *config.warnings]:
         typer.echo(f"limslam: warning: {warning}", err=True)
     target = options.out or Path("runs") / _folder_name(config)

@@ -25,6 +25,8 @@ _Std = Annotated[float, Bounds(0.0, 1e3)]
 _MAX_WHEEL_STD = 1.0  # m, after 1 m
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
+_TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration needs
+
 # These say where results go, not how they are made.
 _OUTPUT = {"out", "force", "video", "film_speed", "watch"}
 
@@ -372,7 +374,7 @@ def run_options(given: Given) -> RunOptions:
 
 
 def run_config(given: Given, options: RunOptions) -> "RunConfig":
-    """What is run.
+    """What is run. Without a longest time, that of a large world grows with its ground.
 
     Raises
     ------
@@ -380,16 +382,22 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         If it cannot be run.
     """
     from limslam_agent.config.presets import preset, with_until
-    from limslam_agent.runs.episode import RunConfig
+    from limslam_agent.runs.episode import LONGEST_TIME, RunConfig
     from limslam_env.config import NoiseConfig
     from limslam_env.interface import NominalNoise
     from limslam_env.worlds.formats.loading import load_world
 
     try:
-        in_file = given.table.get("preset", options.preset)
+        in_file, world, max_time = (
+            given.table.get("preset", options.preset),
+            load_world(options.world),
+            options.max_time,
+        )
         agent = given.run_agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
+        if "max_time" not in given.options and "max_time" not in given.table:
+            max_time = min(max(max_time, _TIME_PER_GROUND * world.size[0] * world.size[1]), LONGEST_TIME)
         return RunConfig(
-            load_world(options.world), options.noise, options.preset, options.seed, options.max_time, options.laps,
+            world, options.noise, options.preset, options.seed, max_time, options.laps,
             given.robot(), options.robots, options.ablation, options.policy, options.limit,
             agent, given.true_noise(NoiseConfig()), kidnap_at=options.kidnap_at,
             prior_map=options.map, unknown_starts=options.unknown_starts,

@@ -39,8 +39,13 @@ _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
-_FAR, _FAR_TURN = 1.5, math.radians(30.0)  # m, rad: a robot that is off by more has not drifted, but was carried
 _RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
+
+FAR = 1.5, math.radians(30.0)
+"""A robot that is off by more than this, m and rad, has not drifted, but was carried."""
+
+DRIFT = 0.5, math.radians(15.0)
+"""A robot that is off by less than this, m and rad, has drifted, whatever its readings say of its motion."""
 
 
 class KnownPlaces:
@@ -262,10 +267,13 @@ def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config:
     return float(np.hypot(*shift[0])) > config.apart or turn > config.apart_turn
 
 
-def is_far(pose: FloatArray, middle: FloatArray) -> bool:
-    """Whether a pose (3,) of a drive places its middle (2,) so far from where it was believed to be, or turns it so."""
+def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: float = FAR[1]) -> bool:
+    """Whether a pose (3,) of a drive places its middle (2,) so far from where it was believed to be, or turns it so.
+
+    That is by more than a distance ``most``, m, or an angle ``turn``, rad.
+    """
     shift = transform_points(pose, middle[None])[0] - middle
-    return float(np.hypot(*shift)) > _FAR or abs(wrap_angle(float(pose[2]))) > _FAR_TURN
+    return float(np.hypot(*shift)) > most or abs(wrap_angle(float(pose[2]))) > turn
 
 
 def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> bool:

@@ -8,8 +8,8 @@ succession find the same place.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.absence import Absence, KnownFrame, Placement
 from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.kidnapping import Doubt, Kidnapping
-from limslam_agent.places.localisation import KnownPlaces, Localisation, PlaceFit, agree, is_far, localise
+from limslam_agent.places.localisation import DRIFT, FAR, KnownPlaces, Localisation, PlaceFit, agree, is_far, localise
 from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
@@ -36,133 +37,6 @@ WRONG_PLACE = Status("lost", "the readings contradict the map at the place that 
 NOT_CONFIRMED = "the robot's place was found, and it is not confirmed yet"
 BEGUN_ANEW = "the robot was lost before its map had walls, and has begun a new map where it believed to be"
 _WATCHED = 300  # number of steps after a sudden change in which it is weighed
-
-
-@dataclass(frozen=True, eq=False)
-class KnownFrame:
-    """SLAM and occupancy grid of one frame, as they were before a step.
-
-    Attributes
-    ----------
-    step
-        Number of the step.
-    slam, grid
-        The estimate, which nothing changes any more.
-    """
-
-    step: int
-    slam: LineSlam
-    grid: OccupancyGrid
-
-    @property
-    def walls_m(self) -> float:
-        """Length of all walls, m."""
-        return float(np.hypot(*(self.slam.segments[:, 2:] - self.slam.segments[:, :2]).T).sum())
-
-    @property
-    def places(self) -> KnownPlaces:
-        """The map of the frame, to be searched."""
-        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
-
-    def copied(self) -> tuple[LineSlam, OccupancyGrid]:
-        """SLAM and grid to go on with."""
-        return self.slam.copied(), self.grid.copied()
-
-
-@dataclass(eq=False)
-class Absence:
-    """A robot that is lost, or that has found its place and is not yet sure of it.
-
-    Attributes
-    ----------
-    known
-        The frame that it was lost from. None if its place was found in the map of an earlier run.
-    first
-        First step in the local frame.
-    reason
-        Why the robot is lost, in words.
-    jump
-        Standard deviation of the position at the beginning, m.
-    driven, moved, sought
-        Distance since the robot was lost, m, the same with turns, and the latter at the latest search.
-    gone
-        Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
-    is_dated, is_carried
-        Whether the readings have said in which step the robot was carried away, and that it was.
-    place
-        The map of the known frame; None if the place was found in the map of an earlier run.
-    decisions
-        All searches so far, with their steps.
-    placed, rays
-        Distance at which the robot found its place, m, and the rays (n, 6) in the known frame by which it did so; None
-        while it is lost.
-    returned, is_unlikely
-        Step at which the robot found its place, and whether that is far from where it believed to be, although nothing
-        says that it was carried away.
-    """
-
-    known: KnownFrame | None
-    first: int
-    reason: str
-    jump: float
-    place: KnownPlaces | None
-    driven: float = 0.0
-    moved: float = 0.0
-    sought: float = 0.0
-    gone: list[FloatArray] = field(default_factory=list)
-    is_dated: bool = False
-    is_carried: bool = False
-    decisions: list[tuple[int, Localisation]] = field(default_factory=list)
-    placed: float | None = None
-    rays: FloatArray | None = None
-    returned: int = 0
-    is_unlikely: bool = False
-
-    @property
-    def is_placed(self) -> bool:
-        """Whether the robot has found its place."""
-        return self.placed is not None
-
-
-class Placement(NamedTuple):
-    """How a robot goes on in the frame that it was lost from.
-
-    Attributes
-    ----------
-    step
-        First step after the robot was carried away, of the steps that are kept.
-    pose, covariance
-        Its pose (3,) before that step, in the known frame, and the covariance (3, 3).
-    rays
-        The rays (n, 6) in the known frame by which it was placed.
-    gone
-        Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
-        away, if it was lost for so long that the first of these steps are no longer kept; empty otherwise.
-    frame, before
-        Pose (3,) of the local frame in the known frame, and the local frame before ``step``, if there are ``gone``
-        steps; None otherwise.
-    """
-
-    step: int
-    pose: FloatArray
-    covariance: FloatArray
-    rays: FloatArray
-    gone: list[tuple[FloatArray, FloatArray]]
-    frame: FloatArray
-    before: KnownFrame | None
-
-    def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
-        """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
-        if self.before is None or not slam.is_renewable:
-            slam.relocate(self.pose, self.covariance)
-            return
-        slam.join(self.before.slam, self.frame, self.covariance)
-        grid.absorb(self.before.grid.view, self.frame)
-
-    @property
-    def carried_at(self) -> int:
-        """First step after the robot was carried away."""
-        return self.step - len(self.gone)
 
 
 class Recovery:
@@ -282,9 +156,9 @@ class Recovery:
                     jump, max(known.grid.view.values.shape) * known.grid.view.cell / math.sqrt(12.0)
                 )
         else:
-            if before.is_placed:
+            if before.is_placed and not before.has_drifted:
                 self.breaks.pop()
-            self.absence = replace(before, first=first, placed=None, rays=None, gone=[])
+            self.absence = replace(before, first=first, placed=None, rays=None, gone=[], has_drifted=False)
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
@@ -395,24 +269,53 @@ class Recovery:
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
         likely = [np.zeros(3), *(pose for found in earlier for pose in found.open)]
         # A robot that was not carried away has drifted, and is near.
-        far = 1.0 if absence.is_carried and not self._fits_near(absence.place, rays) else self._config.far
+        far = 1.0 if absence.is_carried and self._near_fit(absence.place, rays) is None else self._config.far
         decision = localise(absence.place, rays, self._config, likely, far)
         absence.decisions.append((self.log.end - 1, decision))
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
         return self._placement(absence, rays, decision, sensor)
 
-    def _fits_near(self, place: KnownPlaces, rays: FloatArray) -> bool:
-        """Whether rays (n, 6) fit the map near the believed pose.
+    def _near_fit(self, place: KnownPlaces, rays: FloatArray) -> PlaceFit | None:
+        """The place of rays (n, 6) near the believed pose, if they fit the map there; None otherwise.
 
-        Then nothing says any more that the robot was carried away: a robot that has drifted may also read sudden
+        If they do, nothing says any more that the robot was carried away: a robot that has drifted may also read sudden
         changes, and in a large building, some other place fits nearly always.
         """
         if not len(rays):
-            return False
+            return None
         (fit,) = place.weigh(place.refined(np.zeros((1, 3)), rays), rays)
         is_near = not is_far(fit.pose, rays[:, :2].mean(axis=0))
-        return is_near and fit.evidence >= self._config.lead and fit.is_on_map >= self._config.on_map
+        fits = is_near and fit.evidence >= self._config.lead and fit.is_on_map >= self._config.on_map
+        return fit if fits else None
+
+    def seek_near(self, sensor: RangeSensor) -> Placement | None:
+        """The placement of a robot that was just lost, if its readings since then fit the map near the believed pose.
+
+        Such a robot has drifted, and need not go on in a local frame. If something says that it was carried away, or if
+        a place was found before and is wrong, the robot has to be sought.
+        """
+        absence = self.absence
+        if absence is None or absence.place is None or absence.was_moved or absence.returned:
+            return None
+        rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
+        fit = self._near_fit(absence.place, rays)
+        if fit is None:
+            return None
+        found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+        absence.decisions.append((self.log.end - 1, found))
+        return self._placement(absence, rays, found, sensor)
+
+    def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:
+        """Whether all readings of a robot that has drifted still fit, although its monitor says that it is lost.
+
+        The monitor judges by a few readings what the search for a place judges by hundreds. Both have to agree, or the
+        robot would be lost and found in turns.
+        """
+        absence = self.absence
+        if absence is None or not absence.has_drifted or own.carried is not None or own.added_covariance[0, 0] > 0.0:
+            return False
+        return not self._is_refuted(absence, sensor)
 
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""
@@ -422,7 +325,9 @@ class Recovery:
         found = self.absence.decisions[-1][1]
         is_unlikely = found.fit is not None and is_far(found.fit.pose, found.middle)
         self.absence.is_unlikely = is_unlikely and not self.absence.is_carried
-        self.breaks.append(placement.carried_at)
+        self.absence.has_drifted = placement.has_drifted
+        if not placement.has_drifted:
+            self.breaks.append(placement.carried_at)
         self._note_event("found", step=self.log.end - 1, carried_at=placement.carried_at)
 
     def arrive(self, rays: FloatArray) -> None:
@@ -440,7 +345,10 @@ class Recovery:
         absence.sought = absence.moved
         driven = absence.driven - (absence.placed or 0.0)
         is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
-        if own.level != "ok" or driven < config.confirmed or not is_closed:
+        if own.level != "ok" or driven < config.confirmed or not (is_closed or absence.has_drifted):
+            return
+        if absence.has_drifted:
+            self._end_absence()
             return
         if absence.is_unlikely and absence.place is not None:
             fit = self._later_fit(absence, absence.place, slam.range_sensor)
@@ -451,8 +359,11 @@ class Recovery:
         rays = np.concatenate((absence.rays, rays))
         found = localise(KnownPlaces(slam.segments, grid, slam.range_sensor), rays, config, [np.zeros(3)])
         if found.is_accepted and found.likeness <= config.runner_up:
-            self._note_event("confirmed", step=self.log.end - 1)
-            self.absence = self._arrival = None
+            self._end_absence()
+
+    def _end_absence(self) -> None:
+        self._note_event("confirmed", step=self.log.end - 1)
+        self.absence = self._arrival = None
 
     def give_up(self) -> None:
         """The run is over, and the robot is still lost."""
@@ -483,7 +394,8 @@ class Recovery:
         middle = transform_points(frame, decision.middle[None])[0]
         covariances = [match_covariance(middle, each, self._config) for each in poses]
         gone = list(zip(poses[1:], covariances[1:], strict=True))
-        return Placement(step, pose, covariances[0], moved(rays, frame), gone, frame, before)
+        has_drifted = not is_far(frame, decision.middle, *(DRIFT if absence.was_moved else FAR))
+        return Placement(step, pose, covariances[0], moved(rays, frame), gone, frame, before, has_drifted)
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

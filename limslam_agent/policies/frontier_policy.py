@@ -93,16 +93,21 @@ class FrontierPolicy:
 
     def _begin(self, frame: int) -> None:
         """Begin without plans in a frame of the map, and forget those of another frame."""
+        self._memory = GoalMemory(self._config.aside_steps)
+        # Number of rounds on the spot, and largest number of known cells so far.
+        self._rounds = self._known = 0
+        self.move(frame)
+
+    def move(self, frame: int) -> None:
+        """Plan anew in a frame in which the map is the same, but was moved: what was settled there remains so."""
         robot, config, self._frame = self._robot, self._config, frame
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
-        self._memory = GoalMemory(config.aside_steps)
         self._excursion = Excursion(robot, config)
         self._collision_guard = CollisionGuard(robot)
-        self._until_plan = self._backing = self._turning = self._rounds = 0
-        # Number of steps without progress towards any goal, and largest number of known cells so far.
-        self._idle = self._known = 0
+        self._until_plan = self._backing = self._turning = 0
+        self._idle = 0  # number of steps without progress towards any goal
 
     @property
     def goal(self) -> FloatArray | None:

@@ -14,8 +14,9 @@ from limslam_agent.policies.wall_views import LookMemory, next_view
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-# Looking at walls takes at most as many steps as exploring frontiers has taken so far, and this number more.
-_FREE_STEPS = 600
+# Looking at walls takes at most as many steps as exploring frontiers has taken so far, but at most the second number,
+# and the first number more. In a large building there is always another stretch to look at, and little is gained by it.
+_FREE_STEPS, _MOST_STEPS = 600, 9000
 
 
 def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
@@ -66,13 +67,20 @@ class WallPolicy:
 
     def _begin(self, frame: int) -> None:
         """Begin without plans in a frame of the map, and forget those of another frame."""
-        self._frame, self._frontiers = frame, FrontierPolicy(self._robot, self._config, self._index)
-        self._collision_guard = CollisionGuard(self._robot)
+        self._frontiers = FrontierPolicy(self._robot, self._config, self._index)
         self._memory = LookMemory()
+        self._exploring = self._looking = 0
+        self.move(frame)
+
+    def move(self, frame: int) -> None:
+        """Plan anew in a frame in which the map is the same, but was moved: what was looked at there remains so."""
+        self._frame = frame
+        self._frontiers.move(frame)
+        self._collision_guard = CollisionGuard(self._robot)
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._look: Look | None = None
-        self._exploring = self._looking = self._backing = 0
+        self._backing = 0
 
     @property
     def goal(self) -> FloatArray | None:
@@ -113,7 +121,7 @@ class WallPolicy:
     @property
     def _is_late(self) -> bool:
         """Whether the time for looking at walls is over."""
-        return self._looking > self._exploring + _FREE_STEPS
+        return self._looking > min(self._exploring, _MOST_STEPS) + _FREE_STEPS
 
     def _choose(self, belief: Belief) -> None:
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""

@@ -98,6 +98,15 @@ class LineSlam:
         self.finish()
         self._estimator.relocate(pose, covariance, robot)
 
+    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot that has drifted at another pose (3,) nearby, by a match with the walls around it.
+
+        ``covariance`` (3, 3) is that of the match. The pose is as uncertain as these walls are, and has their errors.
+        Readings that are still pending are used before.
+        """
+        self.finish()
+        self._estimator.shift(pose, covariance, robot)
+
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
         """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on.
 

@@ -73,6 +73,19 @@ class LineEKF(ExtendedKalmanFilter):
         self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
         self.P[part, part] = covariance
 
+    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,) nearby, as seen from the walls around it.
+
+        What is unknown of these walls remains unknown of the pose. The shift adds a covariance (3, 3).
+        """
+        part, turned = slice(POSE * robot, POSE * robot + POSE), np.eye(POSE)
+        x, y = (pose - self.x[part])[:2].tolist()
+        turned[:2, 2] = -y, x  # an error of the heading turns the walls, and the shift with them
+        self.P[part] = turned @ self.P[part]
+        self.P[:, part] = self.P[:, part] @ turned.T
+        self.P[part, part] += covariance
+        self.x[part] = pose
+
     @property
     def lines(self) -> FloatArray:
         """The lines (N, 2), a copy."""

@@ -6,6 +6,7 @@ from typing import get_type_hints
 
 import pytest
 
+from limslam_agent.cli.settings import Given, run_config, run_options
 from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig, CreationConfig, PendingReadingsConfig
@@ -201,3 +202,18 @@ def test_a_file_that_is_not_toml_is_refused_by_its_name(tmp_path):
 def test_counts_of_settings_may_not_be_fractions_in_a_file_but_lengths_may_be_whole():
     changed = updated(PendingReadingsConfig(), {"max_age": 2, "beams": 3}, "f: pending")
     assert changed == PendingReadingsConfig(max_age=2.0, beams=3)
+
+
+@pytest.mark.parametrize(
+    ("table", "told", "seconds"),
+    [
+        ({}, {}, 1800.0),
+        ({}, {"world": "random:3:40x30"}, 12000.0),
+        ({"max_time": 90.0}, {"world": "random:3:40x30"}, 90.0),
+    ],
+)
+def test_a_large_world_has_more_time_unless_it_is_told(table, told, seconds):
+    given = Given(None, table, told)
+    assert run_config(given, run_options(given)).max_time == seconds
+    given = Given(None, table, {**told, "max_time": 50.0})
+    assert run_config(given, run_options(given)).max_time == 50.0

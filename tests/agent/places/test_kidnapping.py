@@ -9,11 +9,12 @@ from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import preset
 from limslam_agent.config.places import PlaceConfig
+from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.kidnapping import CARRIED, MAYBE_CARRIED, MAYBE_ELSEWHERE, Kidnapping
 from limslam_agent.places.localisation import KnownPlaces, localise
 from limslam_agent.places.rays import rays_of
-from limslam_agent.places.recovery import WRONG_PLACE, Absence, Recovery
+from limslam_agent.places.recovery import WRONG_PLACE, Recovery
 from limslam_agent.status.contradictions import KnownMap
 from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import Suspicion
@@ -143,5 +144,5 @@ def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole,
 @pytest.mark.parametrize(("frame", "is_near"), [((0.3, -0.2, 0.1), True), (AWAY, False), ((20.0, 0.0, 0.3), False)])
 def test_readings_that_fit_near_the_believed_pose_take_back_that_the_robot_was_carried_away(whole, frame, is_near):
     recovery, rays = Recovery(ROBOT, preset("graph"), CONFIG), rays_of(moved_log(frame).since(0), ROBOT)
-    assert recovery._fits_near(whole, rays) is is_near
-    assert not recovery._fits_near(whole, rays[:0])
+    assert (recovery._near_fit(whole, rays) is not None) is is_near
+    assert recovery._near_fit(whole, rays[:0]) is None

@@ -10,9 +10,10 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.rays import scan_poses
+from limslam_agent.places.absence import Absence
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.rays import rays_of
-from limslam_agent.places.recovery import Absence, Recovery
+from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import transform_points

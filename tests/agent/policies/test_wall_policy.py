@@ -225,6 +225,15 @@ def test_the_time_for_looking_at_walls_is_limited() -> None:
     assert 600 <= steps < 1000
 
 
+@pytest.mark.parametrize(("exploring", "longest"), [(1000, 1600), (50_000, 9600)])
+def test_looking_at_walls_takes_at_most_as_long_as_exploring_and_at_most_a_quarter_of_an_hour(exploring, longest):
+    policy = WallPolicy(ROBOT, CONFIG)
+    policy._exploring, policy._looking = exploring, longest
+    assert not policy._is_late
+    policy._looking += 1
+    assert policy._is_late
+
+
 def test_a_frontier_that_appears_is_explored_before_the_next_look() -> None:
     policy = WallPolicy(ROBOT, CONFIG)
     walls = with_gap(0, 0.8, 0.5)

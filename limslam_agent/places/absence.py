@@ -1,0 +1,149 @@
+"""What is kept of a robot that is lost: the frame that it was lost from, what happened since, and where it goes on."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.places.localisation import KnownPlaces, Localisation
+from limslam_agent.slam.slam import LineSlam
+from limslam_env.geometry import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFrame:
+    """SLAM and occupancy grid of one frame, as they were before a step.
+
+    Attributes
+    ----------
+    step
+        Number of the step.
+    slam, grid
+        The estimate, which nothing changes any more.
+    """
+
+    step: int
+    slam: LineSlam
+    grid: OccupancyGrid
+
+    @property
+    def walls_m(self) -> float:
+        """Length of all walls, m."""
+        return float(np.hypot(*(self.slam.segments[:, 2:] - self.slam.segments[:, :2]).T).sum())
+
+    @property
+    def places(self) -> KnownPlaces:
+        """The map of the frame, to be searched."""
+        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
+
+    def copied(self) -> tuple[LineSlam, OccupancyGrid]:
+        """SLAM and grid to go on with."""
+        return self.slam.copied(), self.grid.copied()
+
+
+@dataclass(eq=False)
+class Absence:
+    """A robot that is lost, or that has found its place and is not yet sure of it.
+
+    Attributes
+    ----------
+    known
+        The frame that it was lost from. None if its place was found in the map of an earlier run.
+    first
+        First step in the local frame.
+    reason
+        Why the robot is lost, in words.
+    jump
+        Standard deviation of the position at the beginning, m.
+    driven, moved, sought
+        Distance since the robot was lost, m, the same with turns, and the latter at the latest search.
+    gone
+        Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
+    is_dated, is_carried
+        Whether the readings have said in which step the robot was carried away, and that it was.
+    place
+        The map of the known frame; None if the place was found in the map of an earlier run.
+    decisions
+        All searches so far, with their steps.
+    placed, rays
+        Distance at which the robot found its place, m, and the rays (n, 6) in the known frame by which it did so; None
+        while it is lost.
+    returned, is_unlikely
+        Step at which the robot found its place, and whether that is far from where it believed to be, although nothing
+        says that it was carried away.
+    has_drifted
+        Whether it found its place so near that it has only drifted: its odometry holds for all its motions.
+    """
+
+    known: KnownFrame | None
+    first: int
+    reason: str
+    jump: float
+    place: KnownPlaces | None
+    driven: float = 0.0
+    moved: float = 0.0
+    sought: float = 0.0
+    gone: list[FloatArray] = field(default_factory=list)
+    is_dated: bool = False
+    is_carried: bool = False
+    decisions: list[tuple[int, Localisation]] = field(default_factory=list)
+    placed: float | None = None
+    rays: FloatArray | None = None
+    returned: int = 0
+    is_unlikely: bool = False
+    has_drifted: bool = False
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the robot has found its place."""
+        return self.placed is not None
+
+    @property
+    def was_moved(self) -> bool:
+        """Whether something says that the robot has moved otherwise than its odometry reports."""
+        return self.is_carried or self.jump > 0.0
+
+
+class Placement(NamedTuple):
+    """How a robot goes on in the frame that it was lost from.
+
+    Attributes
+    ----------
+    step
+        First step after the robot was carried away, of the steps that are kept.
+    pose, covariance
+        Its pose (3,) before that step, in the known frame, and the covariance (3, 3).
+    rays
+        The rays (n, 6) in the known frame by which it was placed.
+    gone
+        Pose (3,) and covariance (3, 3) in the known frame at each step before ``step`` since the robot was carried
+        away, if it was lost for so long that the first of these steps are no longer kept; empty otherwise.
+    frame, before
+        Pose (3,) of the local frame in the known frame, and the local frame before ``step``, if there are ``gone``
+        steps; None otherwise.
+    has_drifted
+        Whether the robot was not carried away, but has drifted.
+    """
+
+    step: int
+    pose: FloatArray
+    covariance: FloatArray
+    rays: FloatArray
+    gone: list[tuple[FloatArray, FloatArray]]
+    frame: FloatArray
+    before: KnownFrame | None
+    has_drifted: bool = False
+
+    def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+        """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
+        if self.before is None or not slam.is_renewable:
+            (slam.shift if self.has_drifted else slam.relocate)(self.pose, self.covariance)
+            return
+        slam.join(self.before.slam, self.frame, self.covariance)
+        grid.absorb(self.before.grid.view, self.frame)
+
+    @property
+    def carried_at(self) -> int:
+        """First step after the robot was carried away."""
+        return self.step - len(self.gone)

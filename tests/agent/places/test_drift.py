@@ -1,0 +1,118 @@
+"""A lost robot that is found near the believed pose has drifted: its odometry holds, and it is not soon lost again."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
+
+from limslam_agent import preset
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.places.absence import Absence
+from limslam_agent.places.history import StepLog
+from limslam_agent.places.localisation import Localisation
+from limslam_agent.places.rays import rays_of
+from limslam_agent.places.recovery import Recovery
+from limslam_agent.slam.core.ekf import LineEKF
+from limslam_agent.status.status import Status
+from limslam_env.geometry.se2 import compose
+
+CONFIG = PlaceConfig()
+NEAR, FAR = (0.2, -0.1, 0.08), (3.5, -1.0, -0.4)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return known(WAY, HALL)
+
+
+def lost(whole, frame, **details):
+    """A robot that has just been lost, whose believed poses are moved by a frame (3,)."""
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    steps = [replace(step, pose=compose(np.array(frame), step.pose)) for step in drive(PART, HALL)]
+    recovery.log = StepLog(0, steps)
+    recovery.absence = Absence(None, 1, "", details.pop("jump", 0.0), whole, **details)
+    return recovery
+
+
+def monitor(carried=None, added=0.0):
+    return SimpleNamespace(carried=carried, added_covariance=np.full((3, 3), added))
+
+
+@pytest.mark.parametrize(
+    ("off", "details", "is_break"),
+    [
+        (0.3, {}, False),
+        (0.3, {"is_carried": True}, False),
+        (1.0, {}, False),
+        (1.0, {"is_carried": True}, True),
+        (1.0, {"jump": 1.1}, True),
+        (3.0, {}, True),
+    ],
+)
+def test_the_odometry_holds_for_a_robot_that_is_found_near(whole, off, details, is_break):
+    recovery = lost(whole, (0.0, 0.0, 0.0), **details)
+    rays = rays_of(recovery.log.steps, ROBOT)
+    (fit,) = whole.weigh(np.array([[off, 0.0, 0.0]]), rays)
+    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+    recovery.absence.decisions.append((60, found))
+    recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR))
+    assert recovery.breaks == ([1] if is_break else [])
+
+
+def test_a_robot_whose_readings_fit_near_the_believed_pose_is_placed_at_once(whole):
+    recovery = lost(whole, NEAR)
+    found = recovery.seek_near(SENSOR)
+    np.testing.assert_allclose(found.pose, drive(PART, HALL)[found.step - 1].pose, atol=0.05)
+    recovery.has_joined(found)
+    assert recovery.absence.has_drifted
+    assert not recovery.breaks
+
+
+def test_only_a_robot_that_drifted_is_placed_at_once(whole):
+    assert lost(whole, FAR).seek_near(SENSOR) is None
+    assert lost(whole, NEAR, is_carried=True).seek_near(SENSOR) is None
+    assert lost(whole, NEAR, jump=1.1).seek_near(SENSOR) is None
+    assert lost(None, NEAR).seek_near(SENSOR) is None
+    assert lost(whole, NEAR, returned=20).seek_near(SENSOR) is None, "the place that was found is wrong"
+
+
+def test_a_drifted_robot_is_lost_again_only_by_all_its_readings(whole):
+    rays = rays_of(drive(PART, HALL)[:5], ROBOT)
+    fitting = lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=rays, has_drifted=True)
+    assert fitting.still_fits(monitor(), SENSOR)
+    assert not fitting.still_fits(monitor(carried=object()), SENSOR)
+    assert not fitting.still_fits(monitor(added=1.2), SENSOR), "the odometry has jumped"
+    assert not lost(whole, FAR, placed=0.0, rays=rays, has_drifted=True).still_fits(monitor(), SENSOR)
+    assert not lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=rays).still_fits(monitor(), SENSOR)
+    fitting.absence = None
+    assert not fitting.still_fits(monitor(), SENSOR)
+
+
+@pytest.mark.parametrize("has_drifted", [True, False])
+def test_a_drifted_robot_need_not_wait_for_the_end_of_the_map(whole, has_drifted):
+    recovery = lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=np.empty((0, 6)), has_drifted=has_drifted)
+    slam, grid = SimpleNamespace(range_sensor=SENSOR, segments=whole.segments), whole.grid
+    recovery.absence.driven = CONFIG.confirmed - 0.1
+    recovery.confirm(Status(), slam, grid)
+    assert recovery.absence is not None
+    recovery.absence.driven = CONFIG.confirmed + 0.1
+    recovery.confirm(Status("unsure", "a reason"), slam, grid)
+    assert recovery.absence is not None
+    recovery.confirm(Status(), slam, grid)
+    assert (recovery.absence is None) is has_drifted
+
+
+def test_a_robot_that_is_shifted_is_as_uncertain_as_the_walls_around_it():
+    """The whole world may be turned about the start. The robot is shifted within it, and remains tied to its walls."""
+    ekf, match = LineEKF(np.array([[4.0, 0.0, 0.0]])), np.diag([0.05**2, 0.05**2, 0.03**2])
+    turn, pose = np.deg2rad(3.0), np.array([4.3, 0.5, 0.1])
+    ekf.augment(np.array([2.0, 0.5 * np.pi]), 1e-9 * np.eye(2), 0)
+    by_turn = np.array([0.0, 4.0, 1.0, 0.0, 1.0])  # the pose and the wall, which is 2 m from the origin
+    ekf.P[:] = turn**2 * np.outer(by_turn, by_turn)
+    ekf.shift(pose, match)
+    np.testing.assert_array_equal(ekf.x[:3], pose)
+    by_turn[:2] = -0.5, 4.3
+    np.testing.assert_allclose(ekf.P[:3, :3], turn**2 * np.outer(by_turn, by_turn)[:3, :3] + match, atol=1e-12)
+    np.testing.assert_allclose(ekf.P[:3, 3:], turn**2 * np.outer(by_turn, by_turn)[:3, 3:], atol=1e-12)
