@@ -1,10 +1,30 @@
 """What a robot believes: the data that mapping hands to the policies."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, no_rows
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """A place where a lost robot may be.
+
+    Attributes
+    ----------
+    pose
+        Pose (3,) of the robot's present frame in the earlier map, m and rad.
+    log_odds
+        Logarithm of the likelihood ratio of this place and of ground that the earlier map does not have.
+    grid
+        Occupancy grid of the earlier map.
+    """
+
+    pose: FloatArray
+    log_odds: float
+    grid: GridView
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +55,8 @@ class Belief:
     frame
         Number of times that the frame of poses and map has changed (:class:`~limslam_agent.mapper.Mapper`). Plans that
         were made in another frame mean nothing.
+    guesses
+        Where a lost robot may be. Empty for a robot that is not lost.
     """
 
     pose: FloatArray
@@ -46,3 +68,4 @@ class Belief:
     other_goals: FloatArray = field(default_factory=lambda: no_rows(2))
     status: Status = field(default_factory=Status)
     frame: int = 0
+    guesses: Sequence[Guess] = ()

@@ -205,7 +205,7 @@ class Mapper:
             Belief(
                 poses[number], covariances[number], front.ranges, segments, grid,
                 np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0], status=statuses[number],
-                frame=self.frame,
+                frame=self.frame, guesses=() if self._recovery is None else self._recovery.guesses,
             )
             for number, front in enumerate(slam.robots)
         ]  # fmt: skip

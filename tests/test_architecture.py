@@ -76,7 +76,7 @@ AGENT = {
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam", "slam.core", "grid", "kernels", "status", "safe_files"),
+        *agent("belief", "config", "slam", "slam.core", "grid", "kernels", "status", "safe_files"),
     },
     "limslam_agent.renewal": {
         *WHAT_AN_AGENT_MAY_KNOW,

@@ -11,6 +11,9 @@ The first two differ by the logarithm of a likelihood ratio: the evidence of the
 the believed pose. It must outweigh the prior probability that a robot is carried away in a step. The third explanation
 only makes the robot unsure, because rooms look alike: that a new room fits at the place of an earlier one is usual in
 an office building, and that a robot is carried away is not.
+
+A change that makes the robot unsure is held until the readings since then clearly fit the believed pose, and not only
+as long as changes are watched: time alone says nothing for the pose.
 """
 
 import math
@@ -28,7 +31,7 @@ from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import Suspicion
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
@@ -38,6 +41,8 @@ _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of 
 _OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
 _FEWEST = 60  # number of rays for which the map is searched
 _MANY_BEAMS = 24  # one of more beams than this decides nothing
+_HELD = 1500  # largest number of steps for which a doubtful change is held
+_CHANGED, _MISFITS = 2, 0.05  # beams that changed, and largest share of rays of a sound beam that contradict the map
 _DATED = 3.0  # evidence of a change that says when the robot was carried away
 
 CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
@@ -85,6 +90,14 @@ class _Weighed(NamedTuple):
         return self.change.change - self.here
 
 
+class _Held(NamedTuple):
+    """A change that makes the robot unsure, and the step (number of the log) at which it began."""
+
+    step: int
+    change: Suspicion
+    status: Status
+
+
 @dataclass(eq=False)
 class Kidnapping:
     """Weighs the sudden changes of one robot.
@@ -100,6 +113,16 @@ class Kidnapping:
     _unsearched: float = field(default=math.inf, init=False)
     _spacing: float = field(default=0.0, init=False)
     _elsewhere: Status = field(default=Status(), init=False)
+    _held: _Held | None = field(default=None, init=False)
+
+    @property
+    def held(self) -> int | None:
+        """The step at which a change that makes the robot unsure began; None without one."""
+        return None if self._held is None else self._held.step
+
+    def forget(self) -> None:
+        """Hold no change any more: the frame of the poses has changed."""
+        self._held = None
 
     def doubt(
         self,
@@ -119,8 +142,9 @@ class Kidnapping:
             Distance since the last call, m. The whole map is searched now and then, and never if this is 0.
         """
         self._unsearched += driven
+        changes = self._with_held(changes, log)
         if not changes:
-            self._elsewhere = Status()
+            self._elsewhere, self._held = Status(), None
             return None
         found = (self._weigh(step, change, log.since(step), sensor) for step, change in changes)
         likeliest = max(found, key=lambda each: each.evidence)
@@ -135,7 +159,25 @@ class Kidnapping:
             self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
         if status.level == "ok":
             status = self._elsewhere
+        status = self._held_status(likeliest, status)
         return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status)
+
+    def _with_held(self, changes: Sequence[tuple[int, Suspicion]], log: StepLog) -> list[tuple[int, Suspicion]]:
+        """The changes, and the one that is held."""
+        held = self._held
+        if held is None or not log.begin < held.step or log.end - held.step > _HELD:
+            self._held = None
+            return list(changes)
+        others = [(step, change) for step, change in changes if change is not held.change]
+        return [*others, (held.step, held.change)]
+
+    def _held_status(self, likeliest: _Weighed, status: Status) -> Status:
+        """The status, or that of the change that is held until the readings since then clearly fit."""
+        if status.level != "ok":
+            self._held = _Held(likeliest.step, likeliest.change, status)
+        elif likeliest.here > self.config.supported:
+            self._held = None
+        return status if self._held is None else self._held.status
 
     def _weigh(self, step: int, change: Suspicion, steps: Sequence[LoggedStep], sensor: RangeSensor) -> _Weighed:
         """Weigh a change by the steps since then."""
@@ -148,14 +190,28 @@ class Kidnapping:
         return self._weigh(step, change, log.since(step), sensor).evidence < 0.0
 
     def _needs_no_beam(self, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
-        """Whether a change has enough evidence without any one of the beams, which may be broken."""
+        """Whether a change has enough evidence without any one of the beams, which may be broken.
+
+        A beam whose readings fitted before the change is not broken if others changed with it.
+        """
         if len(self.robot.beams) > _MANY_BEAMS:
             return True
-        for beam in range(len(self.robot.beams)):
-            steps = [_without(step, beam) for step in log.since(found.step)]
-            if self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected:
+        beams = np.arange(len(self.robot.beams))
+        for beam in range(len(beams)):
+            steps = [_without(step, beams == beam) for step in log.since(found.step)]
+            is_needed = self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected
+            if is_needed and not (found.change.changed >= _CHANGED and self._fitted(beam, found, log, sensor)):
                 return False
         return True
+
+    def _fitted(self, beam: int, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
+        """Whether the readings of a beam fitted the map before a change."""
+        others = np.arange(len(self.robot.beams)) != beam
+        rays = rays_of(
+            [_without(step, others) for step in log.steps[: found.step - log.begin]], self.robot, sensor.bias
+        )
+        fit = found.place.weigh(np.zeros((1, 3)), rays)[0]
+        return fit.evidence >= self.config.suspected and fit.contradictions <= _MISFITS * len(rays)
 
     def _by_search(self, found: _Weighed) -> Status:
         """What follows from a search of the whole map before a change."""
@@ -188,7 +244,6 @@ def near_evidence(place: KnownPlaces, rays: FloatArray, covariance: FloatArray) 
     return max(float(fit.evidence - cost) for fit, cost in zip(fits, [*costs[is_near], 0.0], strict=True))
 
 
-def _without(step: LoggedStep, beam: int) -> LoggedStep:
-    ranges = step.ranges.copy()
-    ranges[beam] = np.nan
-    return replace(step, ranges=ranges)
+def _without(step: LoggedStep, beams: BoolArray) -> LoggedStep:
+    """The step without the readings of some beams (n_beams,)."""
+    return replace(step, ranges=np.where(beams, np.nan, step.ranges))

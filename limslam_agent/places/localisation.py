@@ -33,12 +33,14 @@ _CELL = 0.05  # m: of the rough search
 _GROUND = 100.0  # m^2: the following numbers of poses are those of a map with so much ground, and grow with it
 _EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number of turns
 _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
-_RAYS, _POSES = 90, 2000  # largest number of rays in the rough search, and of its best poses
-_REFINED, _SPREAD = 60, (0.25, math.radians(12.0))  # number of poses that are refined, and how far they are apart
+_LATEST, _EARLIER, _POSES = 60, 60, 2000  # number of rays in the rough search, and of its best poses
+_REFINED, _FEWEST = 60, 150  # number of poses that are refined: by the ground, and in a small map
+_SPREAD = 0.25, math.radians(12.0)  # how far these poses are apart
 _KEPT = 20  # number of places that are tried again in the next search
-_WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -2.0  # m, and evidence of a ray's end at a wall, and in free ground
-_CROSSED, _FREE = -1.5, 0.2  # evidence of a ray's way through a wall, and through free ground
+_WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
+_CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_UNLIKELY = 12.0  # logarithm of the number of places that a map has
 _RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
 
 FAR = 1.5, math.radians(30.0)
@@ -93,15 +95,19 @@ class KnownPlaces:
         return poses
 
     def likely(self, rays: FloatArray) -> FloatArray:
-        """Poses (m, 3) at which the latest rays (n, 6) may fit, by a rough search of the whole map."""
+        """Poses (m, 3) at which the rays (n, 6) may fit, by a rough search of the whole map.
+
+        The latest rays take part, and some of the earlier ones: the robot may have left the ground of the map again.
+        Contradictions cost much, because the right place of a robot that has seen little of this ground has fewer
+        fitting rays than many wrong places.
+        """
         from limslam_agent.kernels.rays import choose_apart, scan_poses
 
         low, fields, is_tried = self._rough
-        latest = rays[-_RAYS:]
-        latest = np.ascontiguousarray(latest[np.random.default_rng(0).permutation(len(latest))])
-        middle, turns = latest[:, :2].mean(axis=0), np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
+        some = _sample(rays)
+        middle, turns = some[:, :2].mean(axis=0), np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
         scores = np.empty((len(turns), *is_tried.shape), dtype=np.float32)
-        scan_poses(turns, latest, middle, fields, _CELL, np.empty(latest.shape, dtype=np.int64), scores)
+        scan_poses(turns, some, middle, fields, _CELL, np.empty(some.shape, dtype=np.int64), scores)
         good = np.flatnonzero((scores > 0.0) & is_tried)
         values = scores.ravel()[good]
         count = min(round(self.size * _POSES), len(good))
@@ -111,7 +117,7 @@ class KnownPlaces:
         places = np.column_stack((column, row))
         centred = np.column_stack((low + (_EVERY * places + 0.5) * _CELL, turns[turn]))
         chosen = np.zeros(len(centred), dtype=bool)
-        choose_apart(centred, *_SPREAD, chosen, round(self.size * _REFINED))
+        choose_apart(centred, *_SPREAD, chosen, max(_FEWEST, round(self.size * _REFINED)))
         return np.asarray(compose(centred[chosen], np.array([*-middle, 0.0])))
 
     @cached_property
@@ -167,6 +173,15 @@ class PlaceFit:
         fitting = self.tested - self.contradictions
         return self.contradictions * math.log(right / wrong) + fitting * math.log((1.0 - right) / (1.0 - wrong))
 
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the ratio of the probabilities of this place, and of ground that the map does not have.
+
+        Many places are possible, and each is as unlikely beforehand. The evidence is that of a random place, and that
+        of ground that looks alike is larger.
+        """
+        return min(self.evidence - _UNLIKELY, self.is_on_map)
+
 
 @dataclass(frozen=True, eq=False)
 class Localisation:
@@ -184,15 +199,14 @@ class Localisation:
     refusal
         Why the place does not count, in words. Empty if it counts.
     open
-        Poses (3,) of the best places that the readings have not refuted. With more readings, each of them may be the
-        right one.
+        The best places that the readings have not refuted. With more readings, each of them may be the right one.
     """
 
     fit: PlaceFit | None
     runner_up: float
     middle: FloatArray
     refusal: str
-    open: Sequence[FloatArray] = ()
+    open: Sequence[PlaceFit] = ()
 
     @property
     def is_accepted(self) -> bool:
@@ -245,8 +259,14 @@ def localise(
     # A far place is compared with others that count in full, and a near one with far ones that do not.
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
-    refusal, kept = _refusal(best, runner_up, config), [fit.pose for fit in places[:_KEPT]]
-    return Localisation(best, runner_up, middle, refusal, kept)
+    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config), places[:_KEPT])
+
+
+def _sample(rays: FloatArray) -> FloatArray:
+    """The latest of the rays (n, 6), and some of the earlier ones, which lie evenly in time."""
+    earlier, latest = rays[:-_LATEST], rays[-_LATEST:]
+    chosen = np.linspace(0, max(len(earlier) - 1, 0), min(_EARLIER, len(earlier))).astype(int)
+    return np.ascontiguousarray(np.concatenate((earlier[chosen], latest)))
 
 
 def _places(fits: Sequence[PlaceFit], middle: FloatArray, config: PlaceConfig) -> list[PlaceFit]:

@@ -91,7 +91,8 @@ class Lookup:
         """
         self._sought, self._place.sensor = self._driven, sensor
         rays, before = rays_of(self.steps, self._robot, sensor.bias), self._latest
-        decision = self._latest = localise(self._place, rays, self._config, [] if before is None else before.open)
+        likely = [] if before is None else [fit.pose for fit in before.open]
+        decision = self._latest = localise(self._place, rays, self._config, likely)
         self._refused += not decision.is_accepted
         if before is None or decision.fit is None or not agree(before, decision, self._config):
             return None

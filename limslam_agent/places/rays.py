@@ -1,5 +1,6 @@
 """The readings of a drive as rays in its own frame: what is compared with a map to find the place of the drive."""
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -15,6 +16,7 @@ _APART = 0.10, 0.25
 """Of two rays that end in the same square, the later one is kept: side of the squares for rays that saw something, and
 for the others, m. What is seen twice is no news."""
 
+_BEAMS = 36  # largest number of beams whose readings are used: neighbours of so many see nearly the same
 _STEPS, _RAYS = 1500, 600  # largest number of latest steps and rays: the frame of a longer drive is bent
 
 
@@ -36,18 +38,31 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, bias: float = 0.0) -> Float
     A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
     or perhaps missed by the sensor, has no ray. ``bias`` (m) is by what all ranges are too long.
     """
-    steps = steps[-_STEPS:]
-    poses, ranges = np.array([step.pose for step in steps]), np.array([step.ranges for step in steps])
-    seen_nothing = ranges >= robot.too_far
-    usable = (ranges > robot.too_near) & ~dropouts(seen_nothing)
+    steps, used = steps[-_STEPS:], slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
+    poses = np.array([step.pose for step in steps])
+    ranges = np.array([step.ranges[used] for step in steps])
+    seen_nothing = ranges >= robot.too_far[used]
+    usable = (ranges > robot.too_near[used]) & ~_missed(seen_nothing, np.isfinite(ranges))
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     turns = np.stack((np.stack((cos, -sin), -1), np.stack((sin, cos), -1)), 1)
-    origins = np.einsum("tij,bj->tbi", turns, robot.beam_origins) + poses[:, None, :2]
-    directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions)
-    reaches = np.broadcast_to(robot.max_ranges, ranges.shape)
+    origins = np.einsum("tij,bj->tbi", turns, robot.beam_origins[used]) + poses[:, None, :2]
+    directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions[used])
+    reaches = np.broadcast_to(robot.max_ranges[used], ranges.shape)
     lengths = np.where(seen_nothing, reaches, np.clip(ranges - bias, 1e-6, reaches - 1e-6))
     rays = np.concatenate((origins, directions, lengths[..., None], reaches[..., None]), axis=2)[usable]
     return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
+
+
+def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:
+    """Which readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
+
+    A beam that measures in some of the steps only is judged by these.
+    """
+    found = dropouts(seen_nothing)
+    for beam in np.flatnonzero(~measured.all(axis=0)):
+        rows = measured[:, beam]
+        found[rows, beam] = dropouts(seen_nothing[rows, beam][:, None])[:, 0]
+    return found
 
 
 def moved(rays: FloatArray, pose: FloatArray) -> FloatArray:

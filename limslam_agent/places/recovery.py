@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.belief import Guess
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
@@ -84,6 +85,16 @@ class Recovery:
         """Whether the robot has found its place in the frame that it was lost from, without being sure of it yet."""
         return self.absence is not None and self.absence.is_placed
 
+    @property
+    def guesses(self) -> list[Guess]:
+        """Where the robot may be while it is lost, by the latest search."""
+        absence = self.absence
+        if absence is None or absence.is_placed or absence.place is None or not absence.decisions:
+            return []
+        step, found = absence.decisions[-1]
+        fits = found.open if step >= absence.first else ()
+        return [Guess(fit.pose, fit.log_odds, absence.place.grid) for fit in fits]
+
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
         found = self.absence or self._arrival
@@ -126,12 +137,19 @@ class Recovery:
                 self._local_copies = [*kept, self._copy(slam, grid)]
             return
         if not self._copies or self.log.end % self._config.checkpoint == 0:
-            self._copies = [*self._copies, self._copy(slam, grid)][-self._config.checkpoints :]
+            self._copies = self._kept([*self._copies, self._copy(slam, grid)])
             self.log.forget_before(self._copies[0].step)
+
+    def _kept(self, copies: list[KnownFrame]) -> list[KnownFrame]:
+        """The latest copies, and the latest one from before a change of the readings that is still doubtful."""
+        latest, held = copies[-self._config.checkpoints :], self._kidnapping.held
+        before = [] if held is None else [copy for copy in copies if copy.step < held][-1:]
+        return latest if not before or before[0] in latest else [*before, *latest]
 
     def move(self, poses: Sequence[FloatArray]) -> None:
         """A renewal has moved the latest steps to poses (3,): copies from before and searches mean nothing any more."""
         self._copies, self._local_copies = [], []
+        self._kidnapping.forget()
         for back, pose in zip(range(1, len(self.log.steps) + 1), reversed(poses), strict=False):
             self.log.steps[-back] = replace(self.log.steps[-back], pose=pose)
         if self.absence is not None:
@@ -163,6 +181,7 @@ class Recovery:
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies, self._local_copies = [], []
+        self._kidnapping.forget()
         self._note_event("lost", step=self.absence.first, reason=status.reason)
 
     def _known_before(self, first: int, margin: int) -> KnownFrame | None:
@@ -267,7 +286,7 @@ class Recovery:
         absence.place.sensor = sensor
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
-        likely = [np.zeros(3), *(pose for found in earlier for pose in found.open)]
+        likely = [np.zeros(3), *(fit.pose for found in earlier for fit in found.open)]
         # A robot that was not carried away has drifted, and is near.
         far = 1.0 if absence.is_carried and self._near_fit(absence.place, rays) is None else self._config.far
         decision = localise(absence.place, rays, self._config, likely, far)

@@ -11,6 +11,7 @@ from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_of
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, routes, wall_distance
+from limslam_agent.policies.relocalisation import search_cost
 from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
@@ -137,10 +138,11 @@ def next_target(
         for wanted in (_beside(grid, cells, old_goal), cells):
             if not wanted.any():
                 continue
-            separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals, cells)
+            extra = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals, cells)
+            extra += search_cost(belief, cells)
             for number, closed in enumerate(searches):
-                ways = whole[number] or _ways(belief, wanted, separation, closed, robot, config)
-                found = _least(ways.cost + separation, wanted, cells)
+                ways = whole[number] or _ways(belief, wanted, extra, closed, robot, config)
+                found = _least(ways.cost + extra, wanted, cells)
                 if found is not None:
                     return _reachable(grid, cells, found, ways)
                 whole[number] = ways
@@ -159,14 +161,14 @@ def _searches(belief: Belief, robot: RobotSpec) -> list[BoolArray | None]:
 
 
 def _ways(
-    belief: Belief, wanted: BoolArray, separation: FloatArray, closed: BoolArray | None, robot: RobotSpec,
+    belief: Belief, wanted: BoolArray, extra: FloatArray, closed: BoolArray | None, robot: RobotSpec,
     config: PolicyConfig,
 ) -> Routes:  # fmt: skip
-    """Paths to the cheapest of some cells, with what separates the robots of a team."""
-    grid, extra = belief.grid, separation if len(belief.other_poses) else None
+    """Paths to the cheapest of some cells, with what the cells cost besides."""
+    grid = belief.grid
     return routes(
-        grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, extra=extra,
-        closed=closed, coast=coast_of(grid, robot, config),
+        grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted,
+        extra=extra if extra.any() else None, closed=closed, coast=coast_of(grid, robot, config),
     )  # fmt: skip
 
 

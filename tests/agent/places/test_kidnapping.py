@@ -89,6 +89,48 @@ def test_readings_that_fit_another_place_make_a_robot_unsure(whole):
     assert doubt(log, [changed(whole, 5, CONFIG.suspected)], driven=0.0).status == MAYBE_CARRIED
 
 
+@pytest.mark.parametrize(
+    ("frame", "change", "is_held"), [((20.0, 0.0, 0.3), 7.0, True), ((0.0, 0.0, 0.0), 170.0, False)]
+)
+def test_a_doubtful_change_is_held_until_the_readings_fit(whole, frame, change, is_held):
+    """The second robot is doubtful with a large change only, and its readings fit all the same."""
+    robot, log, first = Kidnapping(ROBOT, CONFIG), moved_log(frame), changed(whole, 5, change)
+    assert robot.doubt([first], log, COVARIANCE, SENSOR).status.level != "ok"
+    assert robot.held == 5
+    first[1].change = 0.0  # it is no longer doubtful by itself
+    found = robot.doubt([], log, COVARIANCE, SENSOR)
+    assert (found.status.level != "ok", robot.held == 5) == (is_held, is_held)
+    robot.forget()
+    assert robot.doubt([], log, COVARIANCE, SENSOR) is None
+
+
+def test_a_change_is_not_held_beyond_the_steps_that_are_kept(whole):
+    robot, log = Kidnapping(ROBOT, CONFIG), moved_log((20.0, 0.0, 0.3))
+    robot.doubt([changed(whole, 5, 7.0)], log, COVARIANCE, SENSOR)
+    log.forget_before(10)
+    assert robot.doubt([], log, COVARIANCE, SENSOR) is None
+
+
+def test_the_map_from_before_a_doubtful_change_is_kept():
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    copies = [SimpleNamespace(step=50 * number) for number in range(CONFIG.checkpoints + 4)]
+    assert recovery._kept(copies) == copies[4:]
+    recovery._kidnapping = SimpleNamespace(held=120)
+    assert recovery._kept(copies) == [copies[2], *copies[4:]]
+    recovery._kidnapping.held = 220
+    assert recovery._kept(copies) == copies[4:]
+
+
+def test_a_beam_that_fitted_before_several_readings_changed_is_sound(whole):
+    """Since step 60, one beam alone speaks for a kidnapping."""
+    ranges = np.array([step.ranges for step in believed().steps])
+    ranges[60:, 4] = np.where(np.arange(len(ranges) - 60) % 2, 0.35, 0.55)
+    log = believed(ranges=ranges)
+    change = changed(whole, 60, 60.0)
+    assert doubt(log, [change]).status == CARRIED
+    assert doubt(log, [(60, replace(change[1], changed=1))]).status != CARRIED
+
+
 def test_far_places_count_less_for_a_robot_that_has_drifted(whole):
     rays = rays_of(drive(PART, HALL, (3.0, -2.0, 1.3)), ROBOT)
     assert localise(whole, rays, CONFIG).is_accepted

@@ -9,6 +9,7 @@ from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known, pos
 from limslam_agent import preset
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.tables import RAY_LENGTH
 from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.localisation import KnownPlaces, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
@@ -101,6 +102,46 @@ def test_readings_that_say_nothing_have_no_ray():
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()
+
+
+def test_a_beam_that_measures_in_every_second_step_sees_free_ground():
+    steps = drive([[1.0, 0.7], [3.0, 0.7]], HALL)
+    every_second = [
+        replace(step, ranges=np.where(number % 2, np.nan, step.ranges)) for number, step in enumerate(steps)
+    ]
+    assert (~have_ended(rays_of(steps, ROBOT))).sum() > 5
+    assert (~have_ended(rays_of(every_second, ROBOT))).sum() > 5
+    one_miss = [
+        replace(step, ranges=np.where(number == 8, ROBOT.max_ranges, np.minimum(step.ranges, 0.5)))
+        for number, step in enumerate(every_second)
+    ]
+    one_miss = [replace(step, ranges=np.where(number % 2, np.nan, step.ranges)) for number, step in enumerate(one_miss)]
+    assert have_ended(rays_of(one_miss, ROBOT)).all(), "one reading without a wall may be a dropout"
+
+
+def test_of_very_many_beams_some_are_used():
+    angles = np.radians(np.arange(-90.0, 90.0, 1.0))
+    many = replace(ROBOT, beams=tuple(replace(ROBOT.beams[0], angle=angle) for angle in angles))
+    step = replace(drive(PART, HALL)[0], ranges=np.full(180, 0.8))
+    rays = rays_of([step], many)
+    assert 10 < len(rays) <= 36
+
+
+def test_a_drive_that_has_left_the_ground_of_the_map_is_still_found(whole):
+    """The latest rays are those of ground that the map does not have."""
+    rays = rays_of(drive(PART, HALL), ROBOT)
+    away = moved(rays, np.array([-2.5, 0.0, 0.0]))
+    away[:, RAY_LENGTH] = 0.25
+    seen = np.concatenate((rays, away))
+    found = whole.refined(whole.likely(seen), seen)
+    assert np.hypot(*found[:, :2].T)[np.abs(found[:, 2]) < 0.1].min() < 0.1
+
+
+def test_a_place_with_little_evidence_is_no_better_than_ground_that_looks_alike(whole):
+    rays = rays_of(drive(PART, HALL), ROBOT)
+    few, many = (whole.weigh(np.zeros((1, 3)), some)[0] for some in (rays[:3], rays))
+    assert few.log_odds < 0.0
+    assert many.log_odds == many.is_on_map > 0.0
 
 
 def test_the_largest_correction_of_a_log_is_that_of_the_estimator():
