@@ -31,8 +31,8 @@ FREE_COST, TIGHT_COST = 1, 3
 # Least number of unknown cells in the 5 x 5 cells around a frontier cell. Fewer are a gap between beams.
 LEAST_UNKNOWN = 6
 
-# A frontier cell with fewer unknown cells in the 9 x 9 cells around it belongs to a small remnant. The remnant counts as
-# farther away: for each missing cell, by so many halves of a cell.
+# A frontier cell with fewer unknown cells in the 9 x 9 cells around it belongs to a small remnant. Such a remnant
+# counts as farther away: for each missing cell, by so many halves of a cell.
 LARGE_UNKNOWN, SMALL_COST = 34, 4
 
 FAR = 10.0
