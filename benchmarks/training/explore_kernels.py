@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from limslam_agent.kernels.cells import SKIPPED, change_cells, touched_cells
 from limslam_agent.policies.collision_guard import GHOST, LOOK_AHEAD, MARGIN, MEMORY, SHARES, TOUCH, TOUCHING
 from limslam_agent.policies.learned.look_ahead import count_ahead
-from limslam_agent.policies.learned.polar_view import AHEAD, FAR, FREE_COST, LEAST_UNKNOWN, TIGHT_COST
+from limslam_agent.policies.learned.polar_view import (
+    AHEAD,
+    FAR,
+    FREE_COST,
+    LARGE_UNKNOWN,
+    LEAST_UNKNOWN,
+    SMALL_COST,
+    TIGHT_COST,
+)
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
@@ -171,7 +179,7 @@ def frontier_steps(
             tolls[row, column] = TIGHT_COST if is_tight else FREE_COST
             if is_tight or not _is_frontier(values, row, column):
                 continue
-            steps[row, column] = 0
+            steps[row, column] = SMALL_COST * max(LARGE_UNKNOWN - _unknown_around(values, row, column, 4), 0)
             queue[tail] = row * side + column
             tail += 1
     sources = tail
@@ -203,12 +211,18 @@ def _is_frontier(values: NDArray[np.int8], row: int, column: int) -> bool:
             is_beside = True
     if not is_beside:
         return False
-    unknown = 0
-    for r in range(row - 2, row + 3):
-        for c in range(column - 2, column + 3):
+    return _unknown_around(values, row, column, 2) >= LEAST_UNKNOWN
+
+
+@compiled
+def _unknown_around(values: NDArray[np.int8], row: int, column: int, reach: int) -> int:
+    """Number of unknown cells in the square of ``reach`` cells to all sides of a cell."""
+    side, unknown = len(values), 0
+    for r in range(row - reach, row + reach + 1):
+        for c in range(column - reach, column + reach + 1):
             if not (0 <= r < side and 0 <= c < side) or values[r, c] == 0:
                 unknown += 1
-    return unknown >= LEAST_UNKNOWN
+    return unknown
 
 
 @compiled

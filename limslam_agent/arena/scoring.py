@@ -64,6 +64,7 @@ def exploration_scores(
         "correct_coverage": correct,
         "claims_done": is_finished,
         "end_time_s": float(time[-1]),
+        "since_new_s": float(time[-1] - time[np.argmax(coverage)]),
         "lost": loss(correct, is_finished=is_finished),
         **{
             f"plan_{name}": value if correct >= ENOUGH and value is not None else plan.max_time

@@ -66,11 +66,15 @@ class FinishConfig:
         The network drives while the map has grown by ``growth`` (m^2) for each robot within the last ``window`` (s).
     farthest
         Distance to the nearest frontier, m, up to which the network drives.
+    large_frontier
+        Number of cells from which on a frontier is explored first. Most of what the network leaves are small remnants,
+        and they wait until the large frontiers are explored.
     """
 
     window: float = 8.0
     growth: float = 0.6
     farthest: float = 2.0
+    large_frontier: int = 8
 
 
 class LearnedPolicy:
@@ -118,7 +122,9 @@ class LearnedPolicy:
         self._network = network or load_network(WEIGHTS / SHIPPED)
         self._drive, self._finish = drive or DriveConfig(), finish or FinishConfig()
         self._generator, self._temperature = np.random.default_rng(seed), temperature
-        self._config, self._index = replace(config, speed=self.robot.max_wheel_speed), index
+        large = max(config.min_frontier, self._finish.large_frontier)
+        self._config = replace(config, speed=self.robot.max_wheel_speed, min_frontier=large)
+        self._index = index
         self._right_of_way = RightOfWay(index, 5.0 * self.robot.radius, config.patience)
         self._begin(frame=0)
 

@@ -15,7 +15,7 @@ from scipy.sparse import csgraph
 
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
@@ -30,6 +30,10 @@ FREE_COST, TIGHT_COST = 1, 3
 
 # Least number of unknown cells in the 5 x 5 cells around a frontier cell. Fewer are a gap between beams.
 LEAST_UNKNOWN = 6
+
+# A frontier cell with fewer unknown cells in the 9 x 9 cells around it belongs to a small remnant. Such a remnant
+# counts as farther away: for each missing cell, by so many halves of a cell.
+LARGE_UNKNOWN, SMALL_COST = 34, 4
 
 FAR = 10.0
 
@@ -136,13 +140,13 @@ def frontier_distance(grid: GridView) -> FloatArray:
     path.
 
     A path goes from a cell to its four neighbours, and costs three times as much beside walls. Only frontiers with
-    enough unknown cells behind them count.
+    enough unknown cells behind them count, and a frontier of a small remnant counts as up to 5.6 m farther away than
+    it is.
     """
     rows, columns = grid.values.shape
     free, beside_wall = grid.free, ndimage.binary_dilation(grid.occupied, np.ones((3, 3), dtype=int))
-    # Cells beyond the edge of the grid are unknown, too.
-    around = ndimage.convolve(grid.unknown.astype(int), np.ones((5, 5), dtype=int), mode="constant", cval=1)
-    sources = np.flatnonzero(frontier_cells(grid, min_size=1) & ~beside_wall & (around >= LEAST_UNKNOWN))
+    is_source = frontier_cells(grid, min_size=1) & ~beside_wall & (_unknown_around(grid, 2) >= LEAST_UNKNOWN)
+    sources = np.flatnonzero(is_source)
     if not len(sources):
         return np.full((rows, columns), np.inf)
     cost = np.where(beside_wall, TIGHT_COST, FREE_COST)
@@ -153,12 +157,25 @@ def frontier_distance(grid: GridView) -> FloatArray:
         starts.append(index[here][is_open])
         ends.append(index[there][is_open])
         prices.append((cost[here] + cost[there])[is_open])
-    size = rows * columns
+    # One more node, before all frontiers, is joined to each of them by its cost. Costs above 0 are edges for certain.
+    before = rows * columns
+    starts.append(np.full(len(sources), before))
+    ends.append(sources)
+    prices.append(1 + SMALL_COST * np.maximum(LARGE_UNKNOWN - _unknown_around(grid, 4).flat[sources], 0))
     graph = sparse.csr_array(
-        (np.concatenate(prices).astype(float), (np.concatenate(starts), np.concatenate(ends))), shape=(size, size)
+        (np.concatenate(prices).astype(float), (np.concatenate(starts), np.concatenate(ends))), shape=(before + 1,) * 2
     )
-    steps = csgraph.dijkstra(graph, directed=False, indices=sources, min_only=True)
+    steps = csgraph.dijkstra(graph, directed=False, indices=before)[:before] - 1.0
     return np.asarray(steps.reshape(rows, columns) * (0.5 * grid.cell))
+
+
+def _unknown_around(grid: GridView, reach: int) -> IntArray:
+    """Number of unknown cells (rows, columns) in the square of ``reach`` cells to all sides of each cell. Cells beyond
+    the edge of the grid are unknown, too.
+    """
+    side = np.ones(2 * reach + 1, dtype=int)
+    across = ndimage.convolve1d(grid.unknown.astype(int), side, axis=0, mode="constant", cval=1)
+    return np.asarray(ndimage.convolve1d(across, side, axis=1, mode="constant", cval=len(side)))
 
 
 def _distance_here(grid: GridView, away: FloatArray, pose: FloatArray) -> float:

@@ -1,9 +1,13 @@
 """Manifests of entries: what they may say, and what is refused with one line."""
 
+import numpy as np
 import pytest
 from support.arena import MANIFEST, made_entry
 
 from limslam_agent.arena.entry import read_entry
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.runs.policy_file import made_by_file
+from limslam_env.interface import RobotSpec
 
 GOOD = MANIFEST.format(name="Mine")
 
@@ -13,6 +17,18 @@ def test_the_shipped_entries_can_be_read(examples):
     assert {"random", "wall_follower", "frontier", "learned", "oracle", "paper", "consistent", "graph"} <= set(found)
     assert [name for name, manifest in found.items() if manifest.knows_truth] == ["oracle"]
     assert found["graph"].track == "mapping"
+
+
+def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
+    entry = read_entry(examples / "learned_alone")
+    robots = made_by_file(entry.run, RobotSpec(), PolicyConfig(), robots=2, seed=0)
+    for number, robot in enumerate(robots):
+        robot.reset(np.array([float(number), 0.0, 0.0]))
+        robot.act({"ranges": np.full(6, 0.5, dtype=np.float32), "wheels": np.zeros(2, dtype=np.float32)})
+    first, second = (robot.mapper.belief for robot in robots)
+    assert first.pose[0] == pytest.approx(0.0, abs=0.01)
+    assert second.pose[0] == pytest.approx(1.0, abs=0.01)
+    assert len(first.other_poses) == 0
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,12 @@ def test_a_plan_takes_the_time_to_its_coverage():
     assert (scores["plan_time_to_80_s"], scores["plan_time_to_95_s"], scores["lost"]) == (10.0, 20.0, "")
 
 
+def test_the_time_since_the_last_new_cell_is_that_of_the_end():
+    waited = np.append(TIME, [40.0, 55.0]), np.append(COVERAGE, [0.99, 0.99])
+    assert exploration_scores(PLAN, *waited, 0.97, is_finished=True)["since_new_s"] == 25.0
+    assert exploration_scores(PLAN, TIME, COVERAGE, 0.97, is_finished=True)["since_new_s"] == 0.0
+
+
 def test_a_lost_plan_takes_the_longest_time():
     scores = exploration_scores(PLAN, TIME, COVERAGE, 0.94, is_finished=True)
     assert (scores["plan_time_to_80_s"], scores["plan_time_to_95_s"]) == (100.0, 100.0)

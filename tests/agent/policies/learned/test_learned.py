@@ -129,6 +129,21 @@ def test_the_way_to_a_frontier_goes_round_walls_and_is_dear_beside_them():
     assert np.isinf(away[0]).all()
 
 
+def test_a_large_unknown_region_is_nearer_than_a_small_remnant():
+    walls = ["#" * 42, *["#" + "." * 40 + "#"] * 16, "#" * 42]
+    # In the middle, a pocket of 3 x 4 cells at one end and a region of 12 x 12 cells at the other end are unknown.
+    for row, columns in [(8, (2, 6)), (9, (2, 6)), (10, (2, 6))] + [(row, (29, 41)) for row in range(3, 15)]:
+        walls[row] = walls[row][: columns[0]] + " " * (columns[1] - columns[0]) + walls[row][columns[1] :]
+    away = frontier_distance(grid_of("\n".join(walls)))[8]
+    # The frontier of the large region costs nothing more: its neighbours are one cell away.
+    assert away[28] == 0.0
+    assert away[24] == pytest.approx(0.4)
+    # The cell beside the pocket is 0.1 m away from it, and the detour is larger than half of the way to the region.
+    assert away[7] > 1.0
+    assert np.isfinite(away[7])
+    assert away[7] <= away[24] + 0.1 * (24 - 7) + 1e-9
+
+
 def test_a_map_without_frontiers_has_no_way():
     closed = grid_of("######\n#....#\n#....#\n#....#\n######")
     told = observe(closed, np.array([0.3, 0.25, 0.0]), np.full(6, 1.5), ROBOT, VIEW)
@@ -177,6 +192,22 @@ def test_a_cell_counts_once_however_many_beams_cross_it():
     cells = ahead_of(unknown, [0.15, 0.05, 0.0])[0] * FULL[0]
     assert (cells > 20.0).all()
     assert (cells < 0.5 * math.pi * 17**2 + 6 * 17).all()
+
+
+def test_the_frontier_explorer_that_finishes_begins_with_large_frontiers():
+    # A frontier of 4 cells near the robot, on the left, and one of 14 cells far from it, on the right.
+    rows = ["#" * 60, *["#" + "." * 59] * 14, "#" * 60]
+    for row in range(6, 10):
+        rows[row] = " " + rows[row][1:]
+    grid = grid_of("\n".join(rows))
+    goals = []
+    for large in (3, 8):
+        finish = FinishConfig(farthest=0.0, large_frontier=large)
+        policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=finish)
+        policy.act(belief([1.5, 0.75, 0.0], grid))
+        goals.append(policy.goal[0])
+    assert goals[0] < 1.0
+    assert goals[1] > 5.0
 
 
 def test_where_there_is_little_to_see_the_frontier_explorer_drives_and_ends_the_exploration():
