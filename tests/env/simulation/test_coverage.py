@@ -10,7 +10,7 @@ from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.kernels.coverage import mark_disc, mark_ray
-from limslam_env.kernels.observation import observe
+from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.simulation.coverage import CELL, coverage_grid
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
@@ -32,11 +32,13 @@ def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     noise = np.concatenate((range_noise(DrawnNoise()), wheel_noise(DrawnNoise(), 1.0)))
     scene, table = build_wall_index(world.edges).scene, beam_table(ROBOT)
     seen, new, found = np.zeros_like(grid.coverable), 0, np.zeros(1, dtype=np.int64)
+    is_moved = True
     for pose in poses[:, None]:
-        observe(
-            pose, np.zeros((1, 2)), 0, ROBOT.radius, table, noise, np.zeros((1, beams + 2, 2)), *scene, seen,
-            grid.coverable, grid.area, np.zeros((1, 2)), np.zeros((1, beams), dtype=np.int64),
-            np.zeros((1, beams), dtype=np.float32), np.zeros((1, 2), dtype=np.float32), found,
+        drive_and_observe(
+            is_moved, np.zeros((1, 2)), pose, np.zeros(3), np.zeros((1, 2)), 0, np.zeros((1, beams + 2, 2)),
+            ROBOT.radius, table, noise, *scene, seen, grid.coverable, grid.area, np.zeros((1, 2)),
+            np.zeros((1, beams), dtype=np.int64), np.zeros((1, beams), dtype=np.float32),
+            np.zeros((1, 2), dtype=np.float32), found,
         )  # fmt: skip
         new += found[0]
     assert new == np.count_nonzero(seen & grid.coverable), "what counts as new is counted once"

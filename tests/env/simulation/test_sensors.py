@@ -9,7 +9,7 @@ import pytest
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
-from limslam_env.kernels.observation import observe
+from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.rays import NOTHING, cast_at_discs
 from limslam_env.kernels.readings import noisy_reading
 from limslam_env.simulation.odometry import wheel_noise
@@ -87,12 +87,13 @@ def look(
 ) -> tuple[FloatArray, FloatArray]:
     """Walls hit (n_beams,) and ranges (n_beams,) of a robot that may stand where no robot could start."""
     noise = np.concatenate((range_noise(DrawnNoise(cone=cone)), wheel_noise(DrawnNoise(), 1.0)))
-    count, cells = len(robot.beams), np.zeros((1, 1), dtype=bool)
+    is_moved, count, cells = True, len(robot.beams), np.zeros((1, 1), dtype=bool)
     hits, ranges = np.zeros((1, count), dtype=np.int64), np.zeros((1, count), dtype=np.float32)
-    observe(
-        np.array([pose]), np.zeros((1, 2)), 0, robot.radius, beam_table(robot), noise, np.zeros((1, count + 2, 2)),
-        *build_wall_index(edges).scene, cells.copy(), cells, np.array([0.0, 0.0, 0.1]), np.zeros((1, 2)),
-        hits, ranges, np.zeros((1, 2), dtype=np.float32), np.zeros(1, dtype=np.int64),
+    drive_and_observe(
+        is_moved, np.zeros((1, 2)), np.array([pose]), np.zeros(3), np.zeros((1, 2)), 0, np.zeros((1, count + 2, 2)),
+        robot.radius, beam_table(robot), noise, *build_wall_index(edges).scene, cells.copy(), cells,
+        np.array([0.0, 0.0, 0.1]), np.zeros((1, 2)), hits, ranges, np.zeros((1, 2), dtype=np.float32),
+        np.zeros(1, dtype=np.int64),
     )  # fmt: skip
     return hits[0], ranges[0]
 
