@@ -55,6 +55,9 @@ class Belief:
     frame
         Number of times that the frame of poses and map has changed (:class:`~limslam_agent.mapper.Mapper`). Plans that
         were made in another frame mean nothing.
+    map_number
+        Number of the map. In another frame with the same number, the map is the same, but was moved. What a policy has
+        settled there, such as places that cannot be reached, remains so.
     guesses
         Where a lost robot may be. Empty for a robot that is not lost.
     """
@@ -68,4 +71,5 @@ class Belief:
     other_goals: FloatArray = field(default_factory=lambda: no_rows(2))
     status: Status = field(default_factory=Status)
     frame: int = 0
+    map_number: int = 0
     guesses: Sequence[Guess] = ()

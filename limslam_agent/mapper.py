@@ -205,7 +205,8 @@ class Mapper:
             Belief(
                 poses[number], covariances[number], front.ranges, segments, grid,
                 np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0], status=statuses[number],
-                frame=self.frame, guesses=() if self._recovery is None else self._recovery.guesses,
+                frame=self.frame, map_number=self.map_number,
+                guesses=() if self._recovery is None else self._recovery.guesses,
             )
             for number, front in enumerate(slam.robots)
         ]  # fmt: skip
@@ -436,6 +437,7 @@ class Mapper:
         """Go on in the frame that the robot was lost from, at the place that was found."""
         absence, log = recovery.absence, recovery.log
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
+        self._listener = self.slam.on_association or self._listener
         slam, grid = absence.known.copied()
         slam.on_association = self._heard_until(slam.associated)
         self._use(slam, grid)

@@ -11,9 +11,8 @@ from limslam_agent.joining import JoiningMapper
 from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.mapper import Mapper
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
-from limslam_agent.policies.wall_policy import WallPolicy, explorer
+from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
@@ -226,12 +225,11 @@ class LimSlamTeam:
         moved now and then would look at the same places again and again, and never end.
         """
         if self._frame != self.mapper.frame and self._given_policies is None:
-            self._left[self._map_number], self._map_number = self.policies, self.mapper.map_number
-            kept = self._left.get(self._map_number) if self.num_robots == 1 else None
+            if self.num_robots == 1:
+                self._left[self._map_number] = self.policies
+            self._map_number = self.mapper.map_number
+            kept = self._left.pop(self._map_number, None)
             self.policies = kept or [self._policy_in_new_frame(number) for number in range(self.num_robots)]
-            for policy in self.policies:
-                if isinstance(policy, FrontierPolicy | WallPolicy):
-                    policy.move(self.mapper.frame)
         self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:

@@ -105,6 +105,8 @@ def read_map(path: Path) -> PeerMap:
 
 def _grey(image: Image.Image) -> FloatArray:
     """Grey levels (rows, columns), whole numbers from 0 to 255."""
+    if image.mode.startswith("I"):
+        raise WorldError("has 16 or more bits for a pixel, and the maps have eight")
     if image.mode == "L":
         return np.asarray(image).astype(float)
     # The weights sum to 1 up to rounding, which must not take 208 for 207.

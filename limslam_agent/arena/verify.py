@@ -94,10 +94,10 @@ def verify(folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None,
 
 
 def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
-    """What differs between two rows of a plan, in words. Cost and provenance are not compared."""
+    """What differs between two rows of a plan, in words. Cost, provenance and newer metrics are not compared."""
     if before.error != now.error:
         return [f"error: {before.error}, now {now.error}"]
-    names = BOUNDS if is_process else sorted(before.metrics.keys() | now.metrics.keys())
+    names = BOUNDS if is_process else sorted(before.metrics)
     return [
         f"{name} {first}, now {second}"
         for name in names

@@ -41,7 +41,7 @@ _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of 
 _OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
 _FEWEST = 60  # number of rays for which the map is searched
 _MANY_BEAMS = 24  # one of more beams than this decides nothing
-_HELD = 1500  # largest number of steps for which a doubtful change is held
+_HELD, _LATEST = 1500, 300  # largest number of steps for which a doubtful change is held, and that weigh each beam
 _CHANGED, _MISFITS = 2, 0.05  # beams that changed, and largest share of rays of a sound beam that contradict the map
 _DATED = 3.0  # evidence of a change that says when the robot was carried away
 
@@ -121,8 +121,8 @@ class Kidnapping:
         return None if self._held is None else self._held.step
 
     def forget(self) -> None:
-        """Hold no change any more: the frame of the poses has changed."""
-        self._held = None
+        """Hold nothing any more: the frame of the poses has changed."""
+        self._held, self._elsewhere = None, Status()
 
     def doubt(
         self,
@@ -198,7 +198,7 @@ class Kidnapping:
             return True
         beams = np.arange(len(self.robot.beams))
         for beam in range(len(beams)):
-            steps = [_without(step, beams == beam) for step in log.since(found.step)]
+            steps = [_without(step, beams == beam) for step in log.since(found.step)[-_LATEST:]]
             is_needed = self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected
             if is_needed and not (found.change.changed >= _CHANGED and self._fitted(beam, found, log, sensor)):
                 return False

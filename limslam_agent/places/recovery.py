@@ -176,7 +176,9 @@ class Recovery:
         else:
             if before.is_placed and not before.has_drifted:
                 self.breaks.pop()
-            self.absence = replace(before, first=first, placed=None, rays=None, gone=[], has_drifted=False)
+            self.absence = replace(
+                before, first=first, placed=None, rays=None, gone=[], has_drifted=False, decisions=[]
+            )
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
@@ -227,8 +229,10 @@ class Recovery:
         """The likeliest moment at which the robot was carried away."""
         last = self.log.end - 1
         changes = [(last - ago, each) for ago, each in own.changes(_WATCHED) if last - ago > self.log.begin]
-        if changes and self.log.largest_correction > self._config.apart:  # a closed loop moves robot and map alike
+        is_doubtful = bool(changes) or self._kidnapping.held is not None
+        if is_doubtful and self.log.largest_correction > self._config.apart:  # a closed loop moves robot and map alike
             changes = []
+            self._kidnapping.forget()
         return self._kidnapping.doubt(changes, self.log, slam.covariance, slam.range_sensor, driven)
 
     def _first_doubt(self, own: StatusMonitor, slam: LineSlam) -> tuple[Status, int, bool, bool]:
@@ -317,6 +321,8 @@ class Recovery:
         absence = self.absence
         if absence is None or absence.place is None or absence.was_moved or absence.returned:
             return None
+        if absence.known is not None and absence.first <= absence.known.step + 1:
+            return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         fit = self._near_fit(absence.place, rays)
         if fit is None:
@@ -332,9 +338,12 @@ class Recovery:
         robot would be lost and found in turns.
         """
         absence = self.absence
-        if absence is None or not absence.has_drifted or own.carried is not None or own.added_covariance[0, 0] > 0.0:
+        if absence is None or not absence.has_drifted or own.carried is not None or own.jump > 0.0:
             return False
-        return not self._is_refuted(absence, sensor)
+        if self._is_refuted(absence, sensor):
+            return False
+        absence.placed = absence.driven  # the distance without contradictions begins again
+        return True
 
     def has_joined(self, placement: Placement) -> None:
         """The robot goes on in the known frame."""

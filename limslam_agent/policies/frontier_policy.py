@@ -89,17 +89,21 @@ class FrontierPolicy:
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
         self._step = 0
         self._wall_follower: WallFollower | None = None
-        self._begin(frame=0)
+        self._learn_map(0)
+        self._plan_anew(0)
 
-    def _begin(self, frame: int) -> None:
-        """Begin without plans in a frame of the map, and forget those of another frame."""
-        self._memory = GoalMemory(self._config.aside_steps)
-        # Number of rounds on the spot, and largest number of known cells so far.
-        self._rounds = self._known = 0
-        self.move(frame)
+    def enter(self, belief: Belief) -> None:
+        """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""
+        if belief.map_number != self._map_number:
+            self._learn_map(belief.map_number)
+        if belief.frame != self._frame:
+            self._plan_anew(belief.frame)
 
-    def move(self, frame: int) -> None:
-        """Plan anew in a frame in which the map is the same, but was moved: what was settled there remains so."""
+    def _learn_map(self, number: int) -> None:
+        self._map_number, self._memory = number, GoalMemory(self._config.aside_steps)
+        self._rounds = 0  # number of rounds on the spot
+
+    def _plan_anew(self, frame: int) -> None:
         robot, config, self._frame = self._robot, self._config, frame
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -107,7 +111,8 @@ class FrontierPolicy:
         self._excursion = Excursion(robot, config)
         self._collision_guard = CollisionGuard(robot)
         self._until_plan = self._backing = self._turning = 0
-        self._idle = 0  # number of steps without progress towards any goal
+        # Number of steps without progress towards any goal, and largest number of known cells so far.
+        self._idle = self._known = 0
 
     @property
     def goal(self) -> FloatArray | None:
@@ -117,8 +122,7 @@ class FrontierPolicy:
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
         self._step += 1
-        if belief.frame != self._frame:
-            self._begin(belief.frame)
+        self.enter(belief)
         if self.stop_reason is not None:
             return np.zeros(2)
         if self._step == 1 and self._robot.reach < least_reach(self._robot, belief.grid.cell):

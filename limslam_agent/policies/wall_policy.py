@@ -61,21 +61,25 @@ class WallPolicy:
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
         self._robot, self._config, self._std = robot, config, range_std
-        self._index = index
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
-        self._begin(frame=0)
+        self._frontiers = FrontierPolicy(robot, config, index)
+        self._learn_map(0)
+        self._plan_anew(0)
 
-    def _begin(self, frame: int) -> None:
-        """Begin without plans in a frame of the map, and forget those of another frame."""
-        self._frontiers = FrontierPolicy(self._robot, self._config, self._index)
-        self._memory = LookMemory()
+    def _enter(self, belief: Belief) -> None:
+        """Plan anew if the frame is another one, and also forget what was looked at if the map is another one."""
+        if belief.map_number != self._map_number:
+            self._learn_map(belief.map_number)
+        if belief.frame != self._frame:
+            self._plan_anew(belief.frame)
+        self._frontiers.enter(belief)
+
+    def _learn_map(self, number: int) -> None:
+        self._map_number, self._memory = number, LookMemory()
         self._exploring = self._looking = 0
-        self.move(frame)
 
-    def move(self, frame: int) -> None:
-        """Plan anew in a frame in which the map is the same, but was moved: what was looked at there remains so."""
+    def _plan_anew(self, frame: int) -> None:
         self._frame = frame
-        self._frontiers.move(frame)
         self._collision_guard = CollisionGuard(self._robot)
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -89,8 +93,7 @@ class WallPolicy:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
-        if belief.frame != self._frame:
-            self._begin(belief.frame)
+        self._enter(belief)
         if self.stop_reason is not None:
             return np.zeros(2)
         self._collision_guard.add_readings(belief.pose, belief.ranges)

@@ -84,7 +84,7 @@ class PathSignals:
             reasons.append(f"visits of a place contradict each other at {self.contradicted_share:.0%} of the points")
         if self.bend_times:
             times = ", ".join(f"{time:.0f}" for time in self.bend_times[:3])
-            reasons.append(f"loops bend the path more than odometry and walls allow after {times} s")
+            reasons.append(f"the path is bent more than odometry and walls allow after {times} s")
         if not self.loops and self.driven > FAR_WITHOUT_LOOPS:
             reasons.append(f"no place was recognised again in {self.driven:.0f} m")
         return Status("unsure", ", ".join(reasons)) if reasons else Status()
@@ -103,6 +103,7 @@ class PathSignals:
             "smoothed_wall_crossings": self.crossings,
             "smoothed_wall_crossing_times": [round(time, 2) for time in self.crossing_times],
             "smoothed_contradicted_share": self.contradicted_share,
+            "smoothed_bend_times": [round(time, 2) for time in self.bend_times],
         }
 
 

@@ -143,6 +143,11 @@ class StatusMonitor:
             self._reference, self._jump, self.status = None, 0.0, Status()
 
     @property
+    def jump(self) -> float:
+        """Length of the jumps of the odometry since the robot is lost, m."""
+        return self._jump
+
+    @property
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
         if self._reference is None:

@@ -90,7 +90,8 @@ def sweep(
 ) -> None:
     """Mark what one robot covers at poses (n, 3), m and rad, one after the other from ``step`` on, and alone there.
 
-    Beams, walls and grid are those of :func:`observe`; ``new_cells`` (n,) is set to how many cells each pose adds.
+    Beams, walls and grid are those of :func:`~limslam_env.kernels.observation.drive_and_observe`. ``new_cells`` (n,) is
+    set to how many cells each pose adds.
     """
     walls = scene_walls(edges, cell_starts, cell_edges, grid)
     for number in range(len(poses)):

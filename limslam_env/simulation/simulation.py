@@ -162,7 +162,15 @@ class Simulation:
         self._physics.place(poses, self.robot.axle * (1.0 + self._noise.axle_mismatch))
 
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
-        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
+        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum.
+
+        Raises
+        ------
+        ValueError
+            If there is not one action for each robot.
+        """
+        if len(actions) != self.num_robots:
+            raise ValueError(f"there must be an action for each of {self.num_robots} robots, not {len(actions)}")
         self._steps += 1
         draws, travel, noise = self._draws.next(), self._travel, self._noise
         for robot, (left, right) in enumerate(actions):

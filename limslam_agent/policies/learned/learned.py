@@ -65,7 +65,8 @@ class FinishConfig:
     window, growth
         The network drives while the map has grown by ``growth`` (m^2) for each robot within the last ``window`` (s).
     farthest
-        Distance to the nearest frontier, m, up to which the network drives.
+        Distance to the nearest frontier, m, up to which the network drives. It is the distance of the network's input,
+        in which small remnants count as farther away.
     large_frontier
         Number of cells from which on a frontier is explored first. Most of what the network leaves are small remnants,
         and they wait until the large frontiers are explored.
@@ -124,15 +125,25 @@ class LearnedPolicy:
         self._generator, self._temperature = np.random.default_rng(seed), temperature
         large = max(config.min_frontier, self._finish.large_frontier)
         self._config = replace(config, speed=self.robot.max_wheel_speed, min_frontier=large)
-        self._index = index
         self._right_of_way = RightOfWay(index, 5.0 * self.robot.radius, config.patience)
-        self._begin(frame=0)
+        self._finisher = FrontierPolicy(self.robot, self._config, index)
+        self._learn_map(0)
+        self._plan_anew(0)
 
-    def _begin(self, frame: int) -> None:
-        """Begin in a frame of the map, and forget what belongs to another frame."""
-        self._frame, self._collision_guard = frame, CollisionGuard(self.robot)
-        self._finisher = FrontierPolicy(self.robot, self._config, self._index)
+    def _enter(self, belief: Belief) -> None:
+        """Choose anew if the frame is another one, and also forget how the map has grown if it is another one."""
+        if belief.map_number != self._map_number:
+            self._learn_map(belief.map_number)
+        if belief.frame != self._frame:
+            self._plan_anew(belief.frame)
+        self._finisher.enter(belief)
+
+    def _learn_map(self, number: int) -> None:
+        self._map_number = number
         self._known = deque[int](maxlen=math.ceil(self._finish.window / self.robot.control_period) + 1)
+
+    def _plan_anew(self, frame: int) -> None:
+        self._frame, self._collision_guard = frame, CollisionGuard(self.robot)
         self._until_choice, self._heading, self._is_finishing = 0, 0.0, False
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -144,8 +155,7 @@ class LearnedPolicy:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,). Zero after the policy has stopped."""
-        if belief.frame != self._frame:
-            self._begin(belief.frame)
+        self._enter(belief)
         if self.stop_reason is not None:
             return np.zeros(2)
         self._known.append(int(np.count_nonzero(belief.grid.values)))

@@ -70,10 +70,7 @@ class CloneEKF(LineEKF):
     """
 
     def __init__(
-        self,
-        pose: FloatArray,
-        calibration: FloatArray | None = None,
-        range_errors: tuple[float, float] | None = None,
+        self, pose: FloatArray, calibration: FloatArray | None = None, range_errors: tuple[float, float] | None = None
     ) -> None:
         super().__init__(pose)
         self._bias = None if calibration is None else OdometryErrors(self._poses_end, calibration)
@@ -196,6 +193,13 @@ class CloneEKF(LineEKF):
         super().relocate(pose, covariance, robot)
         for bias in self._biases:
             bias.forget(slice(POSE * robot, POSE * robot + POSE))
+
+    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> FloatArray:
+        """Put a robot at another pose (3,) nearby: see :meth:`LineEKF.shift`."""
+        turned = super().shift(pose, covariance, robot)
+        for bias in self._biases:
+            bias.predict(slice(POSE * robot, POSE * robot + POSE), turned)
+        return turned
 
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""

@@ -33,6 +33,10 @@ LEAST_SLIP = 0.005
 LASTING = 2.0
 """A contact lasts until the beam reads more than its minimum by this number of standard deviations."""
 
+LONGEST = 1.0
+"""No contact holds a robot back for longer than this distance by the wheels, m. A beam that still reads its minimum
+then is broken or covered, or its driver reports 0 where it sees nothing."""
+
 LEAST_MINIMUM = 1e-6
 """A beam's minimum counts as at least this, m."""
 
@@ -117,7 +121,7 @@ def slip(
             memory[1 + beam] = -1.0
         else:
             # A robot that has driven back has to come near again.
-            memory[1 + beam] = new = 0.0 if driven < 0.0 else old + driven
+            memory[1 + beam] = new = 0.0 if driven < 0.0 else min(old + driven, LONGEST)
             gained = (new**3 - max(new - least, 0.0) ** 3) / (3.0 * least)
             counted = (old**3 - max(old - least, 0.0) ** 3) / (3.0 * least)
             if gained < LEAST_SLIP**2:

@@ -73,10 +73,11 @@ class LineEKF(ExtendedKalmanFilter):
         self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
         self.P[part, part] = covariance
 
-    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> FloatArray:
         """Put a robot at another pose (3,) nearby, as seen from the walls around it.
 
-        What is unknown of these walls remains unknown of the pose. The shift adds a covariance (3, 3).
+        What is unknown of these walls remains unknown of the pose. The shift adds a covariance (3, 3). Returns the
+        derivative (3, 3) of the new pose by the old one.
         """
         part, turned = slice(POSE * robot, POSE * robot + POSE), np.eye(POSE)
         x, y = (pose - self.x[part])[:2].tolist()
@@ -85,6 +86,7 @@ class LineEKF(ExtendedKalmanFilter):
         self.P[:, part] = self.P[:, part] @ turned.T
         self.P[part, part] += covariance
         self.x[part] = pose
+        return turned
 
     @property
     def lines(self) -> FloatArray:

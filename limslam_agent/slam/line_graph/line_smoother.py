@@ -232,7 +232,8 @@ def make_problem(
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
     ranges = np.asarray(ranges, dtype=float)
     fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
-    looked = fresh & np.isfinite(ranges) & (ranges > robot.too_near) & (True if usable is None else usable)
+    measured = fresh & np.isfinite(ranges) & (True if usable is None else usable)
+    looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
@@ -242,7 +243,7 @@ def make_problem(
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
         prior=None if prior is None else prior.information, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
-        slips=slips_of(robot, contact_std, reported, stds, ranges, fresh & np.isfinite(ranges)),
+        slips=slips_of(robot, contact_std, reported, stds, ranges, measured),
     )  # fmt: skip
 
 

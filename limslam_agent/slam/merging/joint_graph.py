@@ -18,7 +18,7 @@ from limslam_agent.slam.graph.rounds import Candidates, LogProblem, Round, do_ro
 from limslam_agent.slam.merging.chains import Chain, joined_keys, joined_trajectory, local_of_both
 from limslam_agent.slam.merging.placements import Placement, solved
 from limslam_agent.slam.merging.placing import Pieces
-from limslam_env.geometry import IntArray
+from limslam_env.geometry import FloatArray, IntArray
 
 _START, _TRIAL = "guard", 2
 
@@ -39,6 +39,9 @@ class JointMap:
         The verdicts on all loops of the last round.
     chunk_keys
         The key pose (c,) in the middle of each chunk.
+    hop_keys, hop_errors
+        The key poses (h,) at which the hops between chunks begin, and the chi-squares (h,) of the hops by the local
+        smoothing.
     """
 
     first: Chain
@@ -48,6 +51,8 @@ class JointMap:
     score: float
     verdicts: list[LoopVerdict]
     chunk_keys: IntArray
+    hop_keys: IntArray
+    hop_errors: FloatArray
 
     @property
     def cross_loops(self) -> list[LoopVerdict]:
@@ -111,8 +116,9 @@ class _Search:
         """The map of the best round."""
         best = self.best
         return JointMap(
-            self.first, self.second, self._log.keys, best.trajectory, best.score, best.verdicts, best.middles
-        )
+            self.first, self.second, self._log.keys, best.trajectory, best.score, best.verdicts, best.middles,
+            *self._log.bends(best.trajectory),
+        )  # fmt: skip
 
     def advanced(self, end: int) -> "_Search":
         """Do rounds up to a number of rounds, or until two rounds have not raised the score."""

@@ -243,6 +243,8 @@ def test_a_process_is_verified_within_bounds(entry, short_plans):
     made = [type(row)(row.plan, row.setting, metrics) for metrics in (near, far)]
     assert differences(row, made[0], is_process=True) == []
     assert differences(row, made[0], is_process=False)
+    newer = type(row)(row.plan, row.setting, {**row.metrics, "a_newer_metric": 1.0})
+    assert differences(row, newer, is_process=False) == []
     assert differences(row, made[1], is_process=True)[0].startswith("correct_coverage ")
 
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
-from limslam_agent import preset
+from limslam_agent import Mapper, preset
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.localisation import Localisation
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose
@@ -36,8 +37,8 @@ def lost(whole, frame, **details):
     return recovery
 
 
-def monitor(carried=None, added=0.0):
-    return SimpleNamespace(carried=carried, added_covariance=np.full((3, 3), added))
+def monitor(carried=None, jump=0.0):
+    return SimpleNamespace(carried=carried, jump=jump)
 
 
 @pytest.mark.parametrize(
@@ -76,14 +77,19 @@ def test_only_a_robot_that_drifted_is_placed_at_once(whole):
     assert lost(whole, NEAR, jump=1.1).seek_near(SENSOR) is None
     assert lost(None, NEAR).seek_near(SENSOR) is None
     assert lost(whole, NEAR, returned=20).seek_near(SENSOR) is None, "the place that was found is wrong"
+    recovery = lost(whole, NEAR)
+    recovery.absence.known = SimpleNamespace(step=0)
+    assert recovery.seek_near(SENSOR) is None, "the map was copied after the doubt began, and fits in any case"
 
 
 def test_a_drifted_robot_is_lost_again_only_by_all_its_readings(whole):
     rays = rays_of(drive(PART, HALL)[:5], ROBOT)
     fitting = lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=rays, has_drifted=True)
+    fitting.absence.driven = 2.0
     assert fitting.still_fits(monitor(), SENSOR)
+    assert fitting.absence.placed == 2.0, "the distance without contradictions begins again"
     assert not fitting.still_fits(monitor(carried=object()), SENSOR)
-    assert not fitting.still_fits(monitor(added=1.2), SENSOR), "the odometry has jumped"
+    assert not fitting.still_fits(monitor(jump=1.2), SENSOR), "the odometry has jumped"
     assert not lost(whole, FAR, placed=0.0, rays=rays, has_drifted=True).still_fits(monitor(), SENSOR)
     assert not lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=rays).still_fits(monitor(), SENSOR)
     fitting.absence = None
@@ -116,3 +122,21 @@ def test_a_robot_that_is_shifted_is_as_uncertain_as_the_walls_around_it():
     by_turn[:2] = -0.5, 4.3
     np.testing.assert_allclose(ekf.P[:3, :3], turn**2 * np.outer(by_turn, by_turn)[:3, :3] + match, atol=1e-12)
     np.testing.assert_allclose(ekf.P[:3, 3:], turn**2 * np.outer(by_turn, by_turn)[:3, 3:], atol=1e-12)
+
+
+def test_the_errors_beside_the_filter_are_shifted_with_the_pose():
+    ekf = CloneEKF(np.zeros(3), np.diag([0.01, 0.01, 0.01]) ** 2)
+    ekf.predict(np.array([1.0, 0.0, 0.5]), 1e-4 * np.eye(3), by_calibration=np.eye(3))
+    before = ekf._bias.by_errors.copy()
+    turned = ekf.shift(np.array([1.2, 0.4, 0.6]), 1e-4 * np.eye(3))
+    assert np.abs(turned - np.eye(3)).max() > 0.1
+    np.testing.assert_allclose(ekf._bias.by_errors[:3], turned @ before[:3])
+
+
+def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once():
+    mapper, heard, recovery = Mapper(ROBOT), [].append, SimpleNamespace(has_joined=lambda _: None)
+    mapper.slam.on_association = heard
+    recovery.absence = SimpleNamespace(known=SimpleNamespace(copied=lambda: (mapper._slam_at(np.zeros((1, 3))), None)))
+    recovery.log = SimpleNamespace(begin=0, end=0, steps=[])
+    mapper._go_on_at(recovery, SimpleNamespace(gone=[(np.zeros(3), np.eye(3))], carried_at=0, step=0, put=lambda *_: 0))
+    assert mapper.slam.on_association is heard

@@ -176,6 +176,13 @@ def test_drawn_starts_depend_on_the_seed_and_cover_the_room_and_all_headings():
     assert (np.abs(poses[:, 2]) <= math.pi).all()
 
 
+def test_each_robot_needs_an_action():
+    simulation = Simulation(load_world("env3"), ROBOT, 2)
+    simulation.reset(np.random.SeedSequence(0), NoiseConfig())
+    with pytest.raises(ValueError, match="for each of 2 robots, not 1"):
+        simulation.step([(1.0, 1.0)])
+
+
 def test_drawn_starts_lie_in_the_largest_region():
     # A wall leaves 1 m of 4 m on its right.
     world = box_world(extra=np.array([[3.0, 0.0, 3.0, 4.0]]))

@@ -220,6 +220,16 @@ def test_where_there_is_little_to_see_the_frontier_explorer_drives_and_ends_the_
     assert policy.stop_reason is None
 
 
+def test_in_a_map_that_was_moved_the_frontier_explorer_knows_what_it_has_given_up():
+    policy, seen = LearnedPolicy(ROBOT), belief((1.0, 1.0, 0.0))
+    memory = policy._finisher._memory
+    for moved in (seen, replace(seen, frame=1)):
+        policy.act(moved)
+        assert policy._finisher._memory is memory
+    policy.act(replace(seen, frame=2, map_number=1))
+    assert policy._finisher._memory is not memory
+
+
 def test_the_network_drives_while_the_map_grows():
     policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=FinishConfig(window=1.0, farthest=5.0))
     drivers = []

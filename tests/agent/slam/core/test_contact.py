@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.presets import preset
-from limslam_agent.slam.core.contact import JUMP_STEPS, Contacts, slip_covariance, slips_of
+from limslam_agent.slam.core.contact import JUMP_STEPS, LONGEST, Contacts, slip_covariance, slips_of
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.line_graph.line_smoother import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, with_breaks
@@ -64,6 +64,21 @@ def test_noise_does_not_end_a_contact_and_free_space_does() -> None:
     assert found == expected
     assert variance_of(noisy, 0.02, 0.15) == 0.0
     assert variance_of(noisy, 0.02, LEAST) == 0.0
+
+
+def test_a_beam_that_reads_its_minimum_for_ever_soon_says_nothing() -> None:
+    contacts = Contacts(ROBOT, STD)
+    found = [variance_of(contacts, 0.02, 0.0) for _ in range(200)]
+    assert math.sqrt(sum(found)) < LONGEST
+    assert found[100:] == [0.0] * 100
+
+
+def test_steps_without_a_scan_do_not_end_a_contact() -> None:
+    ranges = np.array([seen(LEAST if row % 3 == 0 else 1.5) for row in range(31)])[:, None]
+    has_scan = np.array([row % 3 == 0 for row in range(31)])[:, None, None]
+    wheels = np.full((31, 1, 2), 0.02)
+    problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges, has_scan)
+    assert len(problem.slips) > 20
 
 
 def test_a_robot_that_backs_off_has_to_come_near_again() -> None:
