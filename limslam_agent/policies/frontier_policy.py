@@ -119,6 +119,11 @@ class FrontierPolicy:
         """Present goal (2,), m, or None."""
         return None if self._pursuit is None else self._pursuit.target.goal
 
+    @property
+    def frontier_size(self) -> int | None:
+        """Number of cells of the frontier that the robot drives to, or None."""
+        return None if self._pursuit is None else len(self._pursuit.target.group)
+
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
         self._step += 1

@@ -32,6 +32,9 @@ WEIGHTS = Path(__file__).parent / "weights"
 SHIPPED = "explorer.npz"
 """File of the weights that drive by default."""
 
+ONLY_REMNANTS = "explored: only small remnants are left"
+"""Why the exploration is over where a frontier explorer would go on."""
+
 TEMPERATURE = 0.5
 """Temperature of the softmax from which directions are drawn.
 
@@ -70,12 +73,16 @@ class FinishConfig:
     large_frontier
         Number of cells from which on a frontier is explored first. Most of what the network leaves are small remnants,
         and they wait until the large frontiers are explored.
+    remnant
+        The exploration is over when only smaller frontiers are left and the map has grown by less than this area (m^2)
+        within the last ``window``. Remnants are cells at wall ends, which cost long ways and show next to nothing.
     """
 
     window: float = 8.0
     growth: float = 0.6
     farthest: float = 2.0
     large_frontier: int = 8
+    remnant: float = 0.01
 
 
 class LearnedPolicy:
@@ -164,9 +171,18 @@ class LearnedPolicy:
             self._choose(belief)
             self._until_choice = self._drive.hold
         self._until_choice -= 1
-        wheels = self._finisher.act(belief) if self._is_finishing else self._wheels(belief)
-        self.stop_reason, self.plan = self._finisher.stop_reason, self._finisher.plan if self._is_finishing else NO_PLAN
+        wheels = self._end(belief) if self._is_finishing else self._wheels(belief)
+        self.plan = self._finisher.plan if self._is_finishing else NO_PLAN
         return self._collision_guard.limit_speed(belief.pose, wheels)
+
+    def _end(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) of the frontier explorer, which ends the exploration; zero if it is over."""
+        wheels = self._finisher.act(belief)
+        self.stop_reason, size = self._finisher.stop_reason, self._finisher.frontier_size
+        is_remnant = size is not None and size < self._finish.large_frontier
+        if self.stop_reason is None and is_remnant and not self._is_growing(belief.grid, self._finish.remnant):
+            self.stop_reason = ONLY_REMNANTS
+        return wheels if self.stop_reason is None else np.zeros(2)
 
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the chosen direction."""
@@ -184,17 +200,18 @@ class LearnedPolicy:
         observation = observe(grid, belief.pose, belief.ranges, self._robot, view)
         # The last two numbers of the observation are the distance to a frontier and whether there is a way to it.
         is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= self._finish.farthest
-        self._is_finishing = not (is_near and self._is_growing(belief.grid, 1 + len(belief.other_poses)))
+        growth = (1 + len(belief.other_poses)) * self._finish.growth
+        self._is_finishing = not (is_near and self._is_growing(belief.grid, growth))
         if not self._is_finishing:
             scores = self._network.scores(observation).astype(float)
             # The index of the largest score plus Gumbel noise has the distribution of the softmax.
             drawn = int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))
             self._heading = float(belief.pose[2]) + view.angle(drawn)
 
-    def _is_growing(self, grid: GridView, robots: int) -> bool:
-        """Whether the map has grown fast in the last seconds. At the beginning it has."""
+    def _is_growing(self, grid: GridView, area: float) -> bool:
+        """Whether the map has grown by an area, m^2, in the last seconds. At the beginning it has."""
         is_full = len(self._known) == self._known.maxlen
-        return not is_full or (self._known[-1] - self._known[0]) * grid.cell**2 >= robots * self._finish.growth
+        return not is_full or (self._known[-1] - self._known[0]) * grid.cell**2 >= area
 
 
 def own_part(belief: Belief, robot: RobotSpec) -> GridView:

@@ -11,7 +11,14 @@ import pytest
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.learned.learned import SHIPPED, WEIGHTS, FinishConfig, LearnedPolicy, own_part
+from limslam_agent.policies.learned.learned import (
+    ONLY_REMNANTS,
+    SHIPPED,
+    WEIGHTS,
+    FinishConfig,
+    LearnedPolicy,
+    own_part,
+)
 from limslam_agent.policies.learned.look_ahead import FULL
 from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
 from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfig, frontier_distance, observe
@@ -218,6 +225,17 @@ def test_where_there_is_little_to_see_the_frontier_explorer_drives_and_ends_the_
     # In another frame of the map it begins again.
     assert policy.act(replace(belief([1.0, 0.35, 0.0]), frame=1)).any()
     assert policy.stop_reason is None
+
+
+@pytest.mark.parametrize(("large", "is_over"), [(20, True), (1, False)])
+def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_are_left(large, is_over):
+    finish = FinishConfig(window=1.0, farthest=0.0, large_frontier=large)
+    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=finish)
+    for step in range(40):
+        policy.act(belief([1.05, 0.35, 0.0]))
+        if step == 8:
+            assert policy.stop_reason is None, "the map may still have grown in the last second"
+    assert (policy.stop_reason == ONLY_REMNANTS) is is_over
 
 
 def test_in_a_map_that_was_moved_the_frontier_explorer_knows_what_it_has_given_up():
