@@ -15,7 +15,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 
 _AROUND = 0.7  # m: how far around a frontier cell the robot looks
-_STEP = 0.1  # m: between the points that are compared
+_STEP = 0.2  # m: between the points that are compared
+_GUESSES = 6  # number of the likeliest places that are compared
 _FREE = 0.95, 0.6  # probability that a point is free: where a place predicts that, and where nothing is known
 _LARGEST = 2.0  # log odds of a place: more are an overconfident likelihood
 _ENOUGH = 0.03  # mean information of a point, nats, from which on a frontier costs nothing more
@@ -52,10 +53,11 @@ def _information(belief: Belief, cells: IntArray) -> FloatArray:
     disc = disc[np.hypot(*disc.T) <= _AROUND]
     points = (belief.grid.centres(cells)[:, None] + disc).reshape(-1, 2)
     is_new = _values(belief.grid, points) == 0
+    guesses = sorted(belief.guesses, key=lambda guess: -guess.log_odds)[:_GUESSES]
     # The last hypothesis is ground that the earlier map does not have.
-    odds = np.exp([*(min(guess.log_odds, _LARGEST) for guess in belief.guesses), 0.0])
+    odds = np.exp([*(min(guess.log_odds, _LARGEST) for guess in guesses), 0.0])
     shares = (odds / odds.sum())[:, None]
-    free = np.array([*(_predicted(guess, points) for guess in belief.guesses), np.full(len(points), _FREE[1])])
+    free = np.array([*(_predicted(guess, points) for guess in guesses), np.full(len(points), _FREE[1])])
     known = _entropy((shares * free).sum(axis=0)) - (shares * _entropy(free)).sum(axis=0)
     return np.asarray(np.where(is_new, known, 0.0).reshape(len(cells), -1).mean(axis=1))
 
