@@ -30,7 +30,7 @@ def test_a_path_crosses_a_wall_only_inside_of_its_ends():
         (signals(contradicted=0.2), "visits of a place contradict each other at 29% of the points"),
         (signals(confirmed=0.0, contradicted=0.0, loops=0), "no place was recognised again in 100 m"),
         (signals(driven=30.0, confirmed=0.0, contradicted=0.0, loops=0), ""),
-        (signals(bends=(33.2, 91.0)), "loops bend the path more than odometry and walls allow after 33, 91 s"),
+        (signals(bends=(33.2, 91.0)), "the path is bent more than odometry and walls allow after 33, 91 s"),
     ],
 )
 def test_the_status_names_each_reason(found, words):
