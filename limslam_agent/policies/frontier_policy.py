@@ -14,7 +14,7 @@ from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import back_off, nearest_beam, point_ahead, steer, turn_by, wheel_speeds
 from limslam_agent.policies.excursion import Excursion
 from limslam_agent.policies.goal_memory import GoalMemory
-from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED
+from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, has_seen_little, is_walled_in, islands, next_target, open_frontier
@@ -50,7 +50,7 @@ class _Pursuit:
     standing: int = 0
 
 
-class FrontierPolicy:
+class FrontierPolicy(MapExplorer):
     """Drives to the frontier of least cost until there is none left (step 8 of the method).
 
     Where no wall is in sight, the robot comes back to a known wall from time to time
@@ -89,22 +89,14 @@ class FrontierPolicy:
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
         self._step = 0
         self._wall_follower: WallFollower | None = None
-        self._learn_map(0)
-        self._plan_anew(0)
+        super().__init__()
 
-    def enter(self, belief: Belief) -> None:
-        """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""
-        if belief.map_number != self._map_number:
-            self._learn_map(belief.map_number)
-        if belief.frame != self._frame:
-            self._plan_anew(belief.frame)
-
-    def _learn_map(self, number: int) -> None:
-        self._map_number, self._memory = number, GoalMemory(self._config.aside_steps)
+    def _forget_map(self) -> None:
+        self._memory = GoalMemory(self._config.aside_steps)
         self._rounds = 0  # number of rounds on the spot
 
-    def _plan_anew(self, frame: int) -> None:
-        robot, config, self._frame = self._robot, self._config, frame
+    def _plan_anew(self) -> None:
+        robot, config = self._robot, self._config
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None

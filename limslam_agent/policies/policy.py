@@ -1,6 +1,7 @@
 """The interface of a policy, from the belief of a robot to wheel speeds, and checks of what a policy answers."""
 
 import math
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -35,6 +36,36 @@ class Policy(Protocol):
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,), left and right, as fractions from -1 to 1 of the maximum speed."""
         ...
+
+
+class MapExplorer(ABC):
+    """A policy whose plans belong to a frame of a map, and which settles things for the map as a whole.
+
+    A new map comes with a new frame. A map that was moved has another frame and the same number.
+    """
+
+    _frame = _map_number = 0
+
+    def __init__(self) -> None:
+        self._forget_map()
+        self._plan_anew()
+
+    def enter(self, belief: Belief) -> None:
+        """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""
+        if belief.map_number != self._map_number:
+            self._map_number = belief.map_number
+            self._forget_map()
+        if belief.frame != self._frame:
+            self._frame = belief.frame
+            self._plan_anew()
+
+    @abstractmethod
+    def _forget_map(self) -> None:
+        """Begin without anything that was settled in a map."""
+
+    @abstractmethod
+    def _plan_anew(self) -> None:
+        """Begin without plans, which mean nothing in another frame."""
 
 
 def checked_action(policy: Policy, belief: Belief) -> FloatArray:

@@ -7,7 +7,7 @@ from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, Policy
+from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer, Policy
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
 from limslam_agent.policies.wall_views import LookMemory, next_view
@@ -34,7 +34,7 @@ def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
     return WallPolicy(robot, config.policy, index, config.range_std)
 
 
-class WallPolicy:
+class WallPolicy(MapExplorer):
     """Explores frontiers, and looks at every stretch where free ground ends and the map has no wall.
 
     A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the nearest place from
@@ -63,23 +63,18 @@ class WallPolicy:
         self._robot, self._config, self._std = robot, config, range_std
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
         self._frontiers = FrontierPolicy(robot, config, index)
-        self._learn_map(0)
-        self._plan_anew(0)
+        super().__init__()
 
-    def _enter(self, belief: Belief) -> None:
-        """Plan anew if the frame is another one, and also forget what was looked at if the map is another one."""
-        if belief.map_number != self._map_number:
-            self._learn_map(belief.map_number)
-        if belief.frame != self._frame:
-            self._plan_anew(belief.frame)
+    def enter(self, belief: Belief) -> None:
+        """Also tell the frontier explorer."""
+        super().enter(belief)
         self._frontiers.enter(belief)
 
-    def _learn_map(self, number: int) -> None:
-        self._map_number, self._memory = number, LookMemory()
+    def _forget_map(self) -> None:
+        self._memory = LookMemory()
         self._exploring = self._looking = 0
 
-    def _plan_anew(self, frame: int) -> None:
-        self._frame = frame
+    def _plan_anew(self) -> None:
         self._collision_guard = CollisionGuard(self._robot)
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -93,7 +88,7 @@ class WallPolicy:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
-        self._enter(belief)
+        self.enter(belief)
         if self.stop_reason is not None:
             return np.zeros(2)
         self._collision_guard.add_readings(belief.pose, belief.ranges)

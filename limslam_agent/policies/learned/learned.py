@@ -20,7 +20,7 @@ from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
 from limslam_agent.policies.learned.polar_view import FAR, observe
-from limslam_agent.policies.policy import NO_PLAN
+from limslam_agent.policies.policy import NO_PLAN, MapExplorer
 from limslam_agent.policies.right_of_way import RightOfWay, cells_near_robots, nearer_to_others
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -85,7 +85,7 @@ class FinishConfig:
     remnant: float = 0.01
 
 
-class LearnedPolicy:
+class LearnedPolicy(MapExplorer):
     """Drives at top speed in directions that a network chooses twice a second. Where there is little to see, a frontier
     explorer drives at the same speed, and ends the exploration.
 
@@ -134,23 +134,18 @@ class LearnedPolicy:
         self._config = replace(config, speed=self.robot.max_wheel_speed, min_frontier=large)
         self._right_of_way = RightOfWay(index, 5.0 * self.robot.radius, config.patience)
         self._finisher = FrontierPolicy(self.robot, self._config, index)
-        self._learn_map(0)
-        self._plan_anew(0)
+        super().__init__()
 
-    def _enter(self, belief: Belief) -> None:
-        """Choose anew if the frame is another one, and also forget how the map has grown if it is another one."""
-        if belief.map_number != self._map_number:
-            self._learn_map(belief.map_number)
-        if belief.frame != self._frame:
-            self._plan_anew(belief.frame)
+    def enter(self, belief: Belief) -> None:
+        """Also tell the frontier explorer."""
+        super().enter(belief)
         self._finisher.enter(belief)
 
-    def _learn_map(self, number: int) -> None:
-        self._map_number = number
+    def _forget_map(self) -> None:
         self._known = deque[int](maxlen=math.ceil(self._finish.window / self.robot.control_period) + 1)
 
-    def _plan_anew(self, frame: int) -> None:
-        self._frame, self._collision_guard = frame, CollisionGuard(self.robot)
+    def _plan_anew(self) -> None:
+        self._collision_guard = CollisionGuard(self.robot)
         self._until_choice, self._heading, self._is_finishing = 0, 0.0, False
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -162,7 +157,7 @@ class LearnedPolicy:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,). Zero after the policy has stopped."""
-        self._enter(belief)
+        self.enter(belief)
         if self.stop_reason is not None:
             return np.zeros(2)
         self._known.append(int(np.count_nonzero(belief.grid.values)))
