@@ -65,7 +65,7 @@ class Absence:
     place
         The map of the known frame; None if the place was found in the map of an earlier run.
     decisions
-        All searches so far, with their steps.
+        All searches since the robot was lost the last time.
     placed, rays
         Distance at which the robot found its place, m, and the rays (n, 6) in the known frame by which it did so; None
         while it is lost.
@@ -87,7 +87,7 @@ class Absence:
     gone: list[FloatArray] = field(default_factory=list)
     is_dated: bool = False
     is_carried: bool = False
-    decisions: list[tuple[int, Localisation]] = field(default_factory=list)
+    decisions: list[Localisation] = field(default_factory=list)
     placed: float | None = None
     rays: FloatArray | None = None
     returned: int = 0

@@ -91,9 +91,7 @@ class Recovery:
         absence = self.absence
         if absence is None or absence.is_placed or absence.place is None or not absence.decisions:
             return []
-        step, found = absence.decisions[-1]
-        fits = found.open if step >= absence.first else ()
-        return [Guess(fit.pose, fit.log_odds, absence.place.grid) for fit in fits]
+        return [Guess(fit.pose, fit.log_odds, absence.place.grid) for fit in absence.decisions[-1].open]
 
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
@@ -289,12 +287,12 @@ class Recovery:
         absence.sought = absence.moved
         absence.place.sensor = sensor
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
-        earlier = [found for step, found in absence.decisions if step >= absence.first][-1:]
+        earlier = absence.decisions[-1:]
         likely = [np.zeros(3), *(fit.pose for found in earlier for fit in found.open)]
         # A robot that was not carried away has drifted, and is near.
         far = 1.0 if absence.is_carried and self._near_fit(absence.place, rays) is None else self._config.far
         decision = localise(absence.place, rays, self._config, likely, far)
-        absence.decisions.append((self.log.end - 1, decision))
+        absence.decisions.append(decision)
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
         return self._placement(absence, rays, decision, sensor)
@@ -328,7 +326,7 @@ class Recovery:
         if fit is None:
             return None
         found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
-        absence.decisions.append((self.log.end - 1, found))
+        absence.decisions.append(found)
         return self._placement(absence, rays, found, sensor)
 
     def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:
@@ -350,7 +348,7 @@ class Recovery:
         assert self.absence is not None  # noqa: S101
         self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
         self.absence.rays, self.absence.returned = placement.rays, self.log.end
-        found = self.absence.decisions[-1][1]
+        found = self.absence.decisions[-1]
         is_unlikely = found.fit is not None and is_far(found.fit.pose, found.middle)
         self.absence.is_unlikely = is_unlikely and not self.absence.is_carried
         self.absence.has_drifted = placement.has_drifted
@@ -427,7 +425,7 @@ class Recovery:
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions
-        matches: dict[str, Any] = {"refused": sum(not each.is_accepted for _, each in decisions)} if decisions else {}
+        matches: dict[str, Any] = {"refused": sum(not each.is_accepted for each in decisions)} if decisions else {}
         if decisions and event != "lost":
-            matches["match"] = decisions[-1][1].record
+            matches["match"] = decisions[-1].record
         self.records.append({"event": event, **details, **matches})

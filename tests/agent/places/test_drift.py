@@ -57,7 +57,7 @@ def test_the_odometry_holds_for_a_robot_that_is_found_near(whole, off, details, 
     rays = rays_of(recovery.log.steps, ROBOT)
     (fit,) = whole.weigh(np.array([[off, 0.0, 0.0]]), rays)
     found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
-    recovery.absence.decisions.append((60, found))
+    recovery.absence.decisions.append(found)
     recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR))
     assert recovery.breaks == ([1] if is_break else [])
 
