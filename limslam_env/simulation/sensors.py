@@ -77,7 +77,7 @@ def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArra
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
-    """The beams as :func:`limslam_env.kernels.observation.drive_and_observe` reads them, (n_beams, 7)."""
+    """The beams as :func:`limslam_env.kernels.observation.drive_and_observe` reads them, (n_beams, 9)."""
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
     return np.column_stack(
