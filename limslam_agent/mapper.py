@@ -372,7 +372,7 @@ class Mapper:
             self.on_restart(0)
         slam = self._slam_at(found.start)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
-        slam.relocate(found.start, found.covariance)
+        slam.relocate(found.start, found.covariance, ends=found.ends)
         slam.on_association = self.slam.on_association
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)

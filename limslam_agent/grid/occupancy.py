@@ -57,6 +57,14 @@ class GridView:
         """Centres (n, 2), m, of cells (n, 2) given as (row, column)."""
         return self.low + (cells[:, ::-1] + 0.5) * self.cell
 
+    def values_at(self, points: FloatArray) -> NDArray[np.int16]:
+        """Values (n,) of the cells in which points (n, 2), m, lie. Points outside of the grid are unknown."""
+        cells = self.cells(points)
+        inside = np.all((cells >= 0) & (cells < self.values.shape), axis=1)
+        values = np.zeros(len(points), dtype=np.int16)
+        values[inside] = self.values[cells[inside, 0], cells[inside, 1]]
+        return values
+
 
 class OccupancyGrid:
     """The occupancy grid of one map.

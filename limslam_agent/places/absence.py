@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import KnownPlaces, Localisation
+from limslam_agent.places.rays import wall_points
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 
@@ -137,10 +138,14 @@ class Placement(NamedTuple):
 
     def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
+        ends = wall_points(self.rays)
         if self.before is None or not slam.is_renewable:
-            (slam.shift if self.has_drifted else slam.relocate)(self.pose, self.covariance)
+            if self.has_drifted:
+                slam.shift(self.pose, self.covariance)
+            else:
+                slam.relocate(self.pose, self.covariance, ends=ends)
             return
-        slam.join(self.before.slam, self.frame, self.covariance)
+        slam.join(self.before.slam, self.frame, self.covariance, ends)
         grid.absorb(self.before.grid.view, self.frame)
 
     @property

@@ -130,10 +130,7 @@ class KnownPlaces:
         rows, columns = (_EVERY * np.ceil(size / (_EVERY * _CELL))).astype(int)
         cells = np.indices((rows, columns)).reshape(2, -1).T
         centres = low + (cells[:, ::-1] + 0.5) * _CELL
-        values, known = np.zeros(len(cells), dtype=np.int16), self.grid.cells(centres)
-        inside = np.all((known >= 0) & (known < self.grid.values.shape), axis=1)
-        values[inside] = self.grid.values[known[inside, 0], known[inside, 1]]
-        free: BoolArray = (values > 0).reshape(rows, columns)
+        free: BoolArray = (self.grid.values_at(centres) > 0).reshape(rows, columns)
         is_open = np.ones(free.shape, dtype=bool)
         walls = np.floor((sample(self.segments, 0.7 * _CELL)[0] - low) / _CELL).astype(np.int64)[:, ::-1]
         walls = walls[np.all((walls >= 0) & (walls < free.shape), axis=1)]

@@ -9,7 +9,7 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
-from limslam_agent.places.rays import moved, rays_of
+from limslam_agent.places.rays import moved, rays_of, wall_points
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
@@ -35,6 +35,11 @@ class Arrival(NamedTuple):
     start: FloatArray
     covariance: FloatArray
     rays: FloatArray
+
+    @property
+    def ends(self) -> FloatArray:
+        """Where these rays have met walls (m, 2), m."""
+        return wall_points(self.rays)
 
 
 NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")

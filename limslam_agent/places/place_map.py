@@ -54,11 +54,8 @@ class PlaceMap:
 
     def lies_in(self, cells_of: BoolArray, points: FloatArray) -> BoolArray:
         """Which of the points (n, 2) lie in cells of a mask (rows, columns) over this map."""
-        cells = np.floor((points - self.low) / self.cell).astype(np.int64)[:, ::-1]
-        inside = np.all((cells >= 0) & (cells < cells_of.shape), axis=1)
-        found = np.zeros(len(points), dtype=bool)
-        found[inside] = cells_of[cells[inside, 0], cells[inside, 1]]
-        return found
+        grid = GridView(self.low, self.cell, cells_of.astype(np.int16))
+        return np.asarray(grid.values_at(points) > 0)
 
 
 def place_map(segments: FloatArray, grid: GridView) -> PlaceMap:

@@ -78,6 +78,11 @@ def ends_of(rays: FloatArray) -> FloatArray:
     return rays[:, RAY_X:RAY_TO_X] + rays[:, RAY_LENGTH, None] * rays[:, RAY_TO_X:RAY_LENGTH]
 
 
+def wall_points(rays: FloatArray) -> FloatArray:
+    """Where those of the rays (n, 6) end that have seen something (m, 2), m."""
+    return ends_of(rays[have_ended(rays)])
+
+
 def have_ended(rays: FloatArray) -> BoolArray:
     """Which rays (n,) have seen something."""
     return np.asarray(rays[:, RAY_LENGTH] < rays[:, RAY_REACH])

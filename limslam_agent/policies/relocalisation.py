@@ -10,7 +10,6 @@ the earlier map does not have may look alike.
 import numpy as np
 
 from limslam_agent.belief import Belief, Guess
-from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 
@@ -52,7 +51,7 @@ def _information(belief: Belief, cells: IntArray) -> FloatArray:
     disc = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     disc = disc[np.hypot(*disc.T) <= _AROUND]
     points = (belief.grid.centres(cells)[:, None] + disc).reshape(-1, 2)
-    is_new = _values(belief.grid, points) == 0
+    is_new = belief.grid.values_at(points) == 0
     guesses = sorted(belief.guesses, key=lambda guess: -guess.log_odds)[:_GUESSES]
     # The last hypothesis is ground that the earlier map does not have.
     odds = np.exp([*(min(guess.log_odds, _LARGEST) for guess in guesses), 0.0])
@@ -64,18 +63,9 @@ def _information(belief: Belief, cells: IntArray) -> FloatArray:
 
 def _predicted(guess: Guess, points: FloatArray) -> FloatArray:
     """Probability (n,) that points (n, 2) of the present frame are free if a guess is right."""
-    values = _values(guess.grid, transform_points(guess.pose, points))
+    values = guess.grid.values_at(transform_points(guess.pose, points))
     sure, unknown = _FREE
     return np.where(values > 0, sure, np.where(values < 0, 1.0 - sure, unknown))
-
-
-def _values(grid: GridView, points: FloatArray) -> IntArray:
-    """The value (n,) of the cell in which each point (n, 2) lies; 0 outside of the grid."""
-    cells = grid.cells(points)
-    inside = np.all((cells >= 0) & (cells < grid.values.shape), axis=1)
-    values = np.zeros(len(points), dtype=np.int64)
-    values[inside] = grid.values[cells[inside, 0], cells[inside, 1]]
-    return values
 
 
 def _entropy(free: FloatArray) -> FloatArray:

@@ -90,13 +90,26 @@ class LineSlam:
         """Use all pending readings at the end of a run."""
         self._estimator.finish(self.robots)
 
-    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
-        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map.
+    def relocate(
+        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, ends: FloatArray | None = None
+    ) -> None:
+        """Put a robot at another pose (3,).
 
         Readings that are still pending are used before.
+
+        Parameters
+        ----------
+        pose, covariance
+            The pose, m, m, rad, and the covariance (3, 3) of its error.
+        robot
+            Which robot is put there.
+        ends
+            If a match has found the pose: where its readings end (n, 2), m. The covariance is then that of the match,
+            and the pose has the errors of the walls at these points. Otherwise it is independent of the map.
         """
         self.finish()
-        self._estimator.relocate(pose, covariance, robot)
+        by_lines = None if ends is None or not self.is_renewable else self.map_state.by_walls(pose, ends)
+        self._estimator.relocate(pose, covariance, robot, by_lines)
 
     def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Put a robot that has drifted at another pose (3,) nearby, by a match with the walls around it.
@@ -216,15 +229,16 @@ class LineSlam:
         """Replace pose and map by a better estimate of both, which knows all readings so far."""
         self._renewable.renew(state, self.robots[0].step)
 
-    def join(self, other: "LineSlam", frame: FloatArray, covariance: FloatArray) -> None:
+    def join(self, other: "LineSlam", frame: FloatArray, covariance: FloatArray, ends: FloatArray) -> None:
         """Take over pose and map of another SLAM of the same robot, and keep the own map.
 
-        A match has found the pose (3,) of the other SLAM's frame in this one. ``covariance`` (3, 3) is that of the
-        robot's pose by the error of the match. Readings that are still pending are used before.
+        A match of readings that end at points (n, 2) has found the pose (3,) of the other SLAM's frame in this one.
+        ``covariance`` (3, 3) is that of the robot's pose by the error of the match. The other pose and map also have
+        the errors of the walls at these points. Readings that are still pending are used before.
         """
         self.finish()
         other.finish()
-        self.renew(self.map_state.joined(other.map_state.moved(frame, covariance)))
+        self.renew(self.map_state.joined(other.map_state.moved(frame, covariance), ends))
 
     @property
     def _renewable(self) -> ConsistentEstimator:

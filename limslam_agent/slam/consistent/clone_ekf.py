@@ -188,18 +188,10 @@ class CloneEKF(LineEKF):
         if by_calibration is not None and self._bias is not None:
             self._bias.drive(moved, by_increment @ by_calibration)
 
-    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
-        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
-        super().relocate(pose, covariance, robot)
+    def _put(self, robot: int, pose: FloatArray, covariance: FloatArray, by_state: FloatArray) -> None:
+        super()._put(robot, pose, covariance, by_state)
         for bias in self._biases:
-            bias.forget(slice(POSE * robot, POSE * robot + POSE))
-
-    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> FloatArray:
-        """Put a robot at another pose (3,) nearby: see :meth:`LineEKF.shift`."""
-        turned = super().shift(pose, covariance, robot)
-        for bias in self._biases:
-            bias.predict(slice(POSE * robot, POSE * robot + POSE), turned)
-        return turned
+            bias.replace(slice(POSE * robot, POSE * robot + POSE), by_state)
 
     def clone(self, robot: int = 0) -> int:
         """Add a copy of a robot's pose to the state, and return the copy's number."""

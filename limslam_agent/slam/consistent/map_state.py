@@ -7,7 +7,11 @@ import numpy as np
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import compose, transform_points
+
+_AT_WALL = 0.2  # m: a reading that ends farther from a wall says nothing of it
+_LEAST_SEEN = 1e-3  # share of the best determined direction below which the walls do not determine a direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,21 +51,53 @@ class MapState:
         lines, turn = self.lines + np.array([0.0, frame[2]]), np.eye(len(self.covariance))
         cos, sin = np.cos(frame[2]), np.sin(frame[2])
         turn[:2, :2] = [[cos, -sin], [sin, cos]]
+        state = MapState(pose, lines, anchors, turn @ self.covariance @ turn.T, self.walls)
+        by_match = state.moved_with
+        return replace(state, covariance=state.covariance + by_match @ covariance @ by_match.T)
+
+    @property
+    def moved_with(self) -> FloatArray:
+        """Derivative (3 + 2 m, 3) of the state by a rigid motion of the world that moves the pose."""
+        x, y, _ = self.pose.tolist()
+        own = poses_moved_with((x, y), self.pose[None])
+        return np.vstack((own, lines_moved_with((x, y), self.lines, self.anchors)))
+
+    def by_walls(self, pose: FloatArray, ends: FloatArray) -> FloatArray:
+        """Derivative (3, 2 m) of a pose (3,) by the lines, if it was found by readings that end on them.
+
+        The readings end at points (n, 2). A least squares fit of these points to the nearest walls has found the pose.
+        The derivative is zero in directions that no wall determines.
+        """
+        if not self.walls:
+            return np.zeros((POSE, 0))
+        off, (low, high) = ends[:, None] - self.anchors, np.array([wall.extent.ends for wall in self.walls]).T
+        along = np.einsum("nmd,md->nm", off, direction(self.lines))
+        away = np.abs(np.einsum("nmd,md->nm", off, normal(self.lines)) - self.lines[:, 0])
+        away[(along < low - _AT_WALL) | (along > high + _AT_WALL)] = np.inf
+        nearest = away.argmin(axis=1)
+        rows = np.flatnonzero(away.min(axis=1) < _AT_WALL)
+        # How far the walls move towards the points with each line, and with all of them together.
+        by_lines, column = np.zeros((len(rows), 2 * len(self.lines))), 2 * nearest[rows]
+        by_lines[np.arange(len(rows)), column] = 1.0
+        by_lines[np.arange(len(rows)), column + 1] = -along[rows, nearest[rows]]
         x, y, _ = pose.tolist()
-        by_match = np.vstack((poses_moved_with((x, y), pose[None]), lines_moved_with((x, y), lines, anchors)))
-        joint = turn @ self.covariance @ turn.T + by_match @ covariance @ by_match.T
-        return MapState(pose, lines, anchors, joint, self.walls)
+        by_motion = by_lines @ lines_moved_with((x, y), self.lines, self.anchors)
+        return np.asarray(np.linalg.lstsq(by_motion, by_lines, rcond=_LEAST_SEEN)[0])
 
-    def joined(self, other: "MapState") -> "MapState":
-        """The lines of both states, with the pose of the other one, which is independent of this one.
+    def joined(self, other: "MapState", ends: FloatArray) -> "MapState":
+        """The lines of both states, with the pose of the other one.
 
-        The landmarks of the other state are ``NEW``.
+        The other state was placed in this one by readings that end at points (n, 2), and has the errors of the walls
+        there. The landmarks of the other state are ``NEW``.
         """
         count, size = 2 * len(self.lines), 2 * len(self.lines) + len(other.covariance)
         covariance, own = np.zeros((size, size)), slice(POSE, POSE + count)
         others = np.append(np.arange(POSE), np.arange(POSE + count, size))
+        by_lines = other.moved_with @ self.by_walls(other.pose, ends)
         covariance[own, own] = self.covariance[POSE:, POSE:]
-        covariance[np.ix_(others, others)] = other.covariance
+        joint = by_lines @ covariance[own, own]
+        covariance[others, own], covariance[own, others] = joint, joint.T
+        covariance[np.ix_(others, others)] = other.covariance + joint @ by_lines.T
         return MapState(
             pose=other.pose,
             lines=np.vstack((self.lines, other.lines)),

@@ -47,9 +47,9 @@ class SeparateBias:
         """A pose has moved: the derivative (3, 3) of the new pose by the old one."""
         self._by_errors[moved] = by_pose @ self._by_errors[moved]
 
-    def forget(self, part: slice) -> None:
-        """A part of the state got a value that does not depend on the errors."""
-        self._by_errors[part] = 0.0
+    def replace(self, part: slice, by_state: FloatArray) -> None:
+        """A part of the state got another value: the derivative (m, size) of this value by the state before."""
+        self._by_errors[part] = by_state @ self._by_errors
 
     def insert(self, place: int, rows: FloatArray) -> None:
         """States were inserted before ``place``, with these derivatives (n, k)."""

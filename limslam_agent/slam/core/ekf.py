@@ -67,26 +67,46 @@ class LineEKF(ExtendedKalmanFilter):
         """Covariance of all poses together (3 n, 3 n), a copy."""
         return np.array(self.P[: self._poses_end, : self._poses_end])
 
-    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
-        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of all else."""
-        part = slice(POSE * robot, POSE * robot + POSE)
-        self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
-        self.P[part, part] = covariance
+    def relocate(
+        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, by_lines: FloatArray | None = None
+    ) -> None:
+        """Put a robot at another pose, which was found without regard to where it was before.
 
-    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> FloatArray:
+        Parameters
+        ----------
+        pose, covariance
+            The pose (3,), m, m, rad, and the covariance (3, 3) of its error with respect to the lines.
+        robot
+            Which robot is put there.
+        by_lines
+            Derivative (3, 2 N) of the pose by the lines among which it was found. The pose then has their errors. If
+            left out, the pose is independent of all else.
+        """
+        by_state = np.zeros((POSE, len(self.x)))
+        if by_lines is not None:
+            by_state[:, self._first : self._first + by_lines.shape[1]] = by_lines
+        self._put(robot, pose, covariance, by_state)
+
+    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Put a robot at another pose (3,) nearby, as seen from the walls around it.
 
-        What is unknown of these walls remains unknown of the pose. The shift adds a covariance (3, 3). Returns the
-        derivative (3, 3) of the new pose by the old one.
+        What is unknown of these walls remains unknown of the pose. The shift adds a covariance (3, 3).
         """
-        part, turned = slice(POSE * robot, POSE * robot + POSE), np.eye(POSE)
-        x, y = (pose - self.x[part])[:2].tolist()
-        turned[:2, 2] = -y, x  # an error of the heading turns the walls, and the shift with them
-        self.P[part] = turned @ self.P[part]
-        self.P[:, part] = self.P[:, part] @ turned.T
-        self.P[part, part] += covariance
-        self.x[part] = pose
-        return turned
+        at, by_state = POSE * robot, np.zeros((POSE, len(self.x)))
+        by_state[:, at : at + POSE] = np.eye(POSE)
+        x, y = (pose - self.x[at : at + POSE])[:2].tolist()
+        by_state[:2, at + 2] = -y, x  # an error of the heading turns the walls, and the shift with them
+        self._put(robot, pose, covariance, by_state)
+
+    def _put(self, robot: int, pose: FloatArray, covariance: FloatArray, by_state: FloatArray) -> None:
+        """Replace a robot's pose by a pose (3,) that has the derivative (3, n) by the state so far.
+
+        The covariance (3, 3) is that of the pose's own error.
+        """
+        part, joint = slice(POSE * robot, POSE * robot + POSE), by_state @ self.P
+        own = joint @ by_state.T + covariance
+        self.x[part], self.P[part], self.P[:, part] = pose, joint, joint.T
+        self.P[part, part] = own
 
     @property
     def lines(self) -> FloatArray:

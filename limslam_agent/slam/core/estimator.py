@@ -103,9 +103,9 @@ class Estimator:
         if self.recent_associations is not None:
             self.recent_associations.append(record)
 
-    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int) -> None:
-        """Put a robot at another pose (3,), which is known with a covariance (3, 3) and independent of the map."""
-        self._belief.relocate(pose, covariance, robot)
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int, by_lines: FloatArray | None) -> None:
+        """Put a robot at another pose (3,), with a derivative (3, 2 N) by the lines: see :meth:`LineEKF.relocate`."""
+        self._belief.relocate(pose, covariance, robot, by_lines)
 
     def shift(self, pose: FloatArray, covariance: FloatArray, robot: int) -> None:
         """Put a robot at another pose (3,) nearby, which is as uncertain as before, plus a covariance (3, 3)."""

@@ -256,3 +256,9 @@ def test_the_signs_of_values_are_free_occupied_and_unknown() -> None:
     assert view.free.tolist() == [[True, False, False]]
     assert view.occupied.tolist() == [[False, True, False]]
     assert view.unknown.tolist() == [[False, False, True]]
+
+
+def test_values_at_points_are_those_of_their_cells_and_unknown_outside():
+    view = GridView(np.array([-1.0, 2.0]), 0.5, np.array([[1, 2, 3], [-4, 5, -6]], dtype=np.int16))
+    points = np.array([[-0.9, 2.1], [0.4, 2.9], [-0.6, 2.6], [-1.1, 2.1], [0.6, 2.1], [0.4, 3.1]])
+    np.testing.assert_array_equal(view.values_at(points), [1, -6, -4, 0, 0, 0])

@@ -321,7 +321,7 @@ def test_a_local_map_joins_the_known_map_with_its_pose(episode):
     known, local = drive(episode.true[0, 0], range(300)), drive(np.zeros(3), range(299, 500))
     frame, covariance = known.slam.pose, known.slam.covariance
     alone = known.slam.map_state
-    known.slam.join(local.slam, frame, covariance)
+    known.slam.join(local.slam, frame, covariance, np.empty((0, 2)))
     known._grid.absorb(local.grid, frame)
     both = known.slam.map_state
     assert np.hypot(*(known.slam.pose - episode.true[499, 0])[:2]) < 0.15

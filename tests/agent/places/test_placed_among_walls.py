@@ -1,0 +1,75 @@
+"""A kidnapped robot is placed among the walls that it was matched with, and is as uncertain as they are."""
+
+import numpy as np
+import pytest
+
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
+from limslam_agent.slam.consistent.wall_map import Wall
+from limslam_env.geometry.line import direction
+from limslam_env.geometry.segment import sample
+
+ROOM = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
+LINES = np.array([[0.0, 0.5 * np.pi], [4.0, 0.0], [3.0, 0.5 * np.pi], [0.0, 0.0]])
+POSE, MATCH = np.array([2.5, 1.0, 0.4]), np.diag([0.05, 0.05, 0.03]) ** 2
+WORLD = np.diag([0.8, 0.6, 0.0]) ** 2  # covariance of the whole room in the world
+
+
+def room_in_an_uncertain_world(count):
+    """A filter, and its map of the first walls of a room."""
+    ekf, walls = CloneEKF(np.array([9.0, 9.0, 0.0]), np.diag([0.01] * 3)), []
+    for number, (segment, line) in enumerate(zip(ROOM[:count], LINES, strict=False)):
+        points, _ = sample(segment[None], 0.05)
+        middle = points.mean(axis=0)
+        ekf.add_known_line(line, 1e-8 * np.eye(2), middle)
+        walls.append(Wall(number))
+        walls[-1].extent.hit((points - middle) @ direction(line))
+    by_world = lines_moved_with((0.0, 0.0), ekf.anchored, ekf.anchors)
+    ekf.P[3:, 3:] += by_world @ WORLD @ by_world.T
+    return ekf, MapState(ekf.pose, ekf.anchored, ekf.anchors, ekf.marginal(), walls)
+
+
+def ends(count):
+    return sample(ROOM[:count], 0.1)[0] + 0.02
+
+
+def test_a_placed_robot_moves_with_the_walls_that_it_was_matched_with():
+    ekf, state = room_in_an_uncertain_world(4)
+    by_lines = state.by_walls(POSE, ends(4))
+    with_all = by_lines @ lines_moved_with((2.5, 1.0), state.lines, state.anchors)
+    np.testing.assert_allclose(with_all, np.eye(3), atol=1e-12)
+    ekf.relocate(POSE, MATCH, by_lines=by_lines)
+    np.testing.assert_array_equal(ekf.pose, POSE)
+    np.testing.assert_allclose(ekf.pose_covariance, WORLD + MATCH, atol=1e-5)
+    # A later correction moves the right wall by 0.5 m. The robot follows, and is known as well as its match then.
+    right = np.array([5])
+    ekf.update(ekf.x[right] + 0.5, lambda _: np.ones((1, 1)), lambda x: x[right], 1e-8 * np.eye(1), columns=right)
+    np.testing.assert_allclose(ekf.pose, POSE + np.array([0.5, 0.0, 0.0]), atol=1e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(ekf.pose_covariance)), [0.05, np.hypot(0.6, 0.05), 0.03], atol=1e-3)
+
+
+def test_a_placed_robot_is_independent_of_walls_that_say_nothing_of_its_place():
+    """One wall says nothing of the position along it."""
+    _, state = room_in_an_uncertain_world(1)
+    by_lines = state.by_walls(POSE, ends(1))
+    np.testing.assert_allclose(by_lines[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(by_lines[1:] @ WORLD_OF_ONE, [[1.0, 0.0], [0.0, 1.0]], atol=1e-12)
+    assert not state.by_walls(POSE, ends(4)[-5:] + 1.0).any(), "no reading ends on the wall"
+    assert room_in_an_uncertain_world(0)[1].by_walls(POSE, ends(4)).shape == (3, 0)
+
+
+WORLD_OF_ONE = lines_moved_with((2.5, 1.0), LINES[:1] * [0.0, 1.0], np.array([[2.0, 0.0]]))[:, 1:]
+
+
+def test_a_local_map_that_was_placed_moves_with_the_walls_too():
+    _, state = room_in_an_uncertain_world(4)
+    local = MapState(np.zeros(3), np.zeros((1, 2)), np.array([[1.0, 0.5]]), 1e-6 * np.eye(5), [Wall(0)])
+    joined = state.joined(local.moved(POSE, MATCH), ends(4))
+    np.testing.assert_allclose(joined.covariance[:3, :3], WORLD + MATCH, atol=1e-5)
+    by_world = lines_moved_with((0.0, 0.0), joined.lines, joined.anchors)
+    new = joined.covariance[-2, -2]
+    assert new == pytest.approx((by_world[-2:] @ WORLD @ by_world[-2:].T)[0, 0], abs=0.01)
+    # The new wall and the robot have the same error of the room.
+    shared = poses_moved_with((0.0, 0.0), POSE[None]) @ WORLD @ by_world[-2:].T
+    np.testing.assert_allclose(joined.covariance[:3, -2:], shared, atol=0.01)
+    assert np.linalg.eigvalsh(joined.covariance).min() > -1e-9
