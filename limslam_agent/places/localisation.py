@@ -294,8 +294,12 @@ def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: flo
 
 
 def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> bool:
-    """Whether two searches accept the same place."""
-    if first.fit is None or second.fit is None or not (first.is_accepted and second.is_accepted):
+    """Whether two searches in succession find the same place.
+
+    The place must count in the later search, where the test of contradictions is stricter than in a single search. In
+    the earlier one it only has to be the best place: nearly all readings of the two are the same.
+    """
+    if first.fit is None or second.fit is None or not second.is_accepted or second.fit.is_on_map < config.found:
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle, config)
 

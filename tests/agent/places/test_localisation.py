@@ -71,6 +71,10 @@ def test_two_searches_agree_on_one_place_only(whole):
     away = replace(found, fit=replace(found.fit, pose=found.fit.pose + np.array([0.5, 0.0, 0.0])))
     assert not agree(found, away, CONFIG)
     assert not agree(found, replace(found, refusal="ambiguous"), CONFIG)
+    assert agree(replace(found, refusal="ambiguous"), found, CONFIG), "it was the best place before"
+    few = replace(found, fit=replace(found.fit, contradictions=0, tested=60))
+    assert CONFIG.on_map < few.fit.is_on_map < CONFIG.found
+    assert not agree(found, few, CONFIG), "a single search may accept so few readings"
 
 
 def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
