@@ -83,10 +83,13 @@ AGENT = {
         *agent("config", "grid", "places", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
+    "limslam_agent.frame_mapper": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "renewal", "slam", "slam.core", "status"),
+    },
     "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "slam", "slam.core", "grid", "map_snapshot", "renewal", "status", "places"),
+        *agent("belief", "config", "frame_mapper", "slam", "slam.core", "grid", "map_snapshot", "status", "places"),
     },
     "limslam_agent.joining": {
         *WHAT_AN_AGENT_MAY_KNOW,

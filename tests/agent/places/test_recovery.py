@@ -296,7 +296,7 @@ def test_a_local_frame_begins_with_what_was_found_about_odometry_and_sensor(epis
     np.testing.assert_allclose(calibration, FOUND[0], atol=1e-4)
     assert np.trace(covariance) < 1e-8
     assert mapper.slam.sensor == SENSOR
-    assert mapper._monitors[0].sensor == SENSOR
+    assert mapper._present.monitors[0].sensor == SENSOR
 
 
 def test_a_frame_gets_back_what_was_found_in_a_local_frame(episode, monkeypatch):
@@ -322,7 +322,7 @@ def test_a_local_map_joins_the_known_map_with_its_pose(episode):
     frame, covariance = known.slam.pose, known.slam.covariance
     alone = known.slam.map_state
     known.slam.join(local.slam, frame, covariance)
-    known._grid.absorb(local.grid, frame)
+    known._present.grid.absorb(local.grid, frame)
     both = known.slam.map_state
     assert np.hypot(*(known.slam.pose - episode.true[499, 0])[:2]) < 0.15
     off = known.slam.pose - compose(frame, local.slam.pose)
