@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.frame_mapper import FrameMapper
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid

@@ -7,8 +7,8 @@ from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
-from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
 from limslam_agent.logs.limits import DEFAULT_LIMITS
 

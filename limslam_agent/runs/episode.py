@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.ablations import ablated
-from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.joining import Joined, JoiningMapper

@@ -13,7 +13,7 @@ from support.command_line import call
 
 from limslam_agent.cli.main import main
 from limslam_agent.cli.settings import ReplayOptions, RunOptions
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.episode import RunConfig
 

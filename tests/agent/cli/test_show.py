@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
 from limslam_agent.output.run_picture import draw_run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.runs.episode import RunConfig, run_episode
