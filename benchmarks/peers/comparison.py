@@ -18,7 +18,7 @@ from benchmarks.suite.suite import Suite
 from benchmarks.suite.work import simulated
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import preset
-from limslam_agent.runs.episode import RunConfig
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 
 FORMAT = 1

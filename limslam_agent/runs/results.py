@@ -17,9 +17,10 @@ from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, poli
 from limslam_agent.output.summary import calibration_record, place_records, record_of
 from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
-from limslam_agent.runs.episode import Episode, RunConfig
+from limslam_agent.runs.episode import Episode
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import FinalMap, final_status, online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum

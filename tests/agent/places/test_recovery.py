@@ -13,8 +13,9 @@ from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.recovery import BEGUN_ANEW
 from limslam_agent.places.revisions import Revision, revised
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
