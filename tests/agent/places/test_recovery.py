@@ -20,7 +20,7 @@ from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
+from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
