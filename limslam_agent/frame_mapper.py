@@ -60,7 +60,7 @@ class FrameMapper:
         slam = self.slam
         self.monitors = [StatusMonitor(slam.robot, self._config.status, slam.range_sensor) for _ in slam.robots]
 
-    def process(self, observations: Sequence[Observation], frame: int) -> list[FloatArray]:
+    def process(self, observations: Sequence[Observation], frame: int) -> bool:
         """Process one observation of each robot.
 
         Parameters
@@ -70,8 +70,8 @@ class FrameMapper:
 
         Returns
         -------
-        The path of the robot (3,) that a renewal in this step has moved far: plans and copies made before mean nothing
-        in the moved map. Empty otherwise.
+        Whether a renewal in this step has moved the path far: plans and copies made before mean nothing in the moved
+        map.
         """
         begin = time.perf_counter()
         self.slam.step(*observations)
@@ -81,7 +81,12 @@ class FrameMapper:
             self._watch(number, is_busy=before is not self._extraction)
         for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
-        return self._renewed(observations[0])
+        return self._renew(observations[0])
+
+    @property
+    def renewed_path(self) -> list[FloatArray]:
+        """Poses (3,) of the robot in the steps of the stretch that was renewed last, by all its readings."""
+        return self._renewal.poses
 
     def _watch(self, number: int, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
@@ -91,25 +96,24 @@ class FrameMapper:
             monitor.sensor = slam.range_sensor
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view))
 
-    def _renewed(self, observation: Observation) -> list[FloatArray]:
-        """Smooth the last minutes, if that is due; the path if that has moved it far.
+    def _renew(self, observation: Observation) -> bool:
+        """Smooth the last minutes, if that is due; whether that has moved the path far.
 
         A robot that goes on in a local frame when it is lost counts as ok.
         """
         renewal = self._renewal
         if not renewal.is_possible or "wheels" not in observation:
-            return []
+            return False
         begin = time.perf_counter()
         renewal.note(observation)
         is_recovered = self._config.recovery is not None and len(self.monitors) == 1
         is_renewed = renewal.renew_if_due("ok" if is_recovered else self.monitors[0].status.level)
         if is_renewed:
             self.grid = renewal.grid
+            if renewal.has_jumped:
+                self.reset_monitors()
         self.slam_ms += _ms_since(begin)
-        if not is_renewed or not renewal.has_jumped:
-            return []
-        self.reset_monitors()
-        return renewal.poses
+        return is_renewed and renewal.has_jumped
 
 
 def _ms_since(begin: float) -> float:

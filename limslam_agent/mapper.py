@@ -263,12 +263,12 @@ class Mapper:
 
     def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
         """Process one observation of each robot in the present frame; the reported motions."""
-        moved = self._present.process(observations, self.frame)
+        has_jumped = self._present.process(observations, self.frame)
         self.slam_ms += self._present.slam_ms
-        if moved:
+        if has_jumped:
             self.frame += 1
             if self._recovery is not None:
-                self._recovery.move(moved[:-1])  # the present step is noted afterwards
+                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
         return self.slam.increments
 
     def _restart(self) -> None:
