@@ -1,4 +1,8 @@
-"""Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
+"""Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
+
+What a step does within a frame is in :mod:`limslam_agent.frame_mapper`. The mapper starts again when errors of odometry
+or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
