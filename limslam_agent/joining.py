@@ -90,7 +90,6 @@ class JoiningMapper(Mapper):
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
         self._own = self._starts
         self._apart = self._separate_mappers()
-        self.slam = self._apart[0].slam
         self._meeting, self._steps = Meeting(places), list[tuple[Observation, ...]]()
 
     def step(self, *observations: Observation) -> None:
@@ -138,6 +137,11 @@ class JoiningMapper(Mapper):
     def is_apart(self) -> bool:
         """Whether each robot still maps in a frame of its own."""
         return self._apart is not None
+
+    @property
+    def slam(self) -> LineSlam:
+        """The SLAM that the robots share; at first that of the first robot."""
+        return super().slam if self._apart is None else self._apart[0].slam
 
     @property
     def poses(self) -> FloatArray:
@@ -198,7 +202,7 @@ class JoiningMapper(Mapper):
     def _follow_both(self, apart: Sequence[Mapper]) -> None:
         """Take over what the robots know by themselves."""
         changes = 0 if self.parted is None else 2  # the shared frame came and went
-        self.slam, self.frame = apart[0].slam, changes + sum(mapper.frame for mapper in apart)
+        self.frame = changes + sum(mapper.frame for mapper in apart)
         self.slam_ms = sum(mapper.slam_ms for mapper in apart)
         self.odometry = np.concatenate([mapper.odometry for mapper in apart])
         self.odometry.setflags(write=False)

@@ -1,6 +1,9 @@
-"""Mapper: SLAM, the occupancy grid and pure odometry, without a policy."""
+"""Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-import time
+What a step does within a frame is in :mod:`limslam_agent.frame_mapper`. The mapper starts again when errors of odometry
+or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
+"""
+
 from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
@@ -8,9 +11,9 @@ from typing import cast
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
-from limslam_agent.grid.drawing import ReadingDrawer
+from limslam_agent.frame_mapper import FrameMapper
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.places.absence import Placement
@@ -19,13 +22,10 @@ from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup, begin_lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import check_travel
-from limslam_agent.slam.slam import Extraction, LineSlam, RangeSensor
-from limslam_agent.status.contradictions import KnownMap, Sight
-from limslam_agent.status.monitor import StatusMonitor
+from limslam_agent.slam.slam import LineSlam, RangeSensor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
@@ -66,8 +66,6 @@ class Mapper:
 
     Attributes
     ----------
-    slam
-        The SLAM, with landmarks, loop closures and everything else that it knows.
     odometry
         Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings. Read-only; each
         step makes a new array.
@@ -126,17 +124,13 @@ class Mapper:
     def _start_at(self, starts: FloatArray) -> None:
         """Begin with an empty map, and with what is known of odometry and sensor, at known poses (n, 3)."""
         self._starts, self._is_finished = starts, False
-        self.slam, self._restarts = self._new_slam(), 0
+        self._present, self._restarts = self._new_frame(), 0
         self._sensor = self.slam.sensor
-        self._grid = OccupancyGrid(self.config.grid)
-        self._drawers = [ReadingDrawer(self.robot) for _ in starts]
         self._early = list[tuple[Observation, ...]]()
-        self._extraction: Extraction | None = None
         self.frame, self._revisions = 0, list[Revision]()
         self.map_number = self._own_map = self._maps = 0
         self._unplaced: Unplaced | None = None
         self._listener: Callable[[AssociationRecord], None] | None = None
-        self._begin_anew()
         self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
@@ -212,6 +206,11 @@ class Mapper:
         ]  # fmt: skip
 
     @property
+    def slam(self) -> LineSlam:
+        """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame has another SLAM."""
+        return self._present.slam
+
+    @property
     def poses(self) -> FloatArray:
         """Estimated pose of each robot (n, 3), m and rad."""
         return self.slam.poses
@@ -224,7 +223,7 @@ class Mapper:
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        found = [monitor.status for monitor in self._monitors]
+        found = [monitor.status for monitor in self._present.monitors]
         found = found if self._recovery is None else [self._recovery.status(found[0])]
         is_open = self._lookup is not None and self._lookup.is_open
         return [NOT_YET_FOUND] if is_open and found[0].level == "ok" else found
@@ -243,7 +242,7 @@ class Mapper:
     def covariances(self) -> FloatArray:
         """Covariance of each robot's pose (n, 3, 3): that of the filter, and more while the robot is lost."""
         covariances = self.slam.covariances
-        for number, monitor in enumerate(self._monitors):
+        for number, monitor in enumerate(self._present.monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
         return covariances if self._recovery is None else covariances + self._recovery.added_covariance
@@ -251,7 +250,7 @@ class Mapper:
     @property
     def grid(self) -> GridView:
         """The occupancy grid that all robots share. Later steps do not change it."""
-        view = self._grid.view
+        view = self._present.grid.view
         values = view.values.copy()
         values.setflags(write=False)
         return GridView(view.low, view.cell, values)
@@ -267,41 +266,14 @@ class Mapper:
         check_travel(observation, self.robot, self.longest_travel)
 
     def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
-        """Pass one observation of each robot through the SLAM, the monitors and the grid; the reported motions."""
-        begin = time.perf_counter()
-        self.slam.step(*observations)
-        self._count_time(begin)
-        motions, poses = self.slam.increments, self.slam.poses
-        extraction, self._extraction = self._extraction, self.slam.last_extraction
-        for number, motion in enumerate(motions):
-            self._watch(number, poses[number], motion, is_busy=extraction is not self._extraction)
-        for pose, front, drawer in zip(poses, self.slam.robots, self._drawers, strict=True):
-            drawer.draw(self._grid, self.frame, pose, front.ranges, front.measured)
-        self._renew(observations[0])
-        return motions
-
-    def _renew(self, observation: Observation) -> None:
-        """Smooth the last minutes, if that is due. A lost robot that goes on in a local frame counts as ok."""
-        if not self._renewal.is_possible or "wheels" not in observation:
-            return
-        begin = time.perf_counter()
-        self._renewal.note(observation)
-        if self._renewal.renew_if_due("ok" if self._recovery is not None else self._monitors[0].status.level):
-            self._use_renewed()
-        self._count_time(begin)
-
-    def _use_renewed(self) -> None:
-        """Go on with the grid of a renewal. If it has moved the path far, plans, doubts and copies mean nothing now."""
-        self._grid = self._renewal.grid
-        if self._renewal.has_jumped:
+        """Process one observation of each robot in the present frame; the reported motions."""
+        has_jumped = self._present.process(observations, self.frame)
+        self.slam_ms += self._present.slam_ms
+        if has_jumped:
             self.frame += 1
-            self._monitors = self._new_monitors()
             if self._recovery is not None:
-                self._recovery.move(self._renewal.poses[:-1])  # the present step is noted afterwards
-
-    def _count_time(self, begin: float) -> None:
-        """Add the time since ``begin`` to that of the SLAM in this step."""
-        self.slam_ms += 1e3 * (time.perf_counter() - begin)
+                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
+        return self.slam.increments
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.
@@ -314,10 +286,8 @@ class Mapper:
         listener = self.slam.on_association
         self._remember()
         self._restarts += 1
-        self.slam = self._new_slam()
-        self.slam.on_association, self._grid = listener, OccupancyGrid(self.config.grid)
-        self._drawers = [ReadingDrawer(self.robot) for _ in self._starts]
-        self._begin_anew()
+        self._present = self._new_frame()
+        self.slam.on_association = listener
         self._recovery = self._new_recovery()
         for number, observations in enumerate(self._early):
             may_calibrate = self.slam.may_calibrate
@@ -339,6 +309,10 @@ class Mapper:
     @property
     def _may_restart(self) -> bool:
         return not self.frame and self.slam.sensor is not None and self._restarts < MOST_RESTARTS
+
+    def _new_frame(self) -> FrameMapper:
+        """An empty map, with the robots at their starts."""
+        return FrameMapper(self._new_slam(), OccupancyGrid(self.config.grid), self.config)
 
     def _new_slam(self) -> LineSlam:
         """The SLAM with an empty map, and the robots at their starts."""
@@ -380,7 +354,7 @@ class Mapper:
         for step in lookup.steps:
             self._process((step.observation,))
             if self._recovery is not None:
-                self._recovery.note(replace(step, pose=self.slam.pose), self.slam, self._grid)
+                self._recovery.note(replace(step, pose=self.slam.pose), self.slam, self._present.grid)
         if self._recovery is not None:
             self._recovery.arrive(found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
@@ -388,20 +362,20 @@ class Mapper:
 
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
-        recovery.note(LoggedStep.of(observation, self.slam, motion), self.slam, self._grid)
-        own, sensor = self._monitors[0], self.slam.range_sensor
+        recovery.note(LoggedStep.of(observation, self.slam, motion), self.slam, self._present.grid)
+        own, sensor = self._present.monitors[0], self.slam.range_sensor
         if own.status.level == "lost" and recovery.still_fits(own, sensor):
-            self._monitors = self._new_monitors()
+            self._present.reset_monitors()
         elif own.status.level == "lost" or recovery.is_elsewhere(own, self.slam):
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
-            recovery.lose(own, self.slam, self._grid)
+            recovery.lose(own, self.slam, self._present.grid)
             found = recovery.seek_near(sensor)
             self._go_on_locally(recovery) if found is None else self._go_on_at(recovery, found)
         elif recovery.is_lost and recovery.is_due():
             self._seek(recovery)
         elif recovery.is_due():
-            recovery.confirm(own.status, self.slam, self._grid.view)
+            recovery.confirm(own.status, self.slam, self._present.grid.view)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost.
@@ -422,7 +396,7 @@ class Mapper:
         # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
         second = min(absence.first + 1, log.end)
         poses = self._play(recovery, absence.first, second)
-        self._begin_anew()
+        self._present.begin_anew()
         poses += self._play(recovery, second)
         if is_anew and poses:
             self._revise(absence.first, poses)
@@ -444,10 +418,10 @@ class Mapper:
         begin = found.carried_at if found.gone else log.begin
         self.slam.robots[0].step = (found.step if found.gone else begin) - 1
         poses = list(found.gone) or self._play(recovery, begin, found.step)
-        found.put(self.slam, self._grid)
+        found.put(self.slam, self._present.grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
-        self._begin_anew()
+        self._present.begin_anew()
         poses += self._play(recovery, found.step)
         self._revise(begin, poses)
         recovery.has_joined(found)
@@ -485,9 +459,8 @@ class Mapper:
             slam.assume(self._sensor)
         if self._slam_config is not self.config:
             slam.calibrate()
-        self.slam, self._grid, self.frame = slam, grid, self.frame + 1
-        self.map_number = self._own_map
-        self._begin_anew()
+        self._present = FrameMapper(slam, grid, self.config, self._present.drawers)
+        self.frame, self.map_number = self.frame + 1, self._own_map
 
     def _play(self, recovery: Recovery, begin: int, end: int | None = None) -> list[tuple[FloatArray, FloatArray]]:
         """Process the steps from ``begin`` to before ``end`` again; the pose and its covariance after each of them."""
@@ -498,19 +471,3 @@ class Mapper:
             log.steps[number - log.begin] = replace(step, pose=self.slam.pose)
             played.append((self.slam.pose, self.slam.covariance))
         return played
-
-    def _begin_anew(self) -> None:
-        """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
-        self._monitors, self._extraction = self._new_monitors(), None
-        self._renewal: Renewal = Renewal(self.slam, self.config, self._grid)
-
-    def _new_monitors(self) -> list[StatusMonitor]:
-        return [StatusMonitor(self.robot, self.config.status, self.slam.range_sensor) for _ in self._starts]
-
-    def _watch(self, number: int, pose: FloatArray, motion: FloatArray, *, is_busy: bool) -> None:
-        """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
-        monitor, slam, front = self._monitors[number], self.slam, self.slam.robots[number]
-        sight = Sight(pose, front.ranges, front.measured, motion)
-        if monitor.observe(sight, is_busy=is_busy):
-            monitor.sensor = slam.range_sensor
-            monitor.check(slam.covariances[number], KnownMap(slam.segments, self._grid.view))

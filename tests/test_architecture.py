@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -83,10 +84,13 @@ AGENT = {
         *agent("config", "grid", "places", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
+    "limslam_agent.frame_mapper": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "renewal", "slam", "slam.core", "status"),
+    },
     "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "slam", "slam.core", "grid", "map_snapshot", "renewal", "status", "places"),
+        *agent("belief", "config", "frame_mapper", "slam", "slam.core", "grid", "map_snapshot", "status", "places"),
     },
     "limslam_agent.joining": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -187,11 +191,13 @@ MODULES = INSTALLED | modules_of("benchmarks")
 PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
 
 
+@cache
 def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def imports(path: Path) -> set[str]:
+@cache
+def imports(path: Path) -> frozenset[str]:
     """Full dotted names of all that a file imports, anywhere in it."""
     found = set()
     for node in ast.walk(tree_of(path)):
@@ -200,7 +206,7 @@ def imports(path: Path) -> set[str]:
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}:{node.lineno} imports relatively, which this test does not follow"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def place_of(name: str) -> str:
@@ -216,7 +222,7 @@ def place_of(name: str) -> str:
 
 def places_imported(names: list[str]) -> set[str]:
     """The places in the project that modules import."""
-    found = set().union(*(imports(MODULES[name]) for name in names))
+    found = frozenset[str]().union(*(imports(MODULES[name]) for name in names))
     return {place_of(name) for name in found if name.split(".")[0] in TOPS}
 
 

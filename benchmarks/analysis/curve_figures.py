@@ -60,23 +60,7 @@ def _errors(setting: Setting, found: Sequence[tuple[Row, Series]], shown: Row) -
     figure, axes = sheet_of(3, 2, (4.6, 1.9))
     for row, series in found:
         _draw_errors(axes, series, is_shown=row is shown)
-    length = max(distance(series)[-1] for _, series in found)
-    for line, (name, _) in zip(axes, _COMPONENTS, strict=True):
-        line[0].set_ylabel(f"error in {name}", fontsize=9)
-        line[1].sharey(line[0])
-        line[1].tick_params(labelleft=False)
-        for axis in line:
-            plain_axes(axis)
-            axis.axhline(0.0, color="0.5", linewidth=0.8)
-            axis.set_xlim(0.0, length)
-            for lap in range(1, setting.laps):
-                axis.axvline(length * lap / setting.laps, **_LAP_STYLE)
-    for axis, name in zip(axes[0], ("without the EKF: odometry alone", f"with the EKF: {setting.method}"), strict=True):
-        axis.set_title(name, fontsize=10, parse_math=False)
-    for axis in (axes[0][0], axes[0][1], axes[1][0], axes[1][1]):
-        axis.tick_params(labelbottom=False)
-    for axis in axes[2]:
-        axis.set_xlabel("distance driven, m", fontsize=9)
+    _label_errors(axes, setting, length=max(distance(series)[-1] for _, series in found))
     title = (
         f"Errors over {counted(setting.laps, 'lap')} of {setting.world}, {centimetres(setting.noise)}: "
         f"seed {shown.seed} (median ATE) of {len(found)}"
@@ -95,6 +79,25 @@ def _errors(setting: Setting, found: Sequence[tuple[Row, Series]], shown: Row) -
         f"with the filter and the band of two standard deviations that it claims, on the same scales. {_ends(found)}"
     )
     return Drawing(name, title, alt, figure)
+
+
+def _label_errors(axes: Sequence[Sequence[Axes]], setting: Setting, *, length: float) -> None:
+    """Titles, labels and laps of a sheet (3, 2): a row for each component, odometry on the left; ``length`` in m."""
+    for line, (name, _) in zip(axes, _COMPONENTS, strict=True):
+        line[0].set_ylabel(f"error in {name}", fontsize=9)
+        line[1].sharey(line[0])
+        line[1].tick_params(labelleft=False)
+        for axis in line:
+            plain_axes(axis)
+            axis.axhline(0.0, color="0.5", linewidth=0.8)
+            axis.set_xlim(0.0, length)
+            for lap in range(1, setting.laps):
+                axis.axvline(length * lap / setting.laps, **_LAP_STYLE)
+            axis.tick_params(labelbottom=line is axes[-1])
+    for axis, name in zip(axes[0], ("without the EKF: odometry alone", f"with the EKF: {setting.method}"), strict=True):
+        axis.set_title(name, fontsize=10, parse_math=False)
+    for axis in axes[-1]:
+        axis.set_xlabel("distance driven, m", fontsize=9)
 
 
 def _draw_errors(axes: Sequence[Sequence[Axes]], series: Series, *, is_shown: bool) -> None:

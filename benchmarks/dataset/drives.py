@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.suite.jobs import RANDOM, Job, Outcome, digest
 from benchmarks.suite.suite import Suite
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.runs.oracle import policies_by_belief
 from limslam_agent.runs.results import drive_scores
 from limslam_agent.status.status import LEVELS

@@ -16,9 +16,9 @@ from benchmarks.suite.runner import Summary, run_suite
 from benchmarks.suite.store import read_rows
 from benchmarks.suite.suite import Suite
 from benchmarks.suite.work import simulated
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import preset
-from limslam_agent.runs.episode import RunConfig
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 
 FORMAT = 1

@@ -20,7 +20,8 @@ from limslam_agent.places.recovery import Recovery
 from limslam_agent.policies import frontier_policy
 from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.renewal import Renewal
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.team import LimSlamTeam

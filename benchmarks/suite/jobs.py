@@ -52,7 +52,7 @@ class Job:
     noise
         Standard deviation of the ranges, m; for a log, the assumed standard deviation.
     robots, preset, policy, ablation, laps, seed, max_time, limit
-        As in ``limslam_agent.runs.episode.RunConfig``.
+        As in ``limslam_agent.runs.run_config.RunConfig``.
     log
         The recorded log that is replayed instead of a simulation; None for a simulated run.
     """

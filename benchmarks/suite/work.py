@@ -16,8 +16,9 @@ from benchmarks.suite.jobs import PLAN, RANDOM, Job, LogSource, Metric, Outcome,
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import OdometryConfig, preset
 from limslam_agent.replay.options import odometry_config
-from limslam_agent.runs.episode import Episode, RunConfig, run_episode
+from limslam_agent.runs.episode import Episode, run_episode
 from limslam_agent.runs.results import cost, score, trajectory_scores
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 

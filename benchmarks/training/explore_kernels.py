@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.cells import SKIPPED, change_cells, touched_cells
+from limslam_agent.kernels.tables import FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
 from limslam_agent.policies.collision_guard import GHOST, LOOK_AHEAD, MARGIN, MEMORY, SHARES, TOUCH, TOUCHING
 from limslam_agent.policies.learned.look_ahead import count_ahead
 from limslam_agent.policies.learned.polar_view import (
@@ -107,12 +108,13 @@ def note_touch(
     for beam in range(len(beams)):
         reading = float(ranges[beam])
         ages[place, beam] = -1
-        if reading <= beams[beam, 4]:
-            reading = TOUCHING * beams[beam, 4]
+        if reading <= beams[beam, TOO_NEAR]:
+            reading = TOUCHING * beams[beam, TOO_NEAR]
             ages[place, beam] = slot + TOUCH
-        elif reading < beams[beam, 5]:
+        elif reading < beams[beam, TOO_FAR]:
             ages[place, beam] = slot + MEMORY
-        x, y = beams[beam, 0] + reading * beams[beam, 2], beams[beam, 1] + reading * beams[beam, 3]
+        x = beams[beam, FROM_X] + reading * beams[beam, TOWARDS_X]
+        y = beams[beam, FROM_Y] + reading * beams[beam, TOWARDS_Y]
         points[place, beam, 0] = pose[0] + cos * x - sin * y
         points[place, beam, 1] = pose[1] + sin * x + cos * y
 

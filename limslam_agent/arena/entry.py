@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from limslam_agent.arena.tracks import EXPLORATION, MAPPING, TRACKS
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import PRESETS, preset
 from limslam_agent.config.tables import SettingsError, read_toml, updated
 from limslam_agent.runs.oracle import POLICIES, is_privileged

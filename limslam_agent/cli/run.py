@@ -14,7 +14,8 @@ from limslam_agent.cli.progress import Advance, progress_bar
 from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
 
 if TYPE_CHECKING:
-    from limslam_agent.runs.episode import Episode, RunConfig, Watcher
+    from limslam_agent.runs.episode import Episode, Watcher
+    from limslam_agent.runs.run_config import RunConfig
     from limslam_agent.team import LimSlamTeam
     from limslam_env.envs.parallel_env import LimSlamParallelEnv
 

@@ -7,14 +7,14 @@ from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
-from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
 from limslam_agent.logs.limits import DEFAULT_LIMITS
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
-    from limslam_agent.runs.episode import RunConfig
+    from limslam_agent.runs.run_config import RunConfig
     from limslam_env.config import NoiseConfig
     from limslam_env.interface import RobotSpec
 
@@ -382,7 +382,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         If it cannot be run.
     """
     from limslam_agent.config.presets import preset, with_until
-    from limslam_agent.runs.episode import LONGEST_TIME, RunConfig
+    from limslam_agent.runs.run_config import LONGEST_TIME, RunConfig
     from limslam_env.config import NoiseConfig
     from limslam_env.interface import NominalNoise
     from limslam_env.worlds.formats.loading import load_world

@@ -27,7 +27,8 @@ def warmup() -> None:
 
 
 def _single() -> None:
-    from limslam_agent.runs.episode import RunConfig, run_episode
+    from limslam_agent.runs.episode import run_episode
+    from limslam_agent.runs.run_config import RunConfig
 
     # Late beams are looked for after some seconds, and by then all else has been used.
     run_episode(RunConfig("square", 0.02, max_time=30.0))
@@ -64,7 +65,8 @@ def _smoothers() -> None:
     from limslam_agent.config.presets import preset
     from limslam_agent.logs.recorded_log import RecordedLog
     from limslam_agent.replay.replay import replay_log
-    from limslam_agent.runs.episode import RunConfig, run_episode
+    from limslam_agent.runs.episode import run_episode
+    from limslam_agent.runs.run_config import RunConfig
 
     lap = run_episode(RunConfig("square", 0.02, laps=1))
     log = RecordedLog(

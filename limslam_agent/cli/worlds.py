@@ -44,7 +44,7 @@ def check(
     radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
 ) -> None:
     """Check whether a robot can be used in a world, and show the reason if it cannot."""
-    from limslam_env.messages import LONGEST_VALUE, one_line
+    from limslam_env.messages import LONGEST_VALUE, counted, one_line
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.regions import start_region
     from limslam_env.worlds.world import OpenWorldError, WorldError
@@ -63,9 +63,9 @@ def check(
     region = start_region(place, radius)
     width, height = place.size
     typer.echo(
-        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, {_count(len(place.walls), 'wall')}, "
-        f"{_count(len(place.obstacles), 'obstacle')}, {_count(len(place.doors), 'door')}, "
-        f"{_count(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
+        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, {counted(len(place.walls), 'wall')}, "
+        f"{counted(len(place.obstacles), 'obstacle')}, {counted(len(place.doors), 'door')}, "
+        f"{counted(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
     if region.warning:
         typer.echo(one_line(f"limslam: warning: {world}: {region.warning}"), err=True)
@@ -122,7 +122,3 @@ def _write_thumbnail(path: Path, world: "World") -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     _, encoded = cv2.imencode(".png", cv2.cvtColor(thumbnail(world), cv2.COLOR_RGB2BGR))
     path.write_bytes(encoded.tobytes())
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 
 from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive, Share
-from limslam_agent.config.graph import LocalMapConfig
+from limslam_agent.config.graph_loops import LocalMapConfig
 
 _DEGREE = math.pi / 180.0
 

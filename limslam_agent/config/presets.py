@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
-from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.places import PlaceConfig

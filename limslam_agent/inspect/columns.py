@@ -72,15 +72,3 @@ def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, level
     header += b" " * (-(len(header) + 4) % _ALIGNED)
     content = len(header).to_bytes(4, "little") + header + b"".join(blocks)
     return base64.b64encode(gzip.compress(content, level, mtime=0)).decode("ascii")
-
-
-def unpacked(text: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The arrays and the table of a text that :func:`packed` has made."""
-    content = gzip.decompress(base64.b64decode(text))
-    length = int.from_bytes(content[:4], "little")
-    header, body = json.loads(content[4 : 4 + length]), content[4 + length :]
-    arrays = {
-        name: np.frombuffer(body[told["at"] : told["at"] + told["bytes"]], dtype=told["type"]).reshape(told["shape"])
-        for name, told in header["arrays"].items()
-    }
-    return arrays, header["meta"]

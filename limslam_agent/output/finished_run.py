@@ -127,6 +127,38 @@ def read_run(folder: Path) -> FinishedRun:
     FolderError
         If the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
     """
+    _check_finished(folder)
+    result, segments = _read_json(folder / RESULT), read_walls(folder / MAP)
+    tables = {kind: _trajectories(folder, kind) for kind in ("est", "true", "odometry", "smoothed")}
+    if not tables["est"]:
+        raise FolderError(f"{folder}: there is no trajectory_est.tum")
+    time = tables["est"][0][:, 0]
+    times = [table[:, 0] for table in tables["est"]] if "logs" in _part(result, "config") else []
+    counts = [len(each) for each in times] if times else [len(time)] * len(tables["est"])
+    for kind, found in tables.items():
+        if found and [len(table) for table in found] != counts:
+            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
+    estimated, true, odometry, smoothed = ([table[:, 1:] for table in found] for found in tables.values())
+    if not odometry and (folder / LOG).is_file():
+        odometry = _odometry_from_wheels(folder / LOG, result, true or estimated)
+    covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(time))
+    return FinishedRun(
+        folder=folder,
+        result=result,
+        segments=segments,
+        time=time,
+        estimated=estimated,
+        odometry=odometry,
+        true=true,
+        smoothed=smoothed,
+        covariances=covariances,
+        smoothed_covariances=smoothed_covariances,
+        times=times,
+    )
+
+
+def _check_finished(folder: Path) -> None:
+    """Refuse a folder without a finished run, after results that a killed process has left aside are put back."""
     if not folder.exists() and hidden(folder.absolute(), "old").exists():
         with suppress(OutputError, OSError):
             repair(folder.absolute())
@@ -136,27 +168,6 @@ def read_run(folder: Path) -> FinishedRun:
         has_map = (folder / MAP).is_file() and (folder / PICTURE).is_file()
         picture = f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
         raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}{picture}")
-    result = _read_json(folder / RESULT)
-    segments = read_walls(folder / MAP)
-    estimated = _trajectories(folder, "est")
-    if not estimated:
-        raise FolderError(f"{folder}: there is no trajectory_est.tum")
-    true, odometry, smoothed = (_trajectories(folder, kind) for kind in ("true", "odometry", "smoothed"))
-    time = estimated[0][:, 0]
-    times = [table[:, 0] for table in estimated] if "logs" in _part(result, "config") else []
-    counts = [len(each) for each in times] if times else [len(time)] * len(estimated)
-    for kind, tables in (("est", estimated), ("true", true), ("odometry", odometry), ("smoothed", smoothed)):
-        if tables and [len(table) for table in tables] != counts:
-            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
-    poses, true_poses, by_odometry, at_the_end = (
-        [table[:, 1:] for table in tables] for tables in (estimated, true, odometry, smoothed)
-    )
-    if not by_odometry and (folder / LOG).is_file():
-        by_odometry = _odometry_from_wheels(folder / LOG, result, true_poses or poses)
-    covariances, of_smoothed = _covariances(folder / COVARIANCES, len(poses), len(time))
-    return FinishedRun(
-        folder, result, segments, time, poses, by_odometry, true_poses, at_the_end, covariances, of_smoothed, times
-    )
 
 
 def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:

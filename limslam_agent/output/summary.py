@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from limslam_env.geometry import FloatArray
+from limslam_env.messages import counted
 
 _MOST_TIMES = 8  # that are shown of the times at which a path passes through walls
 _SIZES = {"left": "left wheel", "right": "right wheel", "axle": "axle"}
@@ -211,7 +212,7 @@ def _reversing(metrics: Mapping[str, Any]) -> list[str]:
     if not _has(metrics, "smoothed_reversed_m", "smoothed_reversed_places") or not metrics["smoothed_reversed_places"]:
         return []
     count = metrics["smoothed_reversed_places"]
-    where = f"{metrics['smoothed_reversed_m']:.1f} m at {count} place{'s' if count > 1 else ''}"
+    where = f"{metrics['smoothed_reversed_m']:.1f} m at {counted(count, 'place')}"
     return [f"            driven backwards over {where}, which odometry reports as driven ahead"]
 
 

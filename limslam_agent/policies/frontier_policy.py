@@ -20,6 +20,7 @@ from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, has_seen_little, is_walled_in, islands, next_target, open_frontier
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
+from limslam_env.messages import counted
 
 _ARRIVED = 0.08
 _POINTED = math.radians(4.0)
@@ -85,7 +86,7 @@ class FrontierPolicy(MapExplorer):
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None, index: int = 0) -> None:
         robot = robot or RobotSpec()
         config = config or PolicyConfig()
-        self.robot, self._robot, self._config = robot, robot, config
+        self.robot, self._config = robot, config
         self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
         self._step = 0
         self._wall_follower: WallFollower | None = None
@@ -96,7 +97,7 @@ class FrontierPolicy(MapExplorer):
         self._rounds = 0  # number of rounds on the spot
 
     def _plan_anew(self) -> None:
-        robot, config = self._robot, self._config
+        robot, config = self.robot, self._config
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
@@ -122,8 +123,8 @@ class FrontierPolicy(MapExplorer):
         self.enter(belief)
         if self.stop_reason is not None:
             return np.zeros(2)
-        if self._step == 1 and self._robot.reach < least_reach(self._robot, belief.grid.cell):
-            self._wall_follower = WallFollower(self._robot, self._config)
+        if self._step == 1 and self.robot.reach < least_reach(self.robot, belief.grid.cell):
+            self._wall_follower = WallFollower(self.robot, self._config)
         if self._wall_follower is not None:
             return self._follow_walls(belief, self._wall_follower)
         self._collision_guard.add_readings(belief.pose, belief.ranges)
@@ -142,7 +143,7 @@ class FrontierPolicy(MapExplorer):
         wheels = follower.act(belief)
         if follower.stop_reason is not None:
             self.stop_reason = (
-                f"{follower.stop_reason}, and {short_reach(self._robot, belief.grid.cell)}: {NOT_EXPLORED}"
+                f"{follower.stop_reason}, and {short_reach(self.robot, belief.grid.cell)}: {NOT_EXPLORED}"
             )
         return wheels
 
@@ -150,13 +151,13 @@ class FrontierPolicy(MapExplorer):
         """Wheel speeds (2,) of the plan, before the collision guard limits them."""
         if self._backing > 0:
             self._backing -= 1
-            return back_off(belief.pose, belief.grid, self._robot, self._config)
+            return back_off(belief.pose, belief.grid, self.robot, self._config)
         if self._turning == 0 and (self._until_plan <= 0 or self._pursuit is None):
             self._replan(belief)
         self._until_plan -= 1
         if self._turning > 0:
             self._turning -= 1
-            return wheel_speeds(0.0, self._config.turn_rate, self._robot)
+            return wheel_speeds(0.0, self._config.turn_rate, self.robot)
         if self._pursuit is None or self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
         return self._follow(belief, self._pursuit)
@@ -169,7 +170,7 @@ class FrontierPolicy(MapExplorer):
         is_lost = target is None or not target.is_reachable
         if is_lost and self._rounds < _MOST_ROUNDS and self._sees_no_way(belief):
             self._rounds += 1
-            self._turning = math.ceil(2.0 * math.pi / (self._config.turn_rate * self._robot.control_period))
+            self._turning = math.ceil(2.0 * math.pi / (self._config.turn_rate * self.robot.control_period))
             self._drop()
         elif target is None:
             self._drop()
@@ -179,11 +180,11 @@ class FrontierPolicy(MapExplorer):
 
     def _sees_no_way(self, belief: Belief) -> bool:
         """Whether a turn on the spot may help: the robot seems walled in, or it faces a corner from nearby."""
-        return is_walled_in(belief.grid, belief.pose) or has_seen_little(belief.grid, self._robot.radius)
+        return is_walled_in(belief.grid, belief.pose) or has_seen_little(belief.grid, self.robot.radius)
 
     def _target(self, belief: Belief) -> Target | None:
         ignored = self._memory.ignored_cells(belief.grid, self._step)
-        target = next_target(belief, ignored, self.goal, self._robot, self._config)
+        target = next_target(belief, ignored, self.goal, self.robot, self._config)
         return target and (self._excursion.way_back(belief, target) or target)
 
     def _take_up(self, grid: GridView, target: Target) -> None:
@@ -203,7 +204,7 @@ class FrontierPolicy(MapExplorer):
         if boldness == _FROM_AFAR:
             return cut_short(target.path, self._view_distance(grid, target))
         cells = grid.cells(target.path)
-        has_room = wall_distance(grid)[cells[:, 0], cells[:, 1]] >= self._robot.radius
+        has_room = wall_distance(grid)[cells[:, 0], cells[:, 1]] >= self.robot.radius
         return target.path[: int(np.flatnonzero(has_room)[-1]) + 1] if has_room.any() else target.path[:1]
 
     def _view_distance(self, grid: GridView, target: Target) -> float:
@@ -222,7 +223,7 @@ class FrontierPolicy(MapExplorer):
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
         nearest, aim = point_ahead(self.plan, away, self._config.lookahead)
-        action = steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
+        action = steer(belief.pose, aim, belief.ranges, self.robot, self._config, self._config.speed)
         left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
         if self._is_stuck(belief.grid, pursuit, left, action):
             self._set_aside(pursuit)
@@ -249,13 +250,13 @@ class FrontierPolicy(MapExplorer):
             self._drop()
             return np.zeros(2)
         aim = pursuit.target.aim
-        beam, error = nearest_beam(belief.pose, aim, self._robot)
+        beam, error = nearest_beam(belief.pose, aim, self.robot)
         self._idle += 1
         if abs(error) > _POINTED and self._idle <= 3 * self._config.patience:
-            return turn_by(error, self._robot, self._config)
-        distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self._robot.beam_origins[beam]))
+            return turn_by(error, self.robot, self._config)
+        distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self.robot.beam_origins[beam]))
         reading = float(belief.ranges[beam])
-        is_wall = reading < self._robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
+        is_wall = reading < self.robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
         if not pursuit.target.is_reachable:
             self._set_aside(pursuit)
         elif is_wall or pursuit.boldness == _ALL_THE_WAY:
@@ -284,15 +285,15 @@ class FrontierPolicy(MapExplorer):
     def _reason(self, belief: Belief) -> str:
         grid = belief.grid
         ignored = self._memory.settled_cells(grid) | islands(grid, belief.pose)
-        places = group_places(grid, open_frontier(grid, self._config.min_last_frontier, ignored, self._robot))
+        places = group_places(grid, open_frontier(grid, self._config.min_last_frontier, ignored, self.robot))
         if not len(places):
             return "explored: no frontier is left"
         named = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]
         more = len(places) - len(named)
         if more:
-            named.append("1 more place" if more == 1 else f"{more} more places")
+            named.append(counted(more, "more place"))
         near = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
-        what = "1 frontier is" if len(places) == 1 else f"{len(places)} frontiers are"
+        what = f"{counted(len(places), 'frontier')} {'is' if len(places) == 1 else 'are'}"
         return f"explored: {what} left that cannot be reached, near {near}"
 
 

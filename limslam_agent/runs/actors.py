@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from limslam_agent.agent import LimSlamAgent
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.actor_checks import first_argument, is_policy
 from limslam_agent.runs.oracle import policies_by_belief

@@ -6,26 +6,21 @@ record of the run.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limslam_agent.config.ablations import ablated
-from limslam_agent.config.default_preset import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset, with_until
-from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.joining import Joined, JoiningMapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
-from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
 from limslam_agent.runs.actor_policy import ActorPolicy
 from limslam_agent.runs.kidnapping import another_place
-from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, check_policy, needs_loop, policies_for
+from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.core.motion import OdometryCalibration
@@ -33,171 +28,19 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.status.status import LEVELS
 from limslam_agent.team import LimSlamTeam, Snapshot
-from limslam_env.bounds.offline_optimum import require_gtsam
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
-from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.interface import Observation
 from limslam_env.simulation.coverage import CoverageGrid
-from limslam_env.worlds.formats.loading import WorldSource, load_world
+from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.regions import start_region
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.worlds.world import World
 
 if TYPE_CHECKING:
     from limslam_agent.slam.line_graph.smoother import SmoothedRun
 
-LONGEST_TIME = 1e6
 OUT_OF_TIME = "time: the run's longest time is over"
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """Settings of a run.
-
-    Attributes
-    ----------
-    world
-        Name, file or world.
-    noise
-        Standard deviation of the range noise, m. The agent is told this value.
-    preset
-        Name of the agent's settings.
-    seed
-        Seed of all random numbers.
-    max_time
-        Longest simulated time, s.
-    laps
-        Number of laps of the world's loop to drive instead of exploring. 0 explores. With the policy ``tour``, the
-        number of times that the tour is driven.
-    robot
-        Body and beams of each robot.
-    robots
-        Number of robots, 1 to 8.
-    ablation
-        Part of the method that is switched off. None switches off nothing.
-    policy
-        Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
-        network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
-        ``random`` are simple baselines. ``FILE.py:NAME`` is a class or a function of that file, which makes a policy.
-        ``tour`` and ``oracle`` know the true map and the true pose, while the
-        estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
-        and back, and ``oracle`` drives past everything as fast as possible.
-    limit
-        Whether to also compare the run with the offline optimum of its log, which needs gtsam.
-    settings
-        The agent's settings before the ablation. The preset's settings by default.
-    until
-        When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
-        (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
-    kidnap_at
-        Time at which the robot is carried to a random place, s. None leaves it alone.
-    prior_map
-        Folder of an earlier run. The robot begins in its map, at a place that the agent does not know. None begins with
-        an empty map and a known start pose.
-    unknown_starts
-        Whether the second of two robots starts at a place that the agent does not know.
-    true_noise
-        The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
-    driver
-        What the results call the policies that :func:`run_episode` is given. Empty calls them by ``policy``.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, the world
-        cannot be used or has no loop to drive laps on, or gtsam is missing for the offline optimum.
-    """
-
-    world: WorldSource = "env1"
-    noise: float = 0.0
-    preset: str = DEFAULT_PRESET
-    seed: int = 0
-    max_time: float = 1800.0
-    laps: int = 0
-    robot: RobotSpec = field(default_factory=RobotSpec)
-    robots: int = 1
-    ablation: str | None = None
-    policy: str = "frontier"
-    limit: bool = False
-    settings: AgentConfig | None = None
-    true_noise: NoiseConfig = field(default_factory=NoiseConfig)
-    until: str | None = None
-    kidnap_at: float | None = None
-    prior_map: Path | None = None
-    unknown_starts: bool = False
-    driver: str = ""
-
-    def __post_init__(self) -> None:
-        _ = self.agent
-        if self.limit:
-            require_gtsam()
-        if not 1 <= self.robots <= MAX_ROBOTS:
-            raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
-        if not 0.0 < self.max_time <= LONGEST_TIME:
-            raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
-        self._check_kidnapping()
-        self._check_prior_map()
-        self._check_unknown_starts()
-        if self.laps < 0:
-            raise ValueError(f"laps must be 0 or more, not {self.laps}")
-        check_policy(self.policy, self.laps, self.robots)
-        if self.seed < 0:
-            raise ValueError(f"a seed is 0 or more, not {self.seed}")
-        world = load_world(self.world)
-        if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
-            raise WorldError(f"world {world.name!r} has no loop to drive laps on")
-        world.check(self.robot.radius)
-
-    def _check_prior_map(self) -> None:
-        if self.prior_map is None:
-            return
-        if self.robots > 1 or self.laps or self.limit or self.agent.recovery is None:
-            raise ValueError(
-                "a map of an earlier run is for one robot that explores with the preset graph or consistent"
-            )
-        OccupancyGrid.of(read_saved_map(self.prior_map).grid, self.agent.grid)
-
-    def _check_unknown_starts(self) -> None:
-        if not self.unknown_starts:
-            return
-        if self.robots != 2:
-            raise ValueError(f"unknown starts are for two robots, not {self.robots}")
-        if self.laps or self.limit or self.policy != "frontier" or self.agent.recovery is None:
-            raise ValueError("unknown starts are for the policy frontier with the preset graph or consistent")
-
-    def _check_kidnapping(self) -> None:
-        if self.kidnap_at is None:
-            return
-        if not 0.0 < self.kidnap_at <= LONGEST_TIME:
-            raise ValueError(
-                f"a robot is kidnapped after 0 s and within {LONGEST_TIME:g} s, not at {self.kidnap_at:g} s"
-            )
-        if self.robots > 1 or self.limit:
-            what = "one of several robots" if self.robots > 1 else "a run that is compared with the offline optimum"
-            raise ValueError(f"{what} cannot be kidnapped")
-
-    @property
-    def agent(self) -> AgentConfig:
-        """The agent's settings, with the noise that the agent is told."""
-        config = self.settings or preset(self.preset, NominalNoise(self.noise))
-        if self.until is not None:
-            config = with_until(config, self.until)
-        return config if self.ablation is None else ablated(config, self.ablation)
-
-    @property
-    def warnings(self) -> list[str]:
-        """Reasons why the run cannot explore the world, one line each.
-
-        They are a small start region, an open outer wall, or beams that are too short for the policy.
-        """
-        region = start_region(load_world(self.world), self.robot.radius).warning
-        found = [] if region is None else [region]
-        cell = self.agent.grid.cell
-        if self.policy.startswith("frontier") and not self.laps and self.robot.reach < least_reach(self.robot, cell):
-            found.append(f"{short_reach(self.robot, cell)}: the robot follows walls instead")
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,14 +194,7 @@ def run_episode(
         noise=replace(config.true_noise, sensor_noise=config.noise),
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
-    if policies is None:
-        policies = policies_for(
-            config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
-        )
-    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
-    team = LimSlamTeam(
-        config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
-    )
+    team = team_of(config, policies_of(config, world) if policies is None else policies)
     clock, associations = time.perf_counter(), list[AssociationRecord]()
 
     def note_association(record: AssociationRecord) -> None:
@@ -391,6 +227,31 @@ def run_episode(
             _in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined or parted
         ),
     )
+
+
+def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
+    """A policy for each robot of a run, by the name in its settings; None for those that a team has by default."""
+    return policies_for(
+        config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
+    )
+
+
+def team_of(config: RunConfig, policies: Sequence[Policy] | None) -> LimSlamTeam:
+    """The robots of a run, with the default policies if none are given."""
+    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
+    return LimSlamTeam(
+        config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
+    )
+
+
+def told_starts(config: RunConfig, true: FloatArray) -> FloatArray:
+    """The start poses (n, 3) that the agent is told, of the true ones: an unknown start is the origin."""
+    told = np.array(true)
+    if config.unknown_starts:
+        told[1] = 0.0
+    if config.prior_map is not None:
+        told[:] = 0.0
+    return told
 
 
 def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
@@ -464,11 +325,10 @@ def _drive(
     on_association: Callable[[AssociationRecord], None],
     watch: Watcher | None,
 ) -> list[_Row]:
+    """Step the robots until the team is done or the time is over."""
     observed, infos = env.reset(seed=config.seed)
-    starts = np.array([infos[name]["pose"] for name in team.names])
-    if config.unknown_starts:
-        starts[1] = 0.0
-    team.reset(starts if config.prior_map is None else np.zeros_like(starts), config.seed)
+    starts = told_starts(config, np.array([infos[name]["pose"] for name in team.names]))
+    team.reset(starts, config.seed)
     team.slam.on_association = on_association
     for policy, start in zip(team.policies, starts, strict=True):
         if isinstance(policy, ActorPolicy):
@@ -477,30 +337,43 @@ def _drive(
     max_steps = round(config.max_time / config.robot.control_period)
     kidnapped_at = None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
     while True:
-        observations = [observed[name] for name in team.names]
-        truth = infos[team.names[0]]
-        _inform(team.policies, observations, env, truth)
-        begin = time.perf_counter()
-        team.observe(observations)
-        actions = team.decide()
-        elapsed_ms, slam_ms = 1e3 * (time.perf_counter() - begin), team.mapper.slam_ms
-        rows.append(
-            _Row(
-                truth["time"], truth["coverage"], [infos[name] for name in team.names], observations, actions,
-                team.mapper.poses, team.mapper.covariances,
-                [LEVELS.index(status.level) for status in team.mapper.statuses], team.mapper.odometry,
-                team.mapper.dropped, slam_ms, elapsed_ms - slam_ms,
-            )
-        )  # fmt: skip
+        row = _decide(env, team, [observed[name] for name in team.names], [infos[name] for name in team.names])
+        rows.append(row)
         if watch is not None:
-            watch(team, env, truth["time"], truth["coverage"])
+            watch(team, env, row.time, row.coverage)
         if team.done or len(rows) > max_steps:
             team.finish()
             return rows
         if len(rows) == kidnapped_at:
             draws = np.random.default_rng([config.seed, kidnapped_at])
-            env.carry(0, another_place(env.world, config.robot, infos[team.names[0]]["pose"], draws))
-        observed, _, _, _, infos = env.step(dict(zip(team.names, actions, strict=True)))
+            env.carry(0, another_place(env.world, config.robot, row.infos[0]["pose"], draws))
+        observed, _, _, _, infos = env.step(dict(zip(team.names, row.actions, strict=True)))
+
+
+def _decide(
+    env: LimSlamParallelEnv, team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]
+) -> _Row:
+    """Let the robots observe and choose their actions; the record of the step."""
+    truth, mapper = infos[0], team.mapper
+    _inform(team.policies, observations, env, truth)
+    begin = time.perf_counter()
+    team.observe(observations)
+    actions = team.decide()
+    elapsed_ms = 1e3 * (time.perf_counter() - begin)
+    return _Row(
+        time=truth["time"],
+        coverage=truth["coverage"],
+        infos=infos,
+        observations=observations,
+        actions=actions,
+        estimated=mapper.poses,
+        covariances=mapper.covariances,
+        levels=[LEVELS.index(status.level) for status in mapper.statuses],
+        odometry=mapper.odometry,
+        dropped=mapper.dropped,
+        slam_ms=mapper.slam_ms,
+        decide_ms=elapsed_ms - mapper.slam_ms,
+    )
 
 
 def _inform(

@@ -20,13 +20,13 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError
 from limslam_agent.output.formats.content import read_readings
-from limslam_agent.places.saved_map import SavedMap, read_saved_map
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.filter_estimate import is_handed_over
-from limslam_agent.runs.episode import RunConfig
-from limslam_agent.runs.oracle import is_privileged, policies_for
+from limslam_agent.runs.episode import policies_of, team_of, told_starts
+from limslam_agent.runs.oracle import is_privileged
 from limslam_agent.runs.policy_file import is_file_policy
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.safe_files import read_limited
-from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
@@ -75,19 +75,8 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
     world, true = load_world(config.world), np.array(run.true).swapaxes(0, 1)
     # A policy that knows the truth cannot decide from the log alone, and the code in a file is not executed again.
     is_repeated = not (is_privileged(config.policy) or is_file_policy(config.policy))
-    policies = (
-        policies_for(config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps,
-                     seed=config.seed)
-        if is_repeated else None
-    )  # fmt: skip
-    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
-    team = LimSlamTeam(
-        config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
-    )
-    starts = true[0].copy()
-    if config.unknown_starts:
-        starts[1] = 0.0
-    team.reset(starts if prior_map is None else np.zeros_like(starts), config.seed)
+    team = team_of(config, policies_of(config, world) if is_repeated else None)
+    team.reset(told_starts(config, true[0]), config.seed)
     recorder = Recorder(team.mapper, len(run.time))
     for row, (ranges, wheels) in enumerate(zip(readings.ranges, readings.wheels, strict=True)):
         team.observe([{"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)])

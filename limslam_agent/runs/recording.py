@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from limslam_agent.grid.frontier import frontier_cells
-from limslam_agent.runs.episode import RunConfig
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.slam import AssociationRecord, Extraction, LineSlam
 from limslam_agent.status.status import worst
 from limslam_agent.team import LimSlamTeam

@@ -17,9 +17,10 @@ from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, poli
 from limslam_agent.output.summary import calibration_record, place_records, record_of
 from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
-from limslam_agent.runs.episode import Episode, RunConfig
+from limslam_agent.runs.episode import Episode
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import FinalMap, final_status, online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
@@ -198,25 +199,42 @@ def cost(episode: Episode) -> dict[str, float]:
 
 def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     """Write a run's folder and return the content of its ``result.json``."""
-    config = episode.config
-    _write_log(folder / "log.npz", episode)
-    for number in range(config.robots):
-        suffix = f"_{number}" if config.robots > 1 else ""
-        write_tum(folder / f"trajectory_true{suffix}.tum", episode.time, episode.true[:, number])
-        write_tum(folder / f"trajectory_est{suffix}.tum", episode.time, episode.estimated[:, number])
-        write_tum(folder / f"trajectory_odometry{suffix}.tum", episode.time, episode.odometry[:, number])
-        if episode.smoothed is not None:
-            write_tum(folder / f"trajectory_smoothed{suffix}.tum", episode.time, episode.smoothed.poses[:, number])
     smoothed = episode.smoothed
+    _write_log(folder / "log.npz", episode)
+    _write_trajectories(folder, episode)
     write_covariances(folder / COVARIANCES, episode.covariances, None if smoothed is None else smoothed.covariances)
     write_world(episode.world, folder / WORLD)
     write_map(folder, episode.final_map)
-    if episode.smoothed is not None:
+    if smoothed is not None:
         write_json(folder / "map_online.json", map_content(online_map(episode)))
     if episode.places.unplaced is not None:
         write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
     _draw(folder / "map.png", episode)
-    written_config = {
+    result = {
+        "metrics": score(episode), "cost": cost(episode), "config": _config(episode), "record": _record(episode),
+        "closures": [asdict(closure) for closure in episode.closures],
+        "versions": {**versions(), **({"gtsam": version("gtsam")} if episode.config.limit else {})},
+        "seed": episode.config.seed,
+    }  # fmt: skip
+    write_json(folder / "result.json", result)
+    return result
+
+
+def _write_trajectories(folder: Path, episode: Episode) -> None:
+    """A file for each robot and each kind of path."""
+    paths = {"true": episode.true, "est": episode.estimated, "odometry": episode.odometry}
+    if episode.smoothed is not None:
+        paths["smoothed"] = episode.smoothed.poses
+    for kind, poses in paths.items():
+        for number in range(episode.config.robots):
+            suffix = f"_{number}" if episode.config.robots > 1 else ""
+            write_tum(folder / f"trajectory_{kind}{suffix}.tum", episode.time, poses[:, number])
+
+
+def _config(episode: Episode) -> dict[str, Any]:
+    """The settings of a run, for ``result.json``."""
+    config = episode.config
+    return {
         "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
         "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
         "policy": config.driver or short_name(config.policy), "max_time": config.max_time, "laps": config.laps,
@@ -225,13 +243,6 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         "unknown_starts": config.unknown_starts,
         "robot": asdict(config.robot), "agent": asdict(config.agent),
     }  # fmt: skip
-    result = {
-        "metrics": score(episode), "cost": cost(episode), "config": written_config, "record": _record(episode),
-        "closures": [asdict(closure) for closure in episode.closures],
-        "versions": {**versions(), **({"gtsam": version("gtsam")} if config.limit else {})}, "seed": config.seed,
-    }  # fmt: skip
-    write_json(folder / "result.json", result)
-    return result
 
 
 def _record(episode: Episode) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from limslam_agent.output.style import (
     write,
 )
 from limslam_agent.video.belief_frame import BufferView, HoughView
+from limslam_env.messages import counted
 
 STAGES = ("predict", "collect", "find lines", "associate", "correct or add", "close loops", "explore")
 """Stages of the method in the order of a step."""
@@ -66,7 +67,7 @@ def draw_hough(hough: HoughView | None, width: int, height: int, *, several: boo
     write(panel, "Hough votes of the last scan", (0, 13), 13, INK, bold=True)
     if hough is not None:
         who = f"robot {hough.robot + 1}, {hough.side}" if several else f"{hough.side} buffer"
-        text = f"{who}: {len(hough.points)} points, {_count(len(hough.peaks), 'line')}"
+        text = f"{who}: {len(hough.points)} points, {counted(len(hough.peaks), 'line')}"
         write(panel, fitted(text, 12, width), (0, 31), 12)
     left, top, right, bottom = _SCALE_WIDTH, 40, width - 6, height - _SCALE_HEIGHT
     area = panel[top:bottom, left:right]
@@ -252,7 +253,3 @@ def _draw_symbol(panel: Image, number: int, x: int, y: int) -> None:
     else:
         for dx, dy in ((5, 2), (11, -1), (17, 1)):
             cv2.circle(panel, (x + dx, y + dy), 2, side_colour("left" if number == 7 else "right"), -1, cv2.LINE_AA)
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -16,9 +16,10 @@ from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import MOST_LANES
 from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Task, fan_of, lanes_for, scratch_for
-from limslam_env.kernels.batch_step import NUM_NOISES, advance
+from limslam_env.kernels.batch_step import advance
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys
+from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.kernels.tiles import LONGEST_LOOK
 from limslam_env.simulation.coverage import CELL
 from limslam_env.simulation.sensors import beam_table
@@ -64,7 +65,7 @@ class BatchSimulation:
         self.robot, self.num_envs, self.num_robots = robot, count, robots
         self._places, self._noise = places, BatchNoise(noise, robot)
         beams = beam_table(robot)
-        longest = max(float((beams[:, 3] + beams[:, 5]).max()), 2.0 * robot.radius)
+        longest = max(float((beams[:, OFFSET] + beams[:, LONGEST_RANGE]).max()), 2.0 * robot.radius)
         is_small = longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
         period = robot.control_period
         self._robots = Robots(

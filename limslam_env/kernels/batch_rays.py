@@ -9,13 +9,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.compilation import inlined, merged
+from limslam_env.compilation import merged
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.kernels.batch_state import Robots, Scratch, Worlds
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
-from limslam_env.kernels.observation import CONE
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import NOTHING, ROBOT, cast_at_discs, first_wall, measure, meeting
+from limslam_env.kernels.rays import NOTHING, ROBOT, cast_at_discs, first_wall, is_due, meeting, nearest_in_cone
+from limslam_env.kernels.tables import ANGLE, LONGEST_RANGE, OFFSET
 from limslam_env.kernels.tiles import take_disc, take_ray, unseen_nearby, walk_disc, walk_ray
 from limslam_env.kernels.wall_cells import Walls
 
@@ -136,34 +136,6 @@ def find_unseen(
 
 
 @merged
-def nearest_in_cone(
-    robot: int,
-    distance: float,
-    hit: int,
-    x: float,
-    y: float,
-    angle: float,
-    offset: float,
-    reach: float,
-    cone: float,
-    radius: float,
-    poses: FloatArray,
-    walls: Walls,
-) -> tuple[float, int]:
-    """The nearest of what the rays of a cone meet: ``distance`` (m) and ``hit`` of its middle, or nearer ones.
-
-    The cone opens by ``cone`` (rad) to both sides of ``angle`` (rad) at the point (x, y), m, on the rim of the body;
-    its rays start ``offset`` (m) before that point and have the length ``reach`` (m).
-    """
-    for share in CONE:
-        dx, dy = math.cos(angle + share * cone), math.sin(angle + share * cone)
-        aside, other = measure(robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls)
-        if aside < distance:
-            distance, hit = aside, other
-    return distance, hit
-
-
-@merged
 def cast_on(
     robot: int,
     step: int,
@@ -185,12 +157,6 @@ def cast_on(
             disc = cast_at_discs(x, y, dx, dy, rays[0, number], robot, poses, robots.radius)
             if disc < rays[0, number]:
                 rays[0, number], rays[1, number] = disc, ROBOT
-
-
-@inlined
-def is_due(beams: FloatArray, number: int, step: int) -> bool:
-    """Whether a beam measures in a step."""
-    return beams[number, 6] == 1.0 or step % int(beams[number, 6]) == 0
 
 
 @merged
@@ -280,9 +246,9 @@ def widen(
     for number in range(len(beams)):
         if not is_due(beams, number, step):
             continue
-        offset, reach = beams[number, 3], beams[number, 5] + beams[number, 3]
+        offset, reach = beams[number, OFFSET], beams[number, LONGEST_RANGE] + beams[number, OFFSET]
         x, y = aims[0, number] + offset * aims[2, number], aims[1, number] + offset * aims[3, number]
         rays[0, number], rays[1, number] = nearest_in_cone(
-            robot, rays[0, number], int(rays[1, number]), x, y, poses[robot, 2] + beams[number, 2],
+            robot, rays[0, number], int(rays[1, number]), x, y, poses[robot, 2] + beams[number, ANGLE],
             offset, reach, cone, robots.radius, poses, walls,
         )  # fmt: skip

@@ -4,10 +4,24 @@ import numpy as np
 
 from limslam_env.compilation import merged
 from limslam_env.geometry import FloatArray
-from limslam_env.kernels.batch_rays import is_due
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Scratch, Task, Worlds
 from limslam_env.kernels.random_numbers import GOLDEN, mixed, normal, unit
+from limslam_env.kernels.rays import is_due
 from limslam_env.kernels.readings import noisy_reading, reported_travel
+from limslam_env.kernels.tables import (
+    DROPOUT,
+    ENCODER_RESOLUTION,
+    FOLD_BACK,
+    LARGEST_TRAVEL,
+    LEFT_WHEEL,
+    LONGEST_RANGE,
+    OFFSET,
+    RANGE_RESOLUTION,
+    RANGE_STD,
+    SHORTEST_RANGE,
+    STD_GROWTH,
+    WHEEL_VARIANCE,
+)
 
 SKIP, STEP, BEGIN = 0, 1, 2
 """What an environment does: nothing, a step, or the first observation of a new episode."""
@@ -24,7 +38,8 @@ def read_beams(
     ``own`` is the state of the robot's random numbers; numbers that no noise needs are not drawn.
     """
     noise, beams, rays = episodes.noise, robots.beams, scratch.rays
-    is_noisy, is_dropping = noise[env, 0] > 0.0 or noise[env, 1] > 0.0, noise[env, 2] > 0.0
+    is_noisy = noise[env, RANGE_STD] > 0.0 or noise[env, STD_GROWTH] > 0.0
+    is_dropping = noise[env, DROPOUT] > 0.0
     for number in range(len(beams)):
         if not is_due(beams, number, episodes.steps[env]):
             continue
@@ -35,8 +50,9 @@ def read_beams(
             uniform = unit(mixed(own + (place + _ONE) * GOLDEN))
         episodes.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
         episodes.ranges[env, robot, number] = noisy_reading(
-            rays[0, number] - beams[number, 3], hit, beams[number, 4], beams[number, 5],
-            noise[env, 0], noise[env, 1], noise[env, 2], noise[env, 3], noise[env, 4], random, uniform,
+            rays[0, number] - beams[number, OFFSET], hit, beams[number, SHORTEST_RANGE], beams[number, LONGEST_RANGE],
+            noise[env, RANGE_STD], noise[env, STD_GROWTH], noise[env, DROPOUT], noise[env, RANGE_RESOLUTION],
+            noise[env, FOLD_BACK], random, uniform,
         )  # fmt: skip
 
 
@@ -46,11 +62,12 @@ def read_encoders(env: int, robot: int, own: np.uint64, episodes: Episodes, turn
     noise, unreported = episodes.noise, episodes.unreported
     for wheel in range(2):
         random = 0.0
-        if turned_by[robot, wheel] != 0.0 and noise[env, 8] > 0.0:
+        if turned_by[robot, wheel] != 0.0 and noise[env, WHEEL_VARIANCE] > 0.0:
             random = normal(mixed(own + np.uint64(2 * wheel) * GOLDEN))
         episodes.wheels[env, robot, wheel], unreported[env, robot, wheel] = reported_travel(
             turned_by[robot, wheel], unreported[env, robot, wheel],
-            noise[env, 6 + wheel], noise[env, 8], noise[env, 9], noise[env, 10], random,
+            noise[env, LEFT_WHEEL + wheel], noise[env, WHEEL_VARIANCE], noise[env, ENCODER_RESOLUTION],
+            noise[env, LARGEST_TRAVEL], random,
         )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.random_numbers import Words
+from limslam_env.kernels.tables import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
 
 LANES = 4
 """Number of rays that the compiler processes at once."""
@@ -24,7 +25,7 @@ class Robots(NamedTuple):
     control_period
         Duration of a step, s.
     beams
-        (n_beams, 9), as :func:`limslam_env.kernels.observation.drive_and_observe` takes them.
+        (n_beams, 9), see :mod:`limslam_env.kernels.tables`.
     fan
         (8, lanes), as :func:`fan_of` makes it.
     is_small
@@ -80,8 +81,7 @@ class Episodes(NamedTuple):
     world_of
         (n,), the world of each environment.
     noise
-        (n, 14): the noise as :func:`limslam_env.kernels.observation.drive_and_observe` takes it, then rate and share
-        of slips, and the distance between the wheels, m.
+        (n, 14), see :mod:`limslam_env.kernels.tables`.
     keys
         (n,), keys of the episodes' random numbers.
     steps
@@ -226,7 +226,8 @@ def fan_of(beams: FloatArray, radius: float) -> FloatArray:
     """
     fan = np.zeros((8, lanes_for(len(beams))))
     count = len(beams)
-    fan[0, :count], fan[1, :count], fan[2, :count] = beams[:, 0], beams[:, 1], beams[:, 3]
-    fan[3, :count], fan[4, :count], fan[5, :count] = beams[:, 5] + beams[:, 3], beams[:, 7], beams[:, 8]
+    fan[0, :count], fan[1, :count], fan[2, :count] = beams[:, FROM_X], beams[:, FROM_Y], beams[:, OFFSET]
+    fan[3, :count] = beams[:, LONGEST_RANGE] + beams[:, OFFSET]
+    fan[4, :count], fan[5, :count] = beams[:, TOWARDS_X], beams[:, TOWARDS_Y]
     fan[3, count:], fan[6, count:], fan[7, count:] = -2.0 * radius, 1.0, radius
     return fan

@@ -14,11 +14,9 @@ from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP, hand_out, read
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Scratch, Task, Worlds
 from limslam_env.kernels.contact import LONGEST_MOVE, separate
 from limslam_env.kernels.random_numbers import GOLDEN, mixed, unit
+from limslam_env.kernels.tables import CONE, SLIP_RATE, SLIP_SHARE, TRUE_AXLE
 from limslam_env.kernels.tiles import TILE
 from limslam_env.kernels.wall_cells import Walls
-
-NUM_NOISES = 14
-"""Columns of the table of noise."""
 
 _AHEAD = 2  # environments between asking for memory and its use
 
@@ -63,10 +61,10 @@ def turn_wheels(
         for wheel in range(2):
             turn = min(max(actions[env, robot, wheel], -1.0), 1.0) * most
             scratch.turned[robot, wheel] = scratch.travel[robot, wheel] = turn
-            if noise[env, 11] > 0.0:
+            if noise[env, SLIP_RATE] > 0.0:
                 uniform = unit(mixed(state + np.uint64((robot << 20) + 2 * wheel + 1) * GOLDEN))
-                if uniform < -math.expm1(-noise[env, 11] * abs(turn)):
-                    scratch.travel[robot, wheel] = turn * (1.0 - noise[env, 12])
+                if uniform < -math.expm1(-noise[env, SLIP_RATE] * abs(turn)):
+                    scratch.travel[robot, wheel] = turn * (1.0 - noise[env, SLIP_SHARE])
         longest = max(longest, 0.5 * abs(scratch.travel[robot, 0] + scratch.travel[robot, 1]))
     return longest
 
@@ -82,7 +80,7 @@ def move(env: int, longest: float, radius: float, walls: Walls, episodes: Episod
             before[robot, 0], before[robot, 1] = poses[env, robot, 0], poses[env, robot, 1]
             poses[env, robot, 0], poses[env, robot, 1], poses[env, robot, 2] = arc_end(
                 before[robot, 0], before[robot, 1], poses[env, robot, 2],
-                travel[robot, 0] / parts, travel[robot, 1] / parts, episodes.noise[env, 13],
+                travel[robot, 0] / parts, travel[robot, 1] / parts, episodes.noise[env, TRUE_AXLE],
             )  # fmt: skip
         # Two robots may approach each other.
         clearances[env] -= (1.0 if len(travel) == 1 else 2.0) * longest / parts
@@ -129,8 +127,8 @@ def advance_one(
         scratch.new_cells[robot] = trace(
             env, robot, world, step, robots, worlds, walls, poses, episodes.unseen, scratch
         )  # fmt: skip
-        if episodes.noise[env, 5] > 0.0:
-            widen(robot, step, episodes.noise[env, 5], robots, walls, poses, scratch)
+        if episodes.noise[env, CONE] > 0.0:
+            widen(robot, step, episodes.noise[env, CONE], robots, walls, poses, scratch)
         read_beams(env, robot, own, worlds.layout[world, 0], robots, episodes, scratch)
         read_encoders(env, robot, own, episodes, scratch.turned)
 

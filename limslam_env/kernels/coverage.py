@@ -8,7 +8,8 @@ import math
 
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.kernels.rays import crossings, first_wall, turned
+from limslam_env.kernels.rays import crossings, first_wall, is_due, turned
+from limslam_env.kernels.tables import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
 from limslam_env.kernels.wall_cells import scene_walls
 
 # A body may overlap a wall by this much, m, and must not count as seeing the cells behind the wall.
@@ -99,11 +100,11 @@ def sweep(
         cos, sin = math.cos(heading), math.sin(heading)
         new = mark_disc(seen, coverable, area, body_x, body_y, radius)
         for beam in range(len(beams)):
-            if (step + number) % int(beams[beam, 6]) == 0:
-                offset = beams[beam, 3]
-                dx, dy = turned(beams[beam, 7], beams[beam, 8], cos, sin)
-                x, y = turned(beams[beam, 0], beams[beam, 1], cos, sin)
-                x, y, reach = body_x + x - offset * dx, body_y + y - offset * dy, beams[beam, 5] + offset
+            if is_due(beams, beam, step + number):
+                offset = beams[beam, OFFSET]
+                dx, dy = turned(beams[beam, TOWARDS_X], beams[beam, TOWARDS_Y], cos, sin)
+                x, y = turned(beams[beam, FROM_X], beams[beam, FROM_Y], cos, sin)
+                x, y, reach = body_x + x - offset * dx, body_y + y - offset * dy, beams[beam, LONGEST_RANGE] + offset
                 distance, _ = first_wall(x, y, dx, dy, reach, walls)
                 new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
         new_cells[number] = new

@@ -5,12 +5,29 @@ import math
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray, se2
 from limslam_env.kernels.coverage import mark_disc, mark_ray
-from limslam_env.kernels.rays import measure, turned
+from limslam_env.kernels.rays import is_due, measure, nearest_in_cone, turned
 from limslam_env.kernels.readings import noisy_reading, reported_travel
+from limslam_env.kernels.tables import (
+    ANGLE,
+    CONE,
+    DROPOUT,
+    ENCODER_RESOLUTION,
+    FOLD_BACK,
+    FROM_X,
+    FROM_Y,
+    LARGEST_TRAVEL,
+    LEFT_WHEEL,
+    LONGEST_RANGE,
+    OFFSET,
+    RANGE_RESOLUTION,
+    RANGE_STD,
+    SHORTEST_RANGE,
+    STD_GROWTH,
+    TOWARDS_X,
+    TOWARDS_Y,
+    WHEEL_VARIANCE,
+)
 from limslam_env.kernels.wall_cells import scene_walls
-
-CONE = (-1.0, -0.5, 0.5, 1.0)
-"""Directions of the further rays of a cone, besides its middle, in shares of half its opening angle."""
 
 AXLE, CLEARANCE, LONGEST = range(3)
 """What a motion depends on besides the wheels, m: the distance between them, the distance that the robots can travel in
@@ -83,11 +100,9 @@ def drive_and_observe(
     radius
         Of their bodies, m.
     beams
-        (n_beams, 9): origin x, y (m), angle (rad), how far before the origin the ray starts (m), shortest and
-        longest reading (m), the period in steps, and the direction's x and y.
+        (n_beams, 9), see :mod:`limslam_env.kernels.tables`.
     noise
-        What :func:`noisy_reading` needs, half the opening of the beams' cone (rad), then the factor of the left and
-        the right wheel and what follows it in :func:`reported_travel`.
+        (11,), see :mod:`limslam_env.kernels.tables`.
     edges, cell_starts, cell_edges, grid
         The walls.
     seen, coverable, area
@@ -115,34 +130,32 @@ def drive_and_observe(
         cos, sin = math.cos(heading), math.sin(heading)
         new = mark_disc(seen, coverable, area, body_x, body_y, radius)
         for number in range(len(beams)):
-            if step % int(beams[number, 6]) != 0:
+            if not is_due(beams, number, step):
                 continue
-            offset, longest = beams[number, 3], beams[number, 5]
+            offset, longest = beams[number, OFFSET], beams[number, LONGEST_RANGE]
             # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
-            rim_x, rim_y = turned(beams[number, 0], beams[number, 1], cos, sin)
+            rim_x, rim_y = turned(beams[number, FROM_X], beams[number, FROM_Y], cos, sin)
             rim_x, rim_y = body_x + rim_x, body_y + rim_y
-            dx, dy = turned(beams[number, 7], beams[number, 8], cos, sin)
+            dx, dy = turned(beams[number, TOWARDS_X], beams[number, TOWARDS_Y], cos, sin)
             x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
             distance, hit = measure(robot, poses, radius, x, y, dx, dy, reach, walls)
             new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
-            if noise[5] > 0.0:
-                angle = heading + beams[number, 2]
-                for share in CONE:
-                    dx, dy = math.cos(angle + share * noise[5]), math.sin(angle + share * noise[5])
-                    x, y = rim_x - offset * dx, rim_y - offset * dy
-                    aside, other = measure(robot, poses, radius, x, y, dx, dy, reach, walls)
-                    if aside < distance:
-                        distance, hit = aside, other
-            normal, uniform = draws[robot, number, 0], draws[robot, number, 1]
+            if noise[CONE] > 0.0:
+                distance, hit = nearest_in_cone(
+                    robot, distance, hit, rim_x, rim_y, heading + beams[number, ANGLE],
+                    offset, reach, noise[CONE], radius, poses, walls,
+                )  # fmt: skip
             hits[robot, number] = hit
             ranges[robot, number] = noisy_reading(
-                distance - offset, hit, beams[number, 4], longest,
-                noise[0], noise[1], noise[2], noise[3], noise[4], normal, uniform,
+                distance - offset, hit, beams[number, SHORTEST_RANGE], longest,
+                noise[RANGE_STD], noise[STD_GROWTH], noise[DROPOUT], noise[RANGE_RESOLUTION], noise[FOLD_BACK],
+                draws[robot, number, 0], draws[robot, number, 1],
             )  # fmt: skip
         new_cells[robot] = new
         for side in range(2):
             wheels[robot, side], unreported[robot, side] = reported_travel(
                 travel[robot, side], unreported[robot, side],
-                noise[6 + side], noise[8], noise[9], noise[10], draws[robot, len(beams) + side, 0],
+                noise[LEFT_WHEEL + side], noise[WHEEL_VARIANCE], noise[ENCODER_RESOLUTION], noise[LARGEST_TRAVEL],
+                draws[robot, len(beams) + side, 0],
             )  # fmt: skip
     return True

@@ -6,6 +6,7 @@ import numpy as np
 
 from limslam_env.compilation import compiled, inlined, lean_entry, merged
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.kernels.tables import PERIOD
 from limslam_env.kernels.wall_cells import Walls, scene_walls
 
 # Rays that pass exactly through the joint of two walls must hit one of them.
@@ -13,6 +14,15 @@ _END_SLACK = 1e-9
 
 NOTHING, ROBOT = -1, -2
 """What a beam hits that hits no wall."""
+
+SHARES = (-1.0, -0.5, 0.5, 1.0)
+"""Directions of the further rays of a cone, besides its middle, in shares of half its opening angle."""
+
+
+@inlined
+def is_due(beams: FloatArray, number: int, step: int) -> bool:
+    """Whether a beam measures in a step."""
+    return beams[number, PERIOD] == 1.0 or step % int(beams[number, PERIOD]) == 0
 
 
 @inlined
@@ -126,6 +136,34 @@ def measure(
         disc = cast_at_discs(x, y, dx, dy, distance, robot, poses, radius)
         if disc < distance:
             return disc, ROBOT
+    return distance, hit
+
+
+@merged
+def nearest_in_cone(
+    robot: int,
+    distance: float,
+    hit: int,
+    x: float,
+    y: float,
+    angle: float,
+    offset: float,
+    reach: float,
+    cone: float,
+    radius: float,
+    poses: FloatArray,
+    walls: Walls,
+) -> tuple[float, int]:
+    """The nearest of what the rays of a cone meet: ``distance`` (m) and ``hit`` of its middle, or nearer ones.
+
+    The cone opens by ``cone`` (rad) to both sides of ``angle`` (rad) at the point (x, y), m, on the rim of the body;
+    its rays start ``offset`` (m) before that point and have the length ``reach`` (m).
+    """
+    for share in SHARES:
+        dx, dy = math.cos(angle + share * cone), math.sin(angle + share * cone)
+        aside, other = measure(robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls)
+        if aside < distance:
+            distance, hit = aside, other
     return distance, hit
 
 

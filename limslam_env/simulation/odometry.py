@@ -7,7 +7,7 @@ from limslam_env.geometry import FloatArray
 
 
 def wheel_noise(noise: DrawnNoise, limit: float) -> FloatArray:
-    """The noise of encoders as :func:`limslam_env.kernels.observation.drive_and_observe` reads it, (5,).
+    """The noise of encoders (5,) with the columns of :mod:`limslam_env.kernels.tables`.
 
     ``limit`` (m) is the largest travel that they report.
     """

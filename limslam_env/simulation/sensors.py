@@ -77,7 +77,7 @@ def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArra
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
-    """The beams as :func:`limslam_env.kernels.observation.drive_and_observe` reads them, (n_beams, 9)."""
+    """The beams (n_beams, 9) with the columns of :mod:`limslam_env.kernels.tables`."""
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
     return np.column_stack(
@@ -94,6 +94,6 @@ def beam_table(robot: RobotSpec) -> FloatArray:
 
 
 def range_noise(noise: DrawnNoise) -> FloatArray:
-    """The noise of ranges as :func:`limslam_env.kernels.observation.drive_and_observe` reads it, (6,)."""
+    """The noise of ranges (6,) with the columns of :mod:`limslam_env.kernels.tables`."""
     growth, resolution = noise.range_noise_growth, noise.range_resolution
     return np.array([noise.sensor_noise, growth, noise.dropout, resolution, noise.fold_back, noise.cone])

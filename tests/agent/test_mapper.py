@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset, save_map
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_env.envs.parallel_env import LimSlamParallelEnv

@@ -66,7 +66,7 @@ def test_the_time_of_a_renewal_is_that_of_the_slam(monkeypatch):
     for settings in (NEVER, config(ROUND_S)):
         mapper = Mapper(ROBOT, settings, START)
         clock = itertools.count()
-        monkeypatch.setattr("limslam_agent.mapper.time.perf_counter", lambda clock=clock: float(next(clock)))
+        monkeypatch.setattr("limslam_agent.frame_mapper.time.perf_counter", lambda clock=clock: float(next(clock)))
         mapper.step(told[0])
         monkeypatch.undo()
         spent.append(mapper.slam_ms)

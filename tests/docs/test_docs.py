@@ -63,6 +63,16 @@ def test_the_tree_of_packages_is_the_one_that_is_there(top):
     assert {name for name in packages_drawn() if name.split("/")[0] == top} == there
 
 
+@pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
+def test_the_tree_names_the_modules_beside_the_packages(top):
+    spec = find_spec(top)
+    if spec is None or spec.origin is None:
+        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
+    (tree,) = [block.text for block in all_blocks("text") if block.text.startswith("limslam_env/")]
+    modules = {path.name for path in Path(spec.origin).parent.glob("*.py") if not path.name.startswith("__")}
+    assert modules <= set(re.findall(r"\w+\.py", tree))
+
+
 def test_every_suite_is_named():
     if not find_spec("benchmarks"):
         pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")

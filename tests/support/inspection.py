@@ -1,7 +1,13 @@
 """Short runs and their pages for the tests of the inspector."""
 
+import base64
+import gzip
+import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from support.command_line import Finished, call
 
 from limslam_agent.cli import main as cli
@@ -24,3 +30,15 @@ def inspected(source: Path, out: Path, *options: object) -> Finished:
 def data_in(page: Path) -> str:
     """The recording in a page, as it was packed."""
     return page.read_text(encoding="utf-8").split('id="data">', 1)[1].split("</script>", 1)[0]
+
+
+def unpacked(text: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The arrays and the table of a text that ``limslam_agent.inspect.columns.packed`` has made."""
+    content = gzip.decompress(base64.b64decode(text))
+    length = int.from_bytes(content[:4], "little")
+    header, body = json.loads(content[4 : 4 + length]), content[4 + length :]
+    arrays = {
+        name: np.frombuffer(body[told["at"] : told["at"] + told["bytes"]], dtype=told["type"]).reshape(told["shape"])
+        for name, told in header["arrays"].items()
+    }
+    return arrays, header["meta"]

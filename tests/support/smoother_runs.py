@@ -3,7 +3,7 @@
 import numpy as np
 from support.drives import ROBOT, along, drive, ranges_at, room
 
-from limslam_agent.slam.line_graph.line_smoother import make_problem
+from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_env.interface import NominalNoise
 
 WALLS = room(0.0, 0.0, 3.0, 2.4)

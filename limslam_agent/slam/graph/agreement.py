@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.graph import AgreementConfig, GraphConfig, LoopConfig
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.config.graph_loops import AgreementConfig, LoopConfig
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain, refine, solve_annealed
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.graph import ChunkGraphConfig
+from limslam_agent.config.graph_loops import ChunkGraphConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
 from limslam_agent.slam.graph.least_squares import relation_factor
 from limslam_env.compilation import entry_of

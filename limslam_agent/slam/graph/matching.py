@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.graph import MatchConfig
+from limslam_agent.config.graph_loops import MatchConfig
 from limslam_agent.slam.graph.local_maps import Cells, LocalMap
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray

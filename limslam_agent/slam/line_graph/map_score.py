@@ -7,7 +7,8 @@ import numpy as np
 from limslam_agent.config.smoother import ScoreConfig
 from limslam_agent.slam.consistent.wall_extent import BIN
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.line_smoother import Problem, calibration_chi_square, wheel_chi_square
+from limslam_agent.slam.line_graph.line_smoother import calibration_chi_square, wheel_chi_square
+from limslam_agent.slam.line_graph.problem import Problem
 from limslam_agent.slam.line_graph.reassociation import Association, best_lines, faces_of, places_along
 from limslam_env.geometry import FloatArray, IntArray
 

@@ -12,8 +12,8 @@ import numpy as np
 from limslam_agent.config.smoother import MendingConfig, SmootherConfig
 from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.elimination import DegenerateError
-from limslam_agent.slam.line_graph.line_smoother import Problem, State, state_from_motions
 from limslam_agent.slam.line_graph.map_score import Score, explained_readings, line_values, score, tally
+from limslam_agent.slam.line_graph.problem import Problem, State, state_from_motions
 from limslam_agent.slam.line_graph.reassociation import (
     Association,
     OneWall,

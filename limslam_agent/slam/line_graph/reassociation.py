@@ -16,15 +16,8 @@ from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
 from limslam_agent.slam.line_graph.elimination import POSE, DegenerateError
-from limslam_agent.slam.line_graph.line_smoother import (
-    GRAZING,
-    Problem,
-    Solution,
-    State,
-    range_residuals,
-    rows_of,
-    solve,
-)
+from limslam_agent.slam.line_graph.line_smoother import GRAZING, Solution, range_residuals, solve
+from limslam_agent.slam.line_graph.problem import Problem, State, rows_of
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal

@@ -11,13 +11,8 @@ from scipy.special import ndtr, ndtri
 
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.line_graph.elimination import DegenerateError
-from limslam_agent.slam.line_graph.line_smoother import (
-    LEAST_RANGE_STD,
-    Problem,
-    range_residuals,
-    rows_of,
-    solve,
-)
+from limslam_agent.slam.line_graph.line_smoother import range_residuals, solve
+from limslam_agent.slam.line_graph.problem import LEAST_RANGE_STD, Problem, rows_of
 from limslam_agent.slam.line_graph.reassociation import Association
 
 _FIXED_POINT = 20

@@ -5,8 +5,8 @@ import numpy as np
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.line_smoother import Problem, State
 from limslam_agent.slam.line_graph.map_score import tally
+from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise

@@ -11,16 +11,10 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.elimination import DegenerateError
-from limslam_agent.slam.line_graph.line_smoother import (
-    Problem,
-    Readings,
-    make_problem,
-    pose_covariances,
-    solve,
-    state_from_poses,
-)
+from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
 from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
+from limslam_agent.slam.line_graph.problem import Problem, Readings, make_problem, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
 from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map

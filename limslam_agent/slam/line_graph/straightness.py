@@ -10,7 +10,8 @@ import numpy as np
 from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
-from limslam_agent.slam.line_graph.line_smoother import Problem, Solution, range_residuals, rows_of
+from limslam_agent.slam.line_graph.line_smoother import Solution, range_residuals
+from limslam_agent.slam.line_graph.problem import Problem, rows_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FEWEST_APART = 3  # readings; two of them fit any line

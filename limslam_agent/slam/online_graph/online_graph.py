@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig, LocalMapConfig
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.config.graph_loops import LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import inflated
 from limslam_agent.slam.graph.key_poses import calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks

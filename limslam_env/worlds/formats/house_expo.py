@@ -3,27 +3,13 @@
 A house is a JSON file ``{"id": ..., "verts": [[x, y], ...]}``, lengths in metres.
 """
 
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from limslam_env.geometry.segment import lengths, polygon_edges
-from limslam_env.worlds.formats.json_files import length_rows, read_table, world_of_walls
-from limslam_env.worlds.world import SHORTEST_EDGE, World, WorldError, named
-
-
-def read_house_expo(path: str | os.PathLike[str]) -> World:
-    """The world in a file of HouseExpo, ``{"id": ..., "verts": [[x, y], ...]}``: a house's closed outline, m.
-
-    Raises
-    ------
-    WorldError
-        If the file cannot be used; the message names file and reason.
-    """
-    with named(path):
-        return house_world(read_table(Path(path)))
+from limslam_env.worlds.formats.json_files import length_rows, world_of_walls
+from limslam_env.worlds.world import SHORTEST_EDGE, World, WorldError
 
 
 def house_world(table: dict[str, Any]) -> World:

@@ -27,8 +27,6 @@ def read_table(path: Path) -> dict[str, Any]:
 
 def length_rows(table: dict[str, Any], key: str, width: int) -> FloatArray:
     """The rows (n, width) of lengths, m, under a key of a file; a WorldError where there are none."""
-    if key not in table:
-        raise WorldError(f"the key {key!r} is missing")
     rows: FloatArray = number_array(table[key], key, 2)
     if not rows.size:
         raise WorldError(f"{key} is empty")

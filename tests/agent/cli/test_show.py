@@ -13,14 +13,15 @@ from typer.testing import CliRunner
 
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
 from limslam_agent.output.run_picture import draw_run
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.writing import write_world

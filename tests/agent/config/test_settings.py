@@ -7,10 +7,10 @@ from typing import get_type_hints
 import pytest
 
 from limslam_agent.cli.settings import Given, run_config, run_options
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig, CreationConfig, PendingReadingsConfig
-from limslam_agent.config.default_preset import DEFAULT_PRESET
 from limslam_agent.config.presets import (
     PRESETS,
     AgentConfig,

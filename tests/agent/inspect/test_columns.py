@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.inspection import unpacked
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.inspect.columns import Ragged, packed, quantised, quantum_for, unpacked
+from limslam_agent.inspect.columns import Ragged, packed, quantised, quantum_for
 from limslam_agent.inspect.grid_changes import FREE, OCCUPIED, UNKNOWN, GridChanges
 
 

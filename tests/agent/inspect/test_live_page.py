@@ -7,12 +7,11 @@ import pytest
 from support.browser import CHROMIUM, browser
 from support.command_line import call
 from support.drives import FOUR_BEAMS, laps_of_square
-from support.inspection import SHORT, short_run
+from support.inspection import SHORT, short_run, unpacked
 
 from limslam_agent.cli import main as cli
 from limslam_agent.config.presets import preset
 from limslam_agent.inspect import live_page as module
-from limslam_agent.inspect.columns import unpacked
 from limslam_agent.inspect.live_page import Follower, LivePage, live_page
 from limslam_agent.mapper import Mapper
 from limslam_env.interface import NominalNoise

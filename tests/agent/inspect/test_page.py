@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 from support.browser import CHROMIUM, browser
-from support.inspection import data_in, inspected, short_run
+from support.inspection import data_in, inspected, short_run, unpacked
 
-from limslam_agent.inspect.columns import unpacked
 from limslam_agent.video.belief_frame import hough_image
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from support.command_line import call
 from support.drives import FOUR_BEAMS, laps_of_square
-from support.inspection import data_in, inspected, short_run
+from support.inspection import data_in, inspected, short_run, unpacked
 
 from limslam_agent.cli import main as cli
 from limslam_agent.config.presets import preset
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.inspect import recorder
-from limslam_agent.inspect.columns import unpacked
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.slam.core.diagnostics import AssociationRecord

@@ -14,8 +14,9 @@ from limslam_agent.cli.export import export
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.output.finished_run import position_error, read_run
 from limslam_agent.output.formats.content import read_exported
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.run_config import RunConfig
 
 app = typer.Typer()
 app.command()(export)

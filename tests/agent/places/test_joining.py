@@ -16,8 +16,9 @@ from limslam_agent.output.summary import record_summary
 from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.place_map import place_map
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status

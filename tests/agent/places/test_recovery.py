@@ -13,13 +13,14 @@ from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.recovery import BEGUN_ANEW
 from limslam_agent.places.revisions import Revision, revised
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_poses
+from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import with_breaks
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
@@ -296,7 +297,7 @@ def test_a_local_frame_begins_with_what_was_found_about_odometry_and_sensor(epis
     np.testing.assert_allclose(calibration, FOUND[0], atol=1e-4)
     assert np.trace(covariance) < 1e-8
     assert mapper.slam.sensor == SENSOR
-    assert mapper._monitors[0].sensor == SENSOR
+    assert mapper._present.monitors[0].sensor == SENSOR
 
 
 def test_a_frame_gets_back_what_was_found_in_a_local_frame(episode, monkeypatch):
@@ -322,7 +323,7 @@ def test_a_local_map_joins_the_known_map_with_its_pose(episode):
     frame, covariance = known.slam.pose, known.slam.covariance
     alone = known.slam.map_state
     known.slam.join(local.slam, frame, covariance, np.empty((0, 2)))
-    known._grid.absorb(local.grid, frame)
+    known._present.grid.absorb(local.grid, frame)
     both = known.slam.map_state
     assert np.hypot(*(known.slam.pose - episode.true[499, 0])[:2]) < 0.15
     off = known.slam.pose - compose(frame, local.slam.pose)

@@ -26,8 +26,9 @@ from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
 from limslam_agent.policies.wall_policy import WallPolicy
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.robots import e_puck
 from limslam_env.worlds.world import World

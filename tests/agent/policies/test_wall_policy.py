@@ -18,7 +18,8 @@ from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.wall_look import Look, Sweep, readings_for, sweep_along
 from limslam_agent.policies.wall_policy import WallPolicy, explorer
 from limslam_agent.policies.wall_views import LookMemory, View, next_view
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.worlds.world import World
 
 # A room of 1.4 m x 1.4 m in the corner of a hall, with a gap in the hall's outer wall or without one.

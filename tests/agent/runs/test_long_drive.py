@@ -7,7 +7,8 @@ import pytest
 
 from limslam_agent import preset
 from limslam_agent.config.smoother import RenewalConfig
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.metrics.metrics import consistency_metrics
 

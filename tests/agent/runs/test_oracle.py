@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.default_preset import DEFAULT_PRESET
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.oracle import Oracle
 from limslam_agent.runs.results import score, title_of
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.bounds.tours import top_speeds
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World

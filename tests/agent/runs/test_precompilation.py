@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from limslam_agent.runs import precompilation
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import smooth_episode
 from limslam_env import compilation
 

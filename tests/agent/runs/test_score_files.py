@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 
 from limslam_agent.cli.score import score
 from limslam_agent.output.tum import TrajectoryError, read_tum, write_tum
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.score_files import matched, read_pairs, trajectory_scores
 from limslam_env.geometry.se2 import compose
 

@@ -9,8 +9,9 @@ from support.faults import Fault, steps_with
 from limslam_agent import LimSlamAgent, LimSlamTeam, Mapper, SlamObservation, preset, read_log
 from limslam_agent.output.summary import run_summary
 from limslam_agent.replay.replay import replay_log
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.interface import NominalNoise, RobotSpec

@@ -15,8 +15,9 @@ from scipy.sparse.linalg import splu
 from support.command_line import call
 
 from limslam_agent.cli.main import main
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.bounds import offline_optimum, optimum_solver
 from limslam_env.bounds.offline_optimum import solve_optimum
 from limslam_env.bounds.optimum_model import (

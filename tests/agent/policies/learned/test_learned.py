@@ -22,7 +22,8 @@ from limslam_agent.policies.learned.learned import (
 from limslam_agent.policies.learned.look_ahead import FULL
 from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
 from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfig, frontier_distance, observe
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World

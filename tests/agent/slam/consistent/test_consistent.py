@@ -24,7 +24,8 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.runs.episode import RunConfig, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
 from limslam_agent.slam.core.line_map import Landmark

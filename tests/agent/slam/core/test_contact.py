@@ -9,7 +9,7 @@ import pytest
 from limslam_agent.config.presets import preset
 from limslam_agent.slam.core.contact import JUMP_STEPS, LONGEST, Contacts, slip_covariance, slips_of
 from limslam_agent.slam.core.motion import motion_from_wheels
-from limslam_agent.slam.line_graph.line_smoother import make_problem
+from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, with_breaks
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.config import NoiseConfig

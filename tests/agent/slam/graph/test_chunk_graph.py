@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import AgreementConfig, ChunkGraphConfig, GraphConfig, LoopConfig
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.config.graph_loops import AgreementConfig, ChunkGraphConfig, LoopConfig
 from limslam_agent.slam.graph.agreement import agreements, distances_after_alignment, groups_of, supported
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,

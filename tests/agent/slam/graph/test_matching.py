@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import LocalMapConfig, MatchConfig
+from limslam_agent.config.graph_loops import LocalMapConfig, MatchConfig
 from limslam_agent.slam.graph.local_maps import FREE, HIT, LocalMap, draw_grid, thinned, united
 from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, score_at, search_grid
 from limslam_env.geometry import se2

@@ -10,14 +10,8 @@ from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 
 from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.line_graph import chain_kernels, elimination
-from limslam_agent.slam.line_graph.line_smoother import (
-    Readings,
-    make_problem,
-    pose_covariances,
-    solve,
-    state_from_motions,
-    state_from_poses,
-)
+from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
+from limslam_agent.slam.line_graph.problem import Readings, make_problem, state_from_motions, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.interface import NominalNoise

@@ -8,9 +8,9 @@ from support.drives import room
 from support.smoother_runs import noisy_run, position_error, true_labels
 
 from limslam_agent.config.smoother import ScoreConfig, SmootherConfig
-from limslam_agent.slam.line_graph.line_smoother import state_from_motions
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
 from limslam_agent.slam.line_graph.mending import doubled_lines, is_repaired, mend, straight_runs
+from limslam_agent.slam.line_graph.problem import state_from_motions
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 

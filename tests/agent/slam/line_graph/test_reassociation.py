@@ -5,8 +5,8 @@ import pytest
 from support.smoother_runs import noisy_run, position_error, true_labels
 
 from limslam_agent.config.smoother import ReassociationConfig
-from limslam_agent.slam.line_graph.line_smoother import make_problem, state_from_motions
 from limslam_agent.slam.line_graph.mending import split
+from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions
 from limslam_agent.slam.line_graph.reassociation import (
     OneWall,
     carriers,

@@ -10,7 +10,7 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.range_sensor import read_share
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.line_smoother import rows_of, state_from_poses
+from limslam_agent.slam.line_graph.problem import rows_of, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor, residual_std
 from limslam_agent.slam.line_graph.smoother import FilteredRun, settle

@@ -6,7 +6,7 @@ from support.smoother_runs import noisy_run, true_labels
 
 from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph.line_kernels import one_sided_runs
-from limslam_agent.slam.line_graph.line_smoother import state_from_poses
+from limslam_agent.slam.line_graph.problem import state_from_poses
 from limslam_agent.slam.line_graph.reassociation import (
     places_along,
     solve_labels,

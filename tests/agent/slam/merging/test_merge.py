@@ -96,7 +96,6 @@ def test_a_log_without_local_maps_is_not_placed(logs):
 
 
 def test_a_joining_that_contradicts_itself_is_taken_back(logs):
-
     first, second, _, _ = logs
     strict = replace(MapMergingConfig(), least_loops=1000)
     found = merge(first, second, CONFIG, strict)

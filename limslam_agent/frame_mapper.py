@@ -1,0 +1,121 @@
+"""FrameMapper: SLAM, status monitors, occupancy grid and renewal, as long as the robots stay in one frame."""
+
+import time
+from collections.abc import Sequence
+
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.drawing import ReadingDrawer
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.renewal import Renewal
+from limslam_agent.slam.core.diagnostics import Extraction
+from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.contradictions import KnownMap, Sight
+from limslam_agent.status.monitor import StatusMonitor
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import Observation
+
+
+class FrameMapper:
+    """Processes the observations of all robots in one frame, with one map.
+
+    Each step runs the SLAM, watches whether its estimates can be trusted, draws the readings into the occupancy grid,
+    and renews estimate and grid if that is due.
+
+    Parameters
+    ----------
+    slam, grid
+        The SLAM and the occupancy grid with which the frame begins.
+    config
+        Settings of the monitors and of the renewal.
+    drawers
+        Those of an earlier frame, which know how often the beams of each robot miss walls. New ones by default.
+
+    Attributes
+    ----------
+    slam, grid
+        The SLAM and the occupancy grid. A renewal replaces the grid.
+    monitors
+        The monitor of each robot's estimate.
+    drawers
+        What draws each robot's readings into the grid.
+    slam_ms
+        Wall-clock time that SLAM and renewal took in the latest step, without the grid, ms.
+    """
+
+    def __init__(
+        self, slam: LineSlam, grid: OccupancyGrid, config: AgentConfig, drawers: Sequence[ReadingDrawer] = ()
+    ) -> None:
+        self.slam, self.grid, self._config, self.slam_ms = slam, grid, config, 0.0
+        self.drawers = drawers or [ReadingDrawer(slam.robot) for _ in slam.robots]
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
+        self.reset_monitors()
+        self._extraction: Extraction | None = None
+        self._renewal = Renewal(self.slam, self._config, self.grid)
+
+    def reset_monitors(self) -> None:
+        """Forget all doubts about the estimates so far."""
+        slam = self.slam
+        self.monitors = [StatusMonitor(slam.robot, self._config.status, slam.range_sensor) for _ in slam.robots]
+
+    def process(self, observations: Sequence[Observation], frame: int) -> bool:
+        """Process one observation of each robot.
+
+        Parameters
+        ----------
+        frame
+            Number of the frame: readings that the drawers hold back are forgotten when it changes.
+
+        Returns
+        -------
+        Whether a renewal in this step has moved the path far: plans and copies made before mean nothing in the moved
+        map.
+        """
+        begin = time.perf_counter()
+        self.slam.step(*observations)
+        self.slam_ms = _ms_since(begin)
+        before, self._extraction = self._extraction, self.slam.last_extraction
+        for number in range(len(self.monitors)):
+            self._watch(number, is_busy=before is not self._extraction)
+        for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
+            drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
+        return self._renew(observations[0])
+
+    @property
+    def renewed_path(self) -> list[FloatArray]:
+        """Poses (3,) of the robot in the steps of the stretch that was renewed last, by all its readings."""
+        return self._renewal.poses
+
+    def _watch(self, number: int, *, is_busy: bool) -> None:
+        """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
+        monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
+        sight = Sight(slam.poses[number], front.ranges, front.measured, slam.increments[number])
+        if monitor.observe(sight, is_busy=is_busy):
+            monitor.sensor = slam.range_sensor
+            monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view))
+
+    def _renew(self, observation: Observation) -> bool:
+        """Smooth the last minutes, if that is due; whether that has moved the path far.
+
+        A robot that goes on in a local frame when it is lost counts as ok.
+        """
+        renewal = self._renewal
+        if not renewal.is_possible or "wheels" not in observation:
+            return False
+        begin = time.perf_counter()
+        renewal.note(observation)
+        is_recovered = self._config.recovery is not None and len(self.monitors) == 1
+        is_renewed = renewal.renew_if_due("ok" if is_recovered else self.monitors[0].status.level)
+        if is_renewed:
+            self.grid = renewal.grid
+            if renewal.has_jumped:
+                self.reset_monitors()
+        self.slam_ms += _ms_since(begin)
+        return is_renewed and renewal.has_jumped
+
+
+def _ms_since(begin: float) -> float:
+    """Wall-clock time since a reading of the clock (s), ms."""
+    return 1e3 * (time.perf_counter() - begin)

@@ -1,0 +1,170 @@
+"""Settings of one run in the simulator, and which of them do not go together."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from limslam_agent.config import DEFAULT_PRESET
+from limslam_agent.config.ablations import ablated
+from limslam_agent.config.presets import AgentConfig, preset, with_until
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.places.saved_map import read_saved_map
+from limslam_agent.policies.frontier_policy import least_reach, short_reach
+from limslam_agent.runs.oracle import check_policy, needs_loop
+from limslam_env.bounds.offline_optimum import require_gtsam
+from limslam_env.config import NoiseConfig
+from limslam_env.envs.adapter import MAX_ROBOTS
+from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.worlds.formats.loading import WorldSource, load_world
+from limslam_env.worlds.regions import start_region
+from limslam_env.worlds.world import WorldError
+
+LONGEST_TIME = 1e6
+"""Longest simulated time of a run, s."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Settings of a run.
+
+    Attributes
+    ----------
+    world
+        Name, file or world.
+    noise
+        Standard deviation of the range noise, m. The agent is told this value.
+    preset
+        Name of the agent's settings.
+    seed
+        Seed of all random numbers.
+    max_time
+        Longest simulated time, s.
+    laps
+        Number of laps of the world's loop to drive instead of exploring. 0 explores. With the policy ``tour``, the
+        number of times that the tour is driven.
+    robot
+        Body and beams of each robot.
+    robots
+        Number of robots, 1 to 8.
+    ablation
+        Part of the method that is switched off. None switches off nothing.
+    policy
+        Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
+        network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
+        ``random`` are simple baselines. ``FILE.py:NAME`` is a class or a function of that file, which makes a policy.
+        ``tour`` and ``oracle`` know the true map and the true pose, while the
+        estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
+        and back, and ``oracle`` drives past everything as fast as possible.
+    limit
+        Whether to also compare the run with the offline optimum of its log, which needs gtsam.
+    settings
+        The agent's settings before the ablation. The preset's settings by default.
+    until
+        When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
+        (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
+    kidnap_at
+        Time at which the robot is carried to a random place, s. None leaves it alone.
+    prior_map
+        Folder of an earlier run. The robot begins in its map, at a place that the agent does not know. None begins with
+        an empty map and a known start pose.
+    unknown_starts
+        Whether the second of two robots starts at a place that the agent does not know.
+    true_noise
+        The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
+    driver
+        What the results call the policies that :func:`run_episode` is given. Empty calls them by ``policy``.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, the world
+        cannot be used or has no loop to drive laps on, or gtsam is missing for the offline optimum.
+    """
+
+    world: WorldSource = "env1"
+    noise: float = 0.0
+    preset: str = DEFAULT_PRESET
+    seed: int = 0
+    max_time: float = 1800.0
+    laps: int = 0
+    robot: RobotSpec = field(default_factory=RobotSpec)
+    robots: int = 1
+    ablation: str | None = None
+    policy: str = "frontier"
+    limit: bool = False
+    settings: AgentConfig | None = None
+    true_noise: NoiseConfig = field(default_factory=NoiseConfig)
+    until: str | None = None
+    kidnap_at: float | None = None
+    prior_map: Path | None = None
+    unknown_starts: bool = False
+    driver: str = ""
+
+    def __post_init__(self) -> None:
+        _ = self.agent
+        if self.limit:
+            require_gtsam()
+        if not 1 <= self.robots <= MAX_ROBOTS:
+            raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
+        if not 0.0 < self.max_time <= LONGEST_TIME:
+            raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
+        self._check_kidnapping()
+        self._check_prior_map()
+        self._check_unknown_starts()
+        if self.laps < 0:
+            raise ValueError(f"laps must be 0 or more, not {self.laps}")
+        check_policy(self.policy, self.laps, self.robots)
+        if self.seed < 0:
+            raise ValueError(f"a seed is 0 or more, not {self.seed}")
+        world = load_world(self.world)
+        if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
+            raise WorldError(f"world {world.name!r} has no loop to drive laps on")
+        world.check(self.robot.radius)
+
+    def _check_prior_map(self) -> None:
+        if self.prior_map is None:
+            return
+        if self.robots > 1 or self.laps or self.limit or self.agent.recovery is None:
+            raise ValueError(
+                "a map of an earlier run is for one robot that explores with the preset graph or consistent"
+            )
+        OccupancyGrid.of(read_saved_map(self.prior_map).grid, self.agent.grid)
+
+    def _check_unknown_starts(self) -> None:
+        if not self.unknown_starts:
+            return
+        if self.robots != 2:
+            raise ValueError(f"unknown starts are for two robots, not {self.robots}")
+        if self.laps or self.limit or self.policy != "frontier" or self.agent.recovery is None:
+            raise ValueError("unknown starts are for the policy frontier with the preset graph or consistent")
+
+    def _check_kidnapping(self) -> None:
+        if self.kidnap_at is None:
+            return
+        if not 0.0 < self.kidnap_at <= LONGEST_TIME:
+            raise ValueError(
+                f"a robot is kidnapped after 0 s and within {LONGEST_TIME:g} s, not at {self.kidnap_at:g} s"
+            )
+        if self.robots > 1 or self.limit:
+            what = "one of several robots" if self.robots > 1 else "a run that is compared with the offline optimum"
+            raise ValueError(f"{what} cannot be kidnapped")
+
+    @property
+    def agent(self) -> AgentConfig:
+        """The agent's settings, with the noise that the agent is told."""
+        config = self.settings or preset(self.preset, NominalNoise(self.noise))
+        if self.until is not None:
+            config = with_until(config, self.until)
+        return config if self.ablation is None else ablated(config, self.ablation)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Reasons why the run cannot explore the world, one line each.
+
+        They are a small start region, an open outer wall, or beams that are too short for the policy.
+        """
+        region = start_region(load_world(self.world), self.robot.radius).warning
+        found = [] if region is None else [region]
+        cell = self.agent.grid.cell
+        if self.policy.startswith("frontier") and not self.laps and self.robot.reach < least_reach(self.robot, cell):
+            found.append(f"{short_reach(self.robot, cell)}: the robot follows walls instead")
+        return found

@@ -1,0 +1,292 @@
+"""The problem of the line smoother: what was measured, the variables, and the readings that the variables predict.
+
+The variables are the pose of every step, every line, and the calibration of wheels and ranges. The wheels drive exact
+arcs, so poses follow from motions.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from limslam_agent.config.smoother import CalibrationPrior
+from limslam_agent.slam.core.contact import Slip, slips_of
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.line_graph import chain_kernels as kernels
+from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, COLUMNS, RANGE
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import NominalNoise, RobotSpec
+
+LEAST_RANGE_STD = 0.005  # m
+
+_ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
+_LEAST_VARIANCE = 1e-12  # m^2
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of k beams, sorted by ``places``.
+
+    Attributes
+    ----------
+    places
+        Index (k,) of the pose of each reading. The pose of robot i at step s of t has the index i t + s.
+    beams
+        Index (k,) of the beam of each reading.
+    distances
+        Measured distances (k,), m.
+    """
+
+    places: IntArray
+    beams: IntArray
+    distances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The measurements of n robots in t steps, and their standard deviations.
+
+    Attributes
+    ----------
+    robot
+        Body and beams of each robot.
+    starts
+        Known poses (n, 3) of the first step, m and rad.
+    wheels, stds
+        Reported motions (n, t - 1, 3), m, whose last column is zero, and their standard deviations.
+    readings, range_std, growth
+        The readings of walls, and the standard deviation of one of usual length, m. It grows with the range: the part
+        that is proportional to the squared range is ``growth``, 1/m^2, times that of short ranges.
+    looks
+        The readings of walls, and the beams that met no wall, each with the length of its free path.
+    prior, beam_width
+        Inverse covariance (4, 4) of a robot's calibration, or None; and half the opening angle of all beams, rad.
+    kinds
+        Lengths of the boards and of the walls with two faces that are known, m.
+    bias
+        By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
+    slips
+        The motions in which the robots may have touched something.
+    """
+
+    robot: RobotSpec
+    starts: FloatArray
+    wheels: FloatArray
+    stds: FloatArray
+    readings: Readings
+    looks: Readings
+    range_std: float
+    prior: FloatArray | None = None
+    beam_width: float = 0.0
+    kinds: tuple[float, float] = (0.0, 0.0)
+    growth: float = 0.0
+    bias: float = 0.0
+    slips: tuple[Slip, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Number of steps t."""
+        return int(self.wheels.shape[1]) + 1
+
+    @cached_property
+    def beams(self) -> FloatArray:
+        """Origin and direction (k, 3) of the beam of each reading, m, m, rad, in the robot's frame."""
+        return self._beams_of(self.readings)
+
+    @cached_property
+    def look_beams(self) -> FloatArray:
+        """Origin and direction (k, 3) of the beam of each look, m, m, rad, in the robot's frame."""
+        return self._beams_of(self.looks)
+
+    @cached_property
+    def is_hit(self) -> BoolArray:
+        """Which of the looks (k,) met a wall."""
+        return np.asarray(self.looks.distances < self.robot.too_far[self.looks.beams])
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Standard deviation of each reading (k,), as a share of ``range_std``."""
+        return self._noise_of(self.readings)
+
+    @cached_property
+    def look_noise(self) -> FloatArray:
+        """Standard deviation of each look (k,), as a share of ``range_std``."""
+        return self._noise_of(self.looks)
+
+    @cached_property
+    def assumed_calibration(self) -> FloatArray:
+        """The calibration (n, 4) of robots that are as specified, but for the known bias."""
+        return np.tile((0.0, 0.0, 0.0, self.bias), (len(self.starts), 1))
+
+    def axle(self, calibration: FloatArray) -> float:
+        """The distance between the wheels (m) of a robot with a calibration (4,)."""
+        return self.robot.axle * (1.0 + float(calibration[2]))
+
+    def whitened(self, errors: FloatArray) -> FloatArray:
+        """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""
+        result = errors / self.stds.reshape(self.stds.shape + (1,) * (errors.ndim - 3))
+        for number, motion, root in self.slips:
+            result[number, motion] = root @ errors[number, motion]
+        return np.asarray(result)
+
+    def _noise_of(self, readings: Readings) -> FloatArray:
+        sensor = RangeSensor(1.0, self.growth)
+        return sensor.stds(readings.distances) / sensor.usual_std(float(self.robot.max_ranges.max()))
+
+    def _beams_of(self, readings: Readings) -> FloatArray:
+        table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
+        return np.asarray(table[readings.beams])
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The variables of the least-squares problem.
+
+    Attributes
+    ----------
+    motions, poses
+        Motions (n, t - 1, 3), m, and the poses (n, t, 3) that follow from them, m and rad; headings are not wrapped.
+    lines, anchors
+        Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2), m.
+    calibration
+        Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all ranges, m.
+    """
+
+    motions: FloatArray
+    poses: FloatArray
+    lines: FloatArray
+    anchors: FloatArray
+    calibration: FloatArray
+
+    @property
+    def flat_poses(self) -> FloatArray:
+        """All poses (n t, 3), sorted by robot and then by step."""
+        return self.poses.reshape(-1, 3)
+
+
+def make_problem(
+    robot: RobotSpec,
+    noise: NominalNoise,
+    starts: FloatArray,
+    wheels: FloatArray,
+    ranges: FloatArray,
+    usable: BoolArray | None = None,
+    prior: CalibrationPrior | None = None,
+    first_step: int = 0,
+    sensor: RangeSensor | None = None,
+) -> Problem:
+    """Collect the measurements of a run.
+
+    Parameters
+    ----------
+    robot, noise
+        Body and beams of each of the n robots, and the specified noise. The standard deviation of ranges is taken to be
+        at least 5 mm.
+    starts
+        Known poses (n, 3), m and rad.
+    wheels, ranges
+        Observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset.
+    usable
+        Mask (t, n, n_beams) of the readings that may be used; None for all. Readings without a wall are always left
+        out. So are old readings that a slow sensor repeats.
+    prior
+        Given if wheels, axle and bias are to be estimated.
+    first_step
+        Step of the drive that row 0 belongs to. It decides which readings a slow sensor repeats.
+    sensor
+        How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
+    """
+    reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
+    stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
+    stds[..., :2] = np.sqrt(noise.wheel_variance * np.abs(reported) + _LEAST_VARIANCE)
+    motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
+    ranges = np.asarray(ranges, dtype=float)
+    fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
+    measured = fresh & np.isfinite(ranges) & (True if usable is None else usable)
+    looked = measured & (ranges > robot.too_near)
+    readings = _listed(looked & (ranges < robot.too_far), ranges)
+    looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
+    sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
+    contact_std = max(noise.range_std, LEAST_RANGE_STD)
+    return Problem(
+        robot, np.asarray(starts, dtype=float), motions, stds, readings, looks,
+        range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
+        prior=None if prior is None else prior.information, beam_width=sensor.cone,
+        growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
+        slips=slips_of(robot, contact_std, reported, stds, ranges, measured),
+    )  # fmt: skip
+
+
+def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
+    """The ranges (t, n, n_beams) that are kept, in the order of poses."""
+    number, step, beam = np.nonzero(np.moveaxis(kept, 0, 1))
+    return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
+
+
+def state_from_poses(problem: Problem, poses: FloatArray) -> State:
+    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped."""
+    chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
+    chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
+    motions = np.empty_like(problem.wheels)
+    for chain, motion in zip(chains, motions, strict=True):
+        kernels.motions_between(chain, problem.robot.axle, motion)
+    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), problem.assumed_calibration)
+
+
+def state_from_motions(problem: Problem) -> State:
+    """The state without lines that follows from the reported wheel travel."""
+    nothing = np.zeros((0, 2))
+    return moved(problem, problem.wheels, nothing, nothing, problem.assumed_calibration)
+
+
+def moved(
+    problem: Problem, motions: FloatArray, lines: FloatArray, anchors: FloatArray, calibration: FloatArray
+) -> State:
+    """The state with motions (n, t - 1, 3), and with the poses that follow from these motions."""
+    poses = np.empty((len(motions), problem.steps, 3))
+    for number, chain in enumerate(poses):
+        kernels.drive(problem.starts[number], motions[number], problem.axle(calibration[number]), chain)
+    return State(motions, poses, lines, anchors, calibration)
+
+
+def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
+    """One row (k, 7) for each reading, given its line (k,) or -1, laid out as in :mod:`.chain_kernels`."""
+    rows = np.zeros((len(problem.readings), COLUMNS))
+    kernels.expected_readings(
+        state.flat_poses, problem.readings.places, problem.beams, labels, state.lines, state.anchors, rows
+    )
+    if problem.beam_width:
+        headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+        widen(rows, state.lines[labels, 1] - headings, problem.beam_width)
+    return rows
+
+
+def widen(rows: FloatArray, angles: FloatArray, width: float) -> None:
+    """Change the expected ranges and derivatives (k, 7) of ideal beams to those of beams with half an opening angle.
+
+    The beam of an infrared or ultrasonic sensor is a cone. A sensor that reports the nearest point inside the cone
+    reads a wall under its border ray, or at the foot of the perpendicular if the cone contains it, as in
+    :mod:`limslam_agent.slam.consistent.beam_model`. With half the opening angle c, and the angle phi between the middle
+    ray and the wall's normal, a wall at distance r along the middle ray reads r cos(phi) / cos(max(|phi| - c, 0)). The
+    error grows with the range and with the slant, up to centimetres, and it never averages out.
+
+    Parameters
+    ----------
+    rows
+        Those of :func:`rows_of`. Rows of readings without a line stay zero.
+    angles
+        Angles (k,) of the lines' normals minus those of the beams, rad.
+    width
+        Half the opening angle c, rad.
+    """
+    slants = (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    border = np.maximum(np.abs(slants) - width, 0.0)
+    by_slant = np.where(border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants))
+    by_angle = rows[:, RANGE] * by_slant
+    rows[:, : BY_LINE + 2] *= (np.cos(slants) / np.cos(border))[:, None]
+    rows[:, BY_POSE + 2] -= by_angle
+    rows[:, BY_LINE + 1] += by_angle

@@ -1,0 +1,20 @@
+"""Columns of the tables of beams and of noise that kernels read."""
+
+FROM_X, FROM_Y, ANGLE, OFFSET, SHORTEST_RANGE, LONGEST_RANGE, PERIOD, TOWARDS_X, TOWARDS_Y = range(9)
+"""Columns of a table of beams (n_beams, 9): origin (m) and angle (rad) in the robot's frame, how far before its origin
+a ray starts (m), shortest and longest reading (m), period in steps, and direction as a unit vector."""
+
+RANGE_STD, STD_GROWTH, DROPOUT, RANGE_RESOLUTION, FOLD_BACK, CONE = range(6)
+"""Columns of a table of noise for the range sensors: what :func:`~limslam_env.kernels.readings.noisy_reading` needs,
+and half the opening angle of the beams, rad."""
+
+LEFT_WHEEL, RIGHT_WHEEL, WHEEL_VARIANCE, ENCODER_RESOLUTION, LARGEST_TRAVEL = range(6, 11)
+"""Columns of the same table for the encoders: the factor of each wheel, and what follows it in
+:func:`~limslam_env.kernels.readings.reported_travel`."""
+
+SLIP_RATE, SLIP_SHARE, TRUE_AXLE = range(11, 14)
+"""Further columns in a batch: slips per metre, the share of the travel that a slip takes, and the true distance between
+the wheels, m."""
+
+NUM_NOISES = 14
+"""Number of columns of the table of noise of a batch."""
