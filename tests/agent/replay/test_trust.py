@@ -96,6 +96,8 @@ def test_a_log_whose_far_readings_contradict_each_other_is_smoothed_again_withou
     assert judged.reach == judged.figures["smoothed_reach_m"] == 2.0
     assert any(stage.startswith("ranges up to 2 m, ") for stage in stages)
     assert judged.status.level == "ok"
+    (line,) = (line for line in replay_summary(judged.figures) if "left out" in line)
+    assert line.strip() == "readings beyond 2 m left out at the end: visits of a place contradict them"
     assert len(found.keys.in_robot) < data.hit.sum()
     assert np.hypot(*(found.poses - truth)[:, :2].T).max() < 0.3
 
