@@ -321,7 +321,7 @@ def test_importing_the_agent_loads_no_simulator():
         *PLACES["limslam_agent.slam.online_graph"],
     ]
     replay = ("hand_over", "joined_lines", "local_views", "misreading", "reversing", "smoothing")
-    replay += ("two_logs", "two_logs_output")
+    replay += ("trust", "two_logs", "two_logs_output")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

@@ -211,6 +211,15 @@ ZoneAxes = Annotated[
     str | None,
     _option(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
 ]
+ZeroIsNothing = Annotated[
+    bool | None,
+    _option(
+        _TABLE,
+        "A range of 0 says that nothing was seen, not that something is too near.",
+        None,
+        "--zero-is-nothing/--no-zero-is-nothing",
+    ),
+]
 ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
 RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
 OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]

@@ -29,6 +29,7 @@ def replay(
     range_unit: take.RangeUnit = None,
     time_unit: take.TimeUnit = None,
     zone_axes: take.ZoneAxes = None,
+    zero_is_nothing: take.ZeroIsNothing = None,
     noise: take.AssumedNoise = None,
     preset: take.ReplayPreset = None,
     map: take.PriorMap = None,  # noqa: A002 (the option's name)
@@ -174,7 +175,7 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
     axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
     units = options.range_unit, options.time_unit
-    table = TableOptions(robot, options.metres_per_tick, options.accumulated, *units, axes)
+    table = TableOptions(robot, options.metres_per_tick, options.accumulated, *units, axes, options.zero_is_nothing)
 
     def opened(path: Path) -> "RecordedLog":
         return read_log(path, angles, options.max_range, topics, limits, table)

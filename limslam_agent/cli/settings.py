@@ -74,6 +74,7 @@ class ReplayOptions(Bounded):
     range_unit: str = "m"
     time_unit: str = "s"
     zone_axes: str | None = None
+    zero_is_nothing: bool = False
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     map: Path | None = None

@@ -176,6 +176,8 @@ class _Rows:
         if self.moves and move[0] < self.moves[-self.leading] - LARGEST_STEP_BACK:
             raise ValueError(f"the time steps back by {self.moves[-self.leading] - move[0]:.1f} s")
         values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
+        if self.options.zero_is_nothing:
+            values = [value or math.inf for value in values]
         self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
         self.moves.extend(move)
         self.has_scan.append(not silent)

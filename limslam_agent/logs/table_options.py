@@ -17,6 +17,9 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 LARGEST_OFF_AXIS_DEG = 45.0
 """Directions of zones lie at most this far from the optical axis of their sensor, deg."""
 
+COUNTER_SPAN = 65536
+"""A counter of 16 bits begins again after so many ticks, as the type ``int`` of many microcontrollers does."""
+
 TOO_FAST = 10.0
 """A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
 
@@ -44,6 +47,8 @@ class TableOptions:
         Directions of the optical axes of multi-zone sensors in the robot's frame, deg. The columns then hold
         perpendicular distances, along the axis that is nearest to the direction of the column. Without axes the columns
         hold distances along their own directions.
+    zero_is_nothing
+        Whether a range of 0 says that nothing was seen. Otherwise something may be too near to be measured.
 
     Raises
     ------
@@ -58,6 +63,7 @@ class TableOptions:
     range_unit: str = "m"
     time_unit: str = "s"
     zone_axes: tuple[float, ...] = ()
+    zero_is_nothing: bool = False
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres_per_tick) and self.metres_per_tick > 0.0):
@@ -104,10 +110,14 @@ class TableOptions:
     def wheel_travel(self, columns: FloatArray) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
-        The first row has no row before it. The robot counts as standing there, wherever it drove earlier.
+        The first row has no row before it. The robot counts as standing there, wherever it drove earlier. A counter of
+        16 bits, with or without a sign, is continued where it begins again.
         """
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0
+        if self.accumulated and (np.ptp(columns, axis=0) < COUNTER_SPAN).all():
+            half = COUNTER_SPAN // 2
+            travel = np.where(np.abs(travel) > half, travel - np.sign(travel) * COUNTER_SPAN, travel)
         return travel * self.metres_per_tick
 
 

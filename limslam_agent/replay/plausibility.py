@@ -21,6 +21,10 @@ CLEARLY_BELOW = 0.85
 SOME_NOTHING = 0.01
 """Up to this share of readings that saw nothing, the sensor's own maximum does not matter."""
 
+SUDDENLY_NEAR, SUDDEN_STEP = 0.01, 0.3
+"""Above this share of readings that are at most the beam's shortest range, right after a reading that is this much
+farther, m, the sensor probably reports 0 where it sees nothing: no wall comes so fast."""
+
 LEAST_DRIVEN = 1.0
 """Walls cannot be expected in a log over less driving than this, m."""
 
@@ -38,7 +42,7 @@ LEAST_SPREAD = 0.5
 def log_warnings(log: RecordedLog) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
     about_times = _about_times(log)
-    return [*about_times, *_about_ranges(log), *(() if about_times else _about_odometry(log))]
+    return [*about_times, *_about_ranges(log), *_about_zeros(log), *(() if about_times else _about_odometry(log))]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -71,6 +75,16 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
         return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
     return []
+
+
+def _about_zeros(log: RecordedLog) -> list[str]:
+    readings, nearest = log.ranges[log.has_scan].astype(np.float64), log.robot.too_near
+    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + SUDDEN_STEP)
+    share = float(sudden.mean()) if sudden.size else 0.0
+    if share <= SUDDENLY_NEAR:
+        return []
+    text = f"{share:.1%} of the readings jump from more than {SUDDEN_STEP:g} m to the beam's shortest range or to 0"
+    return [f"{text}: if the sensors report 0 where they see nothing, --zero-is-nothing reads the 0 in a table as that"]
 
 
 def _about_odometry(log: RecordedLog) -> list[str]:

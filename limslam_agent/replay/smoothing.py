@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -19,7 +20,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
-from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings
+from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings, odometry_variances, reach_of_agreement
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -86,29 +87,61 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     recorded = log_data(log, replay.odometry, replay.config.range_std)
     data = with_reversing(recorded, config)
     found, landmarks, signals = trusted_path(data, log.start_pose, config, report)
+    reach = math.inf if signals.reach is None else signals.reach
     seconds = time.process_time() - begin
     figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
     graph = _graph(found, log)
     smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found)
-    grid = draw_grid(replay, found.poses)
+    grid = draw_grid(replay, found.poses, reach)
     return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
+
+
+_Judged = tuple[GraphResult, list[Landmark], PathSignals]
 
 
 def trusted_path(
     data: LogData, start: FloatArray, config: GraphConfig, report: Callable[[str], None] | None = None
-) -> tuple[GraphResult, list[Landmark], PathSignals]:
+) -> _Judged:
     """The smoothed log with its walls and signals, or odometry alone if its signals are clearly better."""
-    found = smooth_log(data, start, config, report)
-    landmarks, signals = _signals(found, config, data)
+    report = report or (lambda _: None)
+    # Frames that are only searched for a doubtful result can wait until it is known what is wrong with the log.
+    patient = replace(config, agreement=replace(config.agreement, doubtful_share=1.0))
+    judged = _judged(smooth_log(data, start, patient, report), config, data)
+    if judged[2].contradicts_itself:
+        judged = _second_look(data, start, config, judged, report)
+    found, _, signals = judged
     if signals.status.level == "ok":
-        return found, landmarks, signals
-    plain = without_loops(found, start)
-    others, of_odometry = _signals(plain, config, data)
-    return (plain, others, of_odometry) if signals.is_worse_than(of_odometry) else (found, landmarks, signals)
+        return judged
+    plain = _judged(without_loops(found, start), config, data)
+    return plain if signals.is_worse_than(plain[2]) else judged
 
 
-def _signals(found: GraphResult, config: GraphConfig, data: LogData) -> tuple[list[Landmark], PathSignals]:
-    """The walls through the points of a path, and what speaks for or against the path."""
+def _second_look(
+    data: LogData, start: FloatArray, config: GraphConfig, first: _Judged, report: Callable[[str], None]
+) -> _Judged:
+    """A log whose visits contradict each other, smoothed again.
+
+    If they agree up to some range, only readings up to that range are used, with the noise of odometry that the first
+    result shows. Otherwise, or if the visits then do not agree better, all frames are searched.
+    """
+    found, _, signals = first
+    reach = reach_of_agreement(found.keys, found.trajectory, config, data.max_range)
+    if reach < data.max_range:
+        noise = odometry_variances(data, found.keys, found.trajectory, config)
+        limited = replace(data, hit=data.hit & (data.ranges < reach), max_range=reach, variances=noise)
+        say = partial(_say, report, f"ranges up to {reach:g} m")
+        graph, landmarks, better = _judged(smooth_log(limited, start, config, say), config, limited)
+        if better.contradicted_share < signals.contradicted_share and not better.is_worse_than(signals):
+            return graph, landmarks, replace(better, reach=reach)
+    return _judged(smooth_log(data, start, config, report), config, data)
+
+
+def _say(report: Callable[[str], None], where: str, what: str) -> None:
+    report(f"{where}, {what}")
+
+
+def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
+    """A path with the walls through its points, and with what speaks for or against it."""
     keys, trajectory = found.keys, found.trajectory
     landmarks = draw_walls(point_cloud(keys, trajectory, config.links, data.range_std), data.range_std)
     loops = sum(verdict.kept for verdict in found.verdicts)
@@ -117,7 +150,7 @@ def _signals(found: GraphResult, config: GraphConfig, data: LogData) -> tuple[li
     crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
     driven = float(keys.travel[-1])
-    return landmarks, PathSignals(driven, tuple(crossed.tolist()), *agreement, loops, tuple(bent.tolist()))
+    return found, landmarks, PathSignals(driven, tuple(crossed.tolist()), *agreement, loops, tuple(bent.tolist()))
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:
@@ -222,12 +255,15 @@ def smoothed_by_lines(
     )
 
 
-def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
-    """The occupancy grid of a log's first readings from their poses (n, 3)."""
+def draw_grid(replay: Replay, poses: FloatArray, reach: float = math.inf) -> GridView:
+    """The occupancy grid of a log's first readings, those beyond ``reach`` (m) as free, from their poses (n, 3)."""
     log = replay.log
+    beams = tuple(replace(each, max_range=min(each.max_range, reach)) for each in log.robot.beams)
     rows = np.flatnonzero(log.has_scan[: len(poses)])
-    ranges = log.ranges[rows, None].astype(np.float64)
-    return drawn_grid(replay.config.grid, log.robot, poses[rows, None], ranges, np.isfinite(ranges))
+    ranges = np.minimum(log.ranges[rows, None].astype(np.float64), reach)
+    return drawn_grid(
+        replay.config.grid, replace(log.robot, beams=beams), poses[rows, None], ranges, np.isfinite(ranges)
+    )
 
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:

@@ -8,15 +8,22 @@ they had seen if the path was at most 0.3 m off, 12 % of a path that was 0.5 m o
 Where two places look alike, visits agree in a wrong map, too. But wrong loops bend the path away from what odometry and
 the walls along the way say. On simulated logs the chi-square of a hop of 2.5 m was at most 10 in right paths (7 on
 ``fr079``), and 21 to 45 where wrong loops had bent the path.
+
+A path that cannot be trusted still shows what is wrong with the log: up to which range the visits agree, and how large
+the errors of odometry are. The log can then be smoothed again with both.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.agreement import MapScore
+from limslam_agent.slam.graph.key_poses import KeyPoses, LogData, Trajectory, calibrated_steps, motion_variances
+from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.status.status import Status
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, se2
 
 INSIDE_BY = 0.2
 """A path crosses a wall if it passes through it at least this far inside of its ends, m."""
@@ -32,6 +39,15 @@ MOST_BENT = 16.0
 
 FAR_WITHOUT_LOOPS = 50.0
 """Distance, m, after which the error of a path without loops matters."""
+
+_BIN, _LEAST_REACH, _LEAST_POINTS = 0.25, 1.0, 50
+"""Ranges are judged in bins of this width, m, from this range on, m, and with at least so many judged points."""
+
+_WINDOW = 14.0
+"""Driving over which the errors of odometry are compared with what is assumed, m: they last for seconds."""
+
+_LEAST_RATIO, _MOST_RATIO = 0.04, 9.0
+"""Variances of odometry are changed by factors within these limits."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +66,8 @@ class PathSignals:
         Number of loops that hold the path.
     bend_times
         Times at which the loops bend the path more than the local smoothing allows, s from the beginning of the log.
+    reach
+        Range from which on readings were left out because visits contradict each other there, m. None if all were used.
     """
 
     driven: float
@@ -58,6 +76,7 @@ class PathSignals:
     contradicted: float
     loops: int
     bend_times: tuple[float, ...] = ()
+    reach: float | None = None
 
     @property
     def crossings(self) -> int:
@@ -75,12 +94,17 @@ class PathSignals:
         return self.contradicted / max(self.confirmed + self.contradicted, 1e-9)
 
     @property
+    def contradicts_itself(self) -> bool:
+        """Whether visits contradict each other at so many points that the path is doubtful."""
+        return self.contradicted_share > MOST_CONTRADICTED
+
+    @property
     def status(self) -> Status:
         """``ok``, or ``unsure`` with the reasons."""
         reasons = []
         if self.crossings > 1 and self.crossings_per_100_m > MOST_CROSSINGS:
             reasons.append(f"the path passes through walls at {self.crossings} places")
-        if self.contradicted_share > MOST_CONTRADICTED:
+        if self.contradicts_itself:
             reasons.append(f"visits of a place contradict each other at {self.contradicted_share:.0%} of the points")
         if self.bend_times:
             times = ", ".join(f"{time:.0f}" for time in self.bend_times[:3])
@@ -103,8 +127,60 @@ class PathSignals:
             "smoothed_wall_crossings": self.crossings,
             "smoothed_wall_crossing_times": [round(time, 2) for time in self.crossing_times],
             "smoothed_contradicted_share": self.contradicted_share,
+            "smoothed_reach_m": self.reach,
             "smoothed_bend_times": [round(time, 2) for time in self.bend_times],
         }
+
+
+def reach_of_agreement(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> float:
+    """The range up to which visits agree, m: beyond it, other visits contradict too many points at every range.
+
+    A beam may see the floor where the robot tilts, or get echoes that are too weak. Such readings are wrong beyond some
+    range, whatever the path. A wrong path is contradicted at all ranges, and then ``max_range`` is returned.
+    """
+    middles = chunk_middles(keys, config.maps, config.maps.half)
+    maps = cut_chunks(keys, trajectory, config.maps, middles, max_range)
+    # The score compares few points of each cell; here each point needs its range.
+    counts = [len(each.places) for each in maps]
+    score = replace(
+        MapScore.of(maps, config.agreement),
+        points=np.concatenate([each.places for each in maps]),
+        starts=np.cumsum([0, *counts]),
+    )
+    ranges = np.concatenate([np.hypot(*(each.places - each.origins).T) for each in maps])
+    return _reach(ranges, *score.verdicts(trajectory.poses[middles]), max_range)
+
+
+def _reach(ranges: FloatArray, confirmed: BoolArray, contradicted: BoolArray, max_range: float) -> float:
+    """The first bin's begin from which on all bins with enough points are contradicted too much; or ``max_range``."""
+    bins = (ranges / _BIN).astype(np.int64)
+    most = int(np.ceil(max_range / _BIN))
+    against = np.bincount(bins[contradicted], minlength=most)
+    judged = against + np.bincount(bins[confirmed], minlength=most)
+    bad = (judged < _LEAST_POINTS) | (against > MOST_CONTRADICTED * judged)
+    first = len(bad) - int(np.argmin(bad[::-1])) if not bad.all() else 0
+    is_beyond = against[first:].sum() > MOST_CONTRADICTED * judged[first:].sum()
+    return first * _BIN if is_beyond and _LEAST_REACH <= first * _BIN < max_range else max_range
+
+
+def odometry_variances(data: LogData, keys: KeyPoses, trajectory: Trajectory, config: GraphConfig) -> FloatArray:
+    """Variances (n, 3) of the motions of a log, as large as its smoothed path shows.
+
+    The differences between the smoothed path and the corrected odometry over some metres are compared with the
+    variances that the settings assume for them. Gyroscopes turn ten times as exactly as wheels.
+    """
+    moves = se2.between(trajectory.poses[:-1], trajectory.poses[1:]) - calibrated_steps(keys, trajectory.bias)
+    moves[:, 2] = se2.wrap_angle(moves[:, 2])
+    ends = np.searchsorted(keys.key_travel, keys.key_travel + _WINDOW)
+    begins = np.flatnonzero(ends < len(keys))
+    ratios = np.ones(3)
+    if len(begins):
+        errors, assumed = (np.vstack((np.zeros(3), np.cumsum(each, axis=0))) for each in (moves, keys.step_variances))
+        found = ((errors[ends[begins]] - errors[begins]) ** 2).mean(axis=0)
+        ratios = np.clip(found / (assumed[ends[begins]] - assumed[begins]).mean(axis=0), _LEAST_RATIO, _MOST_RATIO)
+    steps = se2.between(data.odometry[:-1], data.odometry[1:])
+    lengths, turns = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    return np.vstack((np.zeros(3), motion_variances(lengths, turns, config.motion) * ratios))
 
 
 def crossings(path: FloatArray, segments: FloatArray) -> BoolArray:

@@ -95,6 +95,23 @@ def test_a_table_that_cannot_be_used_is_refused_in_one_line(write, text, options
     assert words in refusal(write(text), table=options)
 
 
+@pytest.mark.parametrize("low", [0, -32768])
+def test_a_counter_of_16_bits_is_continued_where_it_begins_again(write, low):
+    counts = np.arange(0, 400 * 200, 200)
+    wrapped = (counts - low) % 65536 + low
+    rows = "".join(f"{0.1 * row:.1f},{left},{-left - 1 + 2 * low + 65536},1,1,1\n" for row, left in enumerate(wrapped))
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-4, accumulated=True))
+    np.testing.assert_allclose(log.wheels[1:], [[0.02, -0.02]] * 399)
+
+
+def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
+    path = write(HEAD + "0,0,0,0,1,0\n0.1,0.01,0.01,1,0.0,inf\n")
+    near = read_log(path, table=TableOptions(ROBOT))
+    np.testing.assert_allclose(near.ranges, [[0.05, 1.0, 0.05], [1.0, 0.05, 2.0]])
+    nothing = read_log(path, table=TableOptions(ROBOT, zero_is_nothing=True))
+    np.testing.assert_allclose(nothing.ranges, [[2.0, 1.0, 2.0], [1.0, 2.0, 2.0]])
+
+
 def test_a_gap_in_the_log_allows_a_longer_travel(write):
     rows = "".join(f"{0.1 * step:.1f},0.02,0.02,1,1,1\n" for step in range(5)) + "9.0,1.5,1.5,1,1,1\n"
     assert read_log(write(HEAD + rows), table=TableOptions(ROBOT)).wheels[-1, 0] == 1.5

@@ -11,6 +11,7 @@ from limslam_agent.cli.main import main
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
 from limslam_agent.replay.replay import replay_log
 from limslam_env.geometry import se2
@@ -37,6 +38,18 @@ def test_ranges_in_millimetres_are_noticed(tmp_path):
 
 def test_half_of_the_readings_may_see_nothing(tmp_path):
     assert log_warnings(read_log(written(tmp_path, "2.9", "inf"))) == []
+
+
+def test_readings_that_jump_to_0_are_noticed(tmp_path):
+    path = written(tmp_path, "0.8", "2.9")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for row in range(5, 60, 10):
+        lines[row] = lines[row].replace("2.9", "0")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (warning,) = log_warnings(read_log(path))
+    assert warning.startswith("5.1% of the readings jump from more than 0.3 m to the beam's shortest range or to 0")
+    assert "--zero-is-nothing" in warning
+    assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
 
 
 def test_readings_that_do_not_exist_say_nothing_about_units(tmp_path):

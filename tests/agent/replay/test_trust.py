@@ -1,10 +1,19 @@
 """Signals of a smoothed path that need no truth, and the status that follows from them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.corridors import FOUR_BEAMS, corridor_log
 
+from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.output.summary import replay_summary
-from limslam_agent.replay.trust import PathSignals, crossings
+from limslam_agent.replay.smoothing import trusted_path
+from limslam_agent.replay.trust import PathSignals, crossings, odometry_variances, reach_of_agreement
+from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, motion_variances
+from limslam_env.geometry import se2
+
+BRIEF = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6), orientations=(0.0,)))
 
 ROOM = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]])
 
@@ -51,3 +60,57 @@ def test_the_summary_says_when_a_path_may_be_wrong():
         "            ok at the end",
         "            may be wrong where the path passes through walls, after 3, 250 s",
     ]
+
+
+def floor_log():
+    """Two laps of a drone that tilts: whatever is farther than 2 m away, its beams see nothing, or the floor."""
+    data, truth = corridor_log(bias=0.0, robot=FOUR_BEAMS)
+    generator = np.random.default_rng(1)
+    far = data.ranges > 2.0
+    sees_floor = far & (generator.random(far.shape) < 0.3)
+    floor = np.minimum(data.ranges, generator.uniform(2.0, 3.5, far.shape))
+    hit = data.hit & (sees_floor | ~far)
+    return replace(data, ranges=np.where(sees_floor, floor, data.ranges), hit=hit), truth
+
+
+def reach_on(data, path):
+    keys = choose_keys(data, BRIEF.keys, BRIEF.motion)
+    trajectory = Trajectory(path[keys.first_event], np.zeros(ERRORS))
+    return reach_of_agreement(keys, trajectory, BRIEF, data.max_range)
+
+
+def test_visits_agree_up_to_the_range_at_which_the_floor_comes_into_view():
+    data, truth = floor_log()
+    assert reach_on(data, truth) == 2.0
+    assert reach_on(data, data.odometry + np.linspace(0.0, 2.0, len(truth))[:, None]) == data.max_range
+    clean, truth = corridor_log(bias=0.0, robot=FOUR_BEAMS)
+    assert reach_on(clean, truth) == clean.max_range
+
+
+def test_a_log_whose_far_readings_contradict_each_other_is_smoothed_again_without_them(monkeypatch):
+    # In this narrow corridor only few readings are far.
+    monkeypatch.setattr("limslam_agent.replay.trust.MOST_CONTRADICTED", 0.025)
+    data, truth = floor_log()
+    stages: list[str] = []
+    found, _, judged = trusted_path(data, truth[0], BRIEF, stages.append)
+    assert judged.reach == judged.figures["smoothed_reach_m"] == 2.0
+    assert any(stage.startswith("ranges up to 2 m, ") for stage in stages)
+    assert judged.status.level == "ok"
+    (line,) = (line for line in replay_summary(judged.figures) if "left out" in line)
+    assert line.strip() == "readings beyond 2 m left out at the end: visits of a place contradict them"
+    assert len(found.keys.in_robot) < data.hit.sum()
+    assert np.hypot(*(found.poses - truth)[:, :2].T).max() < 0.3
+
+
+def test_the_variances_of_odometry_follow_its_errors():
+    data, truth = corridor_log(bias=0.0)
+    keys = choose_keys(data, BRIEF.keys, BRIEF.motion)
+    trajectory = Trajectory(truth[keys.first_event], np.zeros(ERRORS))
+    found = odometry_variances(data, keys, trajectory, BRIEF)
+    steps = se2.between(data.odometry[:-1], data.odometry[1:])
+    assumed = motion_variances(np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2]), BRIEF.motion)
+    ratios = found[1:] / assumed
+    assert found.shape == (len(data.time), 3)
+    assert ratios == pytest.approx(np.broadcast_to(ratios[0], ratios.shape))
+    # The odometry of this log errs by 2 cm, 1 cm and 1.1 deg after a metre; 5 cm, 5 cm and 2 deg and more are assumed.
+    assert (ratios[0] < 0.6).all()
