@@ -1,6 +1,7 @@
 """Renewal of the online estimate in long drives: the last minutes are smoothed while the robot drives on."""
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,6 +28,9 @@ FAR = 0.3
 
 REFUTED = -6.0
 """Logarithm of a likelihood ratio: with less than this, the readings do not fit the map."""
+
+EXPLAINED = 6.0
+"""Logarithm of a likelihood ratio: by so much the readings of a lost robot must fit better after a renewal."""
 
 
 class _Seen(NamedTuple):
@@ -109,8 +113,23 @@ class Renewal:
             self._rows = [self._rows[-1]]
         return is_renewed
 
-    def _renew(self) -> bool:
-        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done."""
+    def renew_lost(self) -> bool:
+        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was renewed.
+
+        The smoother can take back a wrong association. The readings that contradict the estimate then no longer do so.
+        """
+        settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
+        if not self.is_possible or settings is None or waited < settings.least or not self._renew(EXPLAINED):
+            return False
+        self._begin()
+        self._rows = [self._rows[-1]]
+        return True
+
+    def _renew(self, gain: float = -math.inf) -> bool:
+        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done.
+
+        The readings must also fit the map better than before by a ``gain``, the logarithm of a likelihood ratio.
+        """
         found, self._tried = self._smoothed(), len(self._rows)
         if found is None:
             return False
@@ -122,8 +141,8 @@ class Renewal:
         poses = [compose(moved, pose) for pose in smoothed[1:]]
         grid = self._drawn(poses)
         believed = [row[3] for row in self._rows[1:]]
-        fit = self._fit(trial, grid, poses)
-        if fit < REFUTED and fit < self._fit(self._slam, self.grid, believed):
+        fit, fit_before = self._fit(trial, grid, poses), self._fit(self._slam, self.grid, believed)
+        if (fit < REFUTED and fit < fit_before) or fit - fit_before < gain:
             return False
         self._slam.renew(state)
         self._is_wanted, self.grid, self.poses = False, grid, poses
