@@ -251,3 +251,17 @@ def test_a_renewal_must_explain_what_a_lost_robot_reads(monkeypatch, before, is_
         if number == 100:
             assert not renewal.renew_lost(), "the stretch is too short"
     assert renewal.renew_lost() is is_renewed
+
+
+@pytest.mark.parametrize(("gain", "is_renewed"), [(0.0, False), (7.0, True)])
+def test_a_renewal_far_beyond_the_stated_uncertainty_must_explain_readings(monkeypatch, gain, is_renewed):
+    """The stretch may have been joined wrongly with a map that does not share enough walls with it."""
+    told, _ = rounds(2)
+
+    def joined_far_away(*args):
+        state, poses = renewed(*args)
+        return replace(state, pose=state.pose + np.array([3.0, 0.0, 0.3])), poses
+
+    monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", joined_far_away)
+    monkeypatch.setattr(Renewal, "_fit", lambda self, slam, *_: 40.0 - gain * (slam is self._slam))
+    assert bool(driven(config(ROUND_S), told)[3]) is is_renewed
