@@ -390,11 +390,9 @@ class Mapper:
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
             recovery.lose(own, self.slam, self._grid)
-            found = recovery.seek_near(sensor)
-            if found is not None:
-                self._go_on_at(recovery, found)
-            elif not (recovery.may_be_renewed and self._go_on_renewed(recovery)):
-                self._go_on_locally(recovery)
+            if not (recovery.may_be_renewed and self._go_on_renewed(recovery)):
+                found = recovery.seek_near(sensor)
+                self._go_on_locally(recovery) if found is None else self._go_on_at(recovery, found)
         elif recovery.is_lost and recovery.is_due():
             found = recovery.seek(sensor)
             if found is not None:
