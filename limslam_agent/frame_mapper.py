@@ -83,6 +83,19 @@ class FrameMapper:
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
         return self._renew(observations[0])
 
+    def renew_lost(self) -> bool:
+        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
+        is_renewed = self._renewal.renew_lost()
+        if is_renewed:
+            self.grid = self._renewal.grid
+            self.reset_monitors()
+        return is_renewed
+
+    @property
+    def has_jumped(self) -> bool:
+        """Whether the last renewal has moved the path far."""
+        return self._renewal.has_jumped
+
     @property
     def renewed_path(self) -> list[FloatArray]:
         """Poses (3,) of the robot in the steps of the stretch that was renewed last, by all its readings."""

@@ -24,7 +24,7 @@ from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_agent.slam.core.motion import check_travel
+from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam, RangeSensor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
@@ -36,12 +36,6 @@ RESTART_WITHIN = 600
 
 MOST_RESTARTS = 6
 """A mapper starts again at most this often. Later estimates of the errors only act from then on."""
-
-TOO_FAST = 300.0
-"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused.
-
-A jump of the odometry by a few metres is no such error: it makes the status ``lost``.
-"""
 
 
 class Mapper:
@@ -100,7 +94,7 @@ class Mapper:
         prior_map: SavedMap | None = None,
     ) -> None:
         self.robot, self.config, self._prior_map = robot, config or preset(DEFAULT_PRESET), prior_map
-        self.longest_travel = TOO_FAST * robot.max_wheel_speed * robot.control_period
+        self.longest_travel = longest_travel(robot)
         self.on_restart: Callable[[int], None] | None = None
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
@@ -270,10 +264,14 @@ class Mapper:
         has_jumped = self._present.process(observations, self.frame)
         self.slam_ms += self._present.slam_ms
         if has_jumped:
-            self.frame += 1
-            if self._recovery is not None:
-                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
+            self._note_jump()
         return self.slam.increments
+
+    def _note_jump(self) -> None:
+        """A renewal has moved the path far: plans and copies made before mean nothing now."""
+        self.frame += 1
+        if self._recovery is not None:
+            self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.
@@ -370,10 +368,13 @@ class Mapper:
             if recovery.is_placed:
                 self._revisions.pop()  # the place that was found was wrong
             recovery.lose(own, self.slam, self._present.grid)
-            found = recovery.seek_near(sensor)
-            self._go_on_locally(recovery) if found is None else self._go_on_at(recovery, found)
+            if not (recovery.may_be_renewed and self._go_on_renewed(recovery)):
+                found = recovery.seek_near(sensor)
+                self._go_on_locally(recovery) if found is None else self._go_on_at(recovery, found)
         elif recovery.is_lost and recovery.is_due():
-            self._seek(recovery)
+            found = recovery.seek(sensor)
+            if found is not None:
+                self._go_on_at(recovery, found)
         elif recovery.is_due():
             recovery.confirm(own.status, self.slam, self._present.grid.view)
 
@@ -401,11 +402,16 @@ class Mapper:
         if is_anew and poses:
             self._revise(absence.first, poses)
 
-    def _seek(self, recovery: Recovery) -> None:
-        """Search the map that the robot was lost from."""
-        found = recovery.seek(self.slam.range_sensor)
-        if found is not None:
-            self._go_on_at(recovery, found)
+    def _go_on_renewed(self, recovery: Recovery) -> bool:
+        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
+        is_renewed = self._present.renew_lost()
+        if is_renewed:
+            poses, covariance = self._present.renewed_path, self.slam.covariance
+            if self._present.has_jumped:
+                self._note_jump()
+            self._revise(recovery.log.end - len(poses), [(pose, covariance) for pose in poses])
+            recovery.has_been_renewed(poses, self.slam, self._present.grid)
+        return is_renewed
 
     def _go_on_at(self, recovery: Recovery, found: Placement) -> None:
         """Go on in the frame that the robot was lost from, at the place that was found."""

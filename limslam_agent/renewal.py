@@ -16,7 +16,7 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
 
 LEAST_DRIVEN = 1.0
@@ -27,6 +27,15 @@ FAR = 0.3
 
 REFUTED = -6.0
 """Logarithm of a likelihood ratio: with less than this, the readings do not fit the map."""
+
+EXPLAINED = 6.0
+"""Logarithm of a likelihood ratio: by so much the readings must fit better after a renewal that is not expected.
+
+This is one of a lost robot, or one that moves the pose by more than the filter states.
+"""
+
+UNEXPECTED = 16.0
+"""Squared Mahalanobis distance: a renewal that moves the pose by more is not expected."""
 
 
 class _Seen(NamedTuple):
@@ -109,8 +118,23 @@ class Renewal:
             self._rows = [self._rows[-1]]
         return is_renewed
 
-    def _renew(self) -> bool:
-        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done."""
+    def renew_lost(self) -> bool:
+        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was renewed.
+
+        The smoother can take back a wrong association. The readings that contradict the estimate then no longer do so.
+        """
+        settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
+        if not self.is_possible or settings is None or waited < settings.least or not self._renew(is_expected=False):
+            return False
+        self._begin()
+        self._rows = [self._rows[-1]]
+        return True
+
+    def _renew(self, *, is_expected: bool = True) -> bool:
+        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done.
+
+        A renewal that is not expected must also fit the map better than the estimate before.
+        """
         found, self._tried = self._smoothed(), len(self._rows)
         if found is None:
             return False
@@ -122,13 +146,20 @@ class Renewal:
         poses = [compose(moved, pose) for pose in smoothed[1:]]
         grid = self._drawn(poses)
         believed = [row[3] for row in self._rows[1:]]
-        fit = self._fit(trial, grid, poses)
-        if fit < REFUTED and fit < self._fit(self._slam, self.grid, believed):
+        fit, fit_before = self._fit(trial, grid, poses), self._fit(self._slam, self.grid, believed)
+        is_expected = is_expected and self._off(trial.pose) <= UNEXPECTED
+        if (fit < REFUTED and fit < fit_before) or not (is_expected or fit >= fit_before + EXPLAINED):
             return False
         self._slam.renew(state)
         self._is_wanted, self.grid, self.poses = False, grid, poses
         self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
         return True
+
+    def _off(self, pose: FloatArray) -> float:
+        """Squared Mahalanobis distance of a pose (3,) from the present estimate."""
+        off = pose - self._slam.pose
+        off[2] = wrap_angle(off[2])
+        return float(off @ np.linalg.solve(self._slam.covariance, off))
 
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""

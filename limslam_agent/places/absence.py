@@ -57,6 +57,8 @@ class Absence:
         Why the robot is lost, in words.
     jump
         Standard deviation of the position at the beginning, m.
+    covariance
+        Covariance (3, 3) of the pose when it was lost.
     driven, moved, sought
         Distance since the robot was lost, m, the same with turns, and the latter at the latest search.
     gone
@@ -75,6 +77,8 @@ class Absence:
         says that it was carried away.
     has_drifted
         Whether it found its place so near that it has only drifted: its odometry holds for all its motions.
+    renewed
+        The map of the known frame after a renewal that has found the robot's place; None otherwise.
     """
 
     known: KnownFrame | None
@@ -82,6 +86,7 @@ class Absence:
     reason: str
     jump: float
     place: KnownPlaces | None
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     driven: float = 0.0
     moved: float = 0.0
     sought: float = 0.0
@@ -94,6 +99,7 @@ class Absence:
     returned: int = 0
     is_unlikely: bool = False
     has_drifted: bool = False
+    renewed: KnownPlaces | None = None
 
     @property
     def is_placed(self) -> bool:

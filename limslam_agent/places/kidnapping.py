@@ -19,26 +19,20 @@ as long as changes are watched: time alone says nothing for the pose.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.history import LoggedStep, StepLog
-from limslam_agent.places.localisation import KnownPlaces, is_far, localise
+from limslam_agent.places.localisation import KnownPlaces, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import Suspicion
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
-_NEAR, _NEAR_TURN = 0.5, math.radians(15.0)  # m, rad: a robot that is off by less than this may have drifted
-_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
-_LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
-_OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
 _FEWEST = 60  # number of rays for which the map is searched
 _MANY_BEAMS = 24  # one of more beams than this decides nothing
 _HELD, _LATEST = 1500, 300  # largest number of steps for which a doubtful change is held, and that weigh each beam
@@ -150,8 +144,8 @@ class Kidnapping:
         likeliest = max(found, key=lambda each: each.evidence)
         is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence
         if is_doubtful:
-            near = near_evidence(likeliest.place, likeliest.rays, covariance)
-            evidence = min(evidence, likeliest.change.change - near)
+            near = near_fit(likeliest.place, likeliest.rays, covariance)
+            evidence = min(evidence, likeliest.change.change - near.evidence + near.cost)
         status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
         if evidence >= self.config.carried and self._needs_no_beam(likeliest, log, sensor):
             status = CARRIED
@@ -223,25 +217,6 @@ class Kidnapping:
         if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()
         return MAYBE_ELSEWHERE
-
-
-def near_evidence(place: KnownPlaces, rays: FloatArray, covariance: FloatArray) -> float:
-    """The largest evidence of rays (n, 6) near the believed pose, less the cost of being off by so much.
-
-    ``covariance`` (3, 3) is that of the pose.
-    """
-    middle = rays[:, :2].mean(axis=0)
-    shifts = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
-    about = np.array([*middle, 0.0])
-    starts = compose(compose(about, shifts), np.array([*-middle, 0.0]))
-    poses = place.refined(starts, rays)
-    off = compose(compose(np.array([*-middle, 0.0]), poses), about)
-    is_near = (np.hypot(off[:, 0], off[:, 1]) < _NEAR) & (np.abs(off[:, 2]) < _NEAR_TURN)
-    least = np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
-    precision = np.linalg.inv(_OWN**2 * covariance + least)
-    costs = 0.5 * np.einsum("ni,ij,nj->n", off, precision, off)
-    fits = place.weigh(np.concatenate((poses[is_near], np.zeros((1, 3)))), rays)
-    return max(float(fit.evidence - cost) for fit, cost in zip(fits, [*costs[is_near], 0.0], strict=True))
 
 
 def _without(step: LoggedStep, beams: BoolArray) -> LoggedStep:

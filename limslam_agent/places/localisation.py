@@ -14,7 +14,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,12 @@ _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
 _UNLIKELY = 12.0  # logarithm of the number of places that a map has
+_NEAR, _NEAR_TURN = 0.5, math.radians(15.0)  # m, rad: a robot that is off by less than this may have drifted
+_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
+_DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
+_LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
+_LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
+_OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
 _RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
 
 FAR = 1.5, math.radians(30.0)
@@ -257,6 +264,42 @@ def localise(
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
     return Localisation(best, runner_up, middle, _refusal(best, runner_up, config), places[:_KEPT])
+
+
+class NearFit(NamedTuple):
+    """The likeliest pose of a drive near the believed pose: how its rays fit there, and the cost of being off so far.
+
+    The cost is half the squared Mahalanobis distance.
+    """
+
+    fit: PlaceFit
+    cost: float
+
+    @property
+    def evidence(self) -> float:
+        """Evidence of the rays, less the cost."""
+        return self.fit.evidence - self.cost
+
+
+def near_fit(known: KnownPlaces, rays: FloatArray, covariance: FloatArray) -> NearFit:
+    """The likeliest pose of rays (n, 6) near the believed pose, the origin, whose covariance (3, 3) is given.
+
+    A pose is near within 0.5 m and 15 degrees, or within 3 standard deviations.
+    """
+    middle = rays[:, :2].mean(axis=0)
+    about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
+    spread = _OWN**2 * covariance + np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
+    variances, axes = np.linalg.eigh(spread)
+    likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
+    grid = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
+    starts = compose(compose(about, np.concatenate((likely, grid))), back)
+    # With few rays, a refinement may lead away from the right pose.
+    poses = np.concatenate((starts[: len(likely)], known.refined(starts, rays)))
+    off = compose(compose(back, poses), about)
+    costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
+    is_near = ((np.hypot(off[:, 0], off[:, 1]) < _NEAR) & (np.abs(off[:, 2]) < _NEAR_TURN)) | (costs < _LIKELY)
+    found = map(NearFit, known.weigh(poses[is_near], rays), costs[is_near].tolist())
+    return max(found, key=lambda each: each.evidence)
 
 
 def _sample(rays: FloatArray) -> FloatArray:

@@ -22,7 +22,17 @@ from limslam_agent.places.absence import Absence, KnownFrame, Placement
 from limslam_agent.places.decision import match_covariance
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.kidnapping import Doubt, Kidnapping
-from limslam_agent.places.localisation import DRIFT, FAR, KnownPlaces, Localisation, PlaceFit, agree, is_far, localise
+from limslam_agent.places.localisation import (
+    DRIFT,
+    FAR,
+    KnownPlaces,
+    Localisation,
+    PlaceFit,
+    agree,
+    is_far,
+    localise,
+    near_fit,
+)
 from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
@@ -164,7 +174,7 @@ class Recovery:
         before, self._arrival = self.absence, None
         if before is None:
             known = self._known_before(first, 1 if is_dated else self._config.margin) or self._copy(slam, grid)
-            self.absence = Absence(known, first, status.reason, jump, known.places)
+            self.absence = Absence(known, first, status.reason, jump, known.places, slam.covariance)
             self.log.forget_before(known.step)
             if is_carried:
                 # It may be anywhere in its map: the standard deviation of a uniform distribution.
@@ -175,7 +185,7 @@ class Recovery:
             if before.is_placed and not before.has_drifted:
                 self.breaks.pop()
             self.absence = replace(
-                before, first=first, placed=None, rays=None, gone=[], has_drifted=False, decisions=[]
+                before, first=first, placed=None, rays=None, gone=[], has_drifted=False, renewed=None, decisions=[]
             )
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
@@ -256,10 +266,11 @@ class Recovery:
         """Whether the readings since the robot was placed contradict the map in which it was."""
         if absence.place is None or absence.rays is None:
             return False
+        place = absence.renewed or absence.place
         if absence.is_unlikely and self._later_fit(absence, absence.place, sensor).is_on_map < -self._config.on_map:
             return True
         rays = np.concatenate((absence.rays, rays_of(self.log.since(absence.first), self._robot, sensor.bias)))
-        (fit,) = absence.place.weigh(np.zeros((1, 3)), rays)
+        (fit,) = place.weigh(np.zeros((1, 3)), rays)
         return fit.is_on_map < -self._config.on_map
 
     def _later_fit(self, absence: Absence, place: KnownPlaces, sensor: RangeSensor) -> PlaceFit:
@@ -289,26 +300,29 @@ class Recovery:
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         earlier = absence.decisions[-1:]
         likely = [np.zeros(3), *(fit.pose for found in earlier for fit in found.open)]
-        # A robot that was not carried away has drifted, and is near.
-        far = 1.0 if absence.is_carried and self._near_fit(absence.place, rays) is None else self._config.far
+        # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
+        # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
+        # a large building, some other place fits nearly always.
+        is_far_likely = absence.is_carried and self._near_fit(absence, rays, self._config.on_map) is None
+        far = 1.0 if is_far_likely else self._config.far
         decision = localise(absence.place, rays, self._config, likely, far)
         absence.decisions.append(decision)
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
         return self._placement(absence, rays, decision, sensor)
 
-    def _near_fit(self, place: KnownPlaces, rays: FloatArray) -> PlaceFit | None:
-        """The place of rays (n, 6) near the believed pose, if they fit the map there; None otherwise.
+    def _near_fit(self, absence: Absence, rays: FloatArray, on_map: float) -> PlaceFit | None:
+        """The likeliest place of rays (n, 6) near the believed pose, if they fit the map there; None otherwise.
 
-        If they do, nothing says any more that the robot was carried away: a robot that has drifted may also read sudden
-        changes, and in a large building, some other place fits nearly always.
+        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too. ``on_map`` is
+        the least logarithm of the likelihood ratio of the contradictions there.
         """
-        if not len(rays):
+        if absence.place is None or not len(rays):
             return None
-        (fit,) = place.weigh(place.refined(np.zeros((1, 3)), rays), rays)
-        is_near = not is_far(fit.pose, rays[:, :2].mean(axis=0))
-        fits = is_near and fit.evidence >= self._config.lead and fit.is_on_map >= self._config.on_map
-        return fit if fits else None
+        found = near_fit(absence.place, rays, absence.covariance)
+        is_near = not is_far(found.fit.pose, rays[:, :2].mean(axis=0))
+        fits = is_near and found.evidence >= self._config.lead and found.fit.is_on_map >= on_map
+        return found.fit if fits else None
 
     def seek_near(self, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that was just lost, if its readings since then fit the map near the believed pose.
@@ -322,12 +336,32 @@ class Recovery:
         if absence.known is not None and absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
-        fit = self._near_fit(absence.place, rays)
+        # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
+        fit = self._near_fit(absence, rays, 0.0)
         if fit is None:
             return None
         found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
         absence.decisions.append(found)
         return self._placement(absence, rays, found, sensor)
+
+    @property
+    def may_be_renewed(self) -> bool:
+        """Whether a robot that was just lost may find its place by a renewal: nothing says that it was carried away."""
+        absence = self.absence
+        return absence is not None and not (absence.was_moved or absence.returned)
+
+    def has_been_renewed(self, poses: Sequence[FloatArray], slam: LineSlam, grid: OccupancyGrid) -> None:
+        """A renewal has moved the latest steps of a lost robot to poses (3,), where its readings fit.
+
+        So the robot has drifted. Its place is to be confirmed. The frame from before the doubt is kept until then.
+        """
+        absence = self.absence
+        assert absence is not None  # noqa: S101 (only lost robots are renewed)
+        self.move(poses)
+        absence.placed, absence.sought, absence.returned = absence.driven, absence.moved, self.log.end
+        absence.rays, absence.has_drifted = np.empty((0, 6)), True
+        absence.renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
+        self._note_event("renewed", step=self.log.end - 1)
 
     def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:
         """Whether all readings of a robot that has drifted still fit, although its monitor says that it is lost.

@@ -13,7 +13,7 @@ from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
 from limslam_agent.slam.line_graph.renewal import renewed
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
@@ -214,3 +214,54 @@ def test_a_mapper_renews_its_estimate(long_drive):
     for observation in told[: renewed[0] + 100]:
         mapper.step(observation)
     np.testing.assert_array_equal(mapper.snapshot().pose, poses[renewed[0] + 99])
+
+
+def misled(told, at, off):
+    """A mapper whose filter is put at a wrong pose after a step, and the events of its search for its place."""
+    mapper = Mapper(ROBOT, preset("graph", NOISE), START)
+    for step, observation in enumerate(told):
+        mapper.step(observation)
+        if step == at:
+            mapper.slam.relocate(compose(mapper.slam.pose, np.array(off)), 1e-4 * np.eye(3))
+    return mapper, [record["event"] for record in mapper.places.records]
+
+
+def test_a_robot_that_a_wrong_estimate_has_made_lost_is_renewed(monkeypatch):
+    """The filter is put at a wrong pose, as by a wrong association, and cannot take that back."""
+    told, true = rounds(3)
+    monkeypatch.setattr("limslam_agent.places.recovery.Recovery.seek_near", lambda *_: None)
+    mapper, events = misled(told, 330, (0.35, 0.3, 0.4))
+    assert events[:2] == ["lost", "renewed"]
+    assert mapper.frame > 0
+    assert np.hypot(*(mapper.slam.pose - true[-1])[:2]) < 0.15
+    begin = mapper.places.revisions[0].begin
+    revised = mapper.places.revisions[0].poses
+    assert np.hypot(*(revised - true[begin : begin + len(revised)])[:, :2].T).max() < 0.15, "also the earlier poses"
+
+
+@pytest.mark.parametrize(("before", "is_renewed"), [(38.0, False), (30.0, True)])
+def test_a_renewal_must_explain_what_a_lost_robot_reads(monkeypatch, before, is_renewed):
+    settings = config(1000.0)
+    slam = LineSlam(ROBOT, settings, START)
+    renewal = Renewal(slam, settings, OccupancyGrid(settings.grid))
+    monkeypatch.setattr(renewal, "_fit", lambda renewed, *_: before if renewed is slam else 40.0)
+    for number, observation in enumerate(rounds(2)[0]):
+        slam.step(observation)
+        renewal.note(observation)
+        if number == 100:
+            assert not renewal.renew_lost(), "the stretch is too short"
+    assert renewal.renew_lost() is is_renewed
+
+
+@pytest.mark.parametrize(("gain", "is_renewed"), [(0.0, False), (7.0, True)])
+def test_a_renewal_far_beyond_the_stated_uncertainty_must_explain_readings(monkeypatch, gain, is_renewed):
+    """The stretch may have been joined wrongly with a map that does not share enough walls with it."""
+    told, _ = rounds(2)
+
+    def joined_far_away(*args):
+        state, poses = renewed(*args)
+        return replace(state, pose=state.pose + np.array([3.0, 0.0, 0.3])), poses
+
+    monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", joined_far_away)
+    monkeypatch.setattr(Renewal, "_fit", lambda self, slam, *_: 40.0 - gain * (slam is self._slam))
+    assert bool(driven(config(ROUND_S), told)[3]) is is_renewed

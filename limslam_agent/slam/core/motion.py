@@ -15,6 +15,9 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec
 LEAST_VARIANCE = 1e-12
 """Added to the variance of each wheel's travel, m^2."""
 
+TOO_FAST = 300.0
+"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused."""
+
 # In standard deviations: a smaller turn may be noise only.
 _SURE_TURN = 4.0
 
@@ -149,6 +152,14 @@ def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, o
 def _check(values: FloatArray, size: int, key: str) -> None:
     if values.shape != (size,) or not all(map(math.isfinite, values.tolist())):
         raise ValueError(f"{key} must be {size} finite numbers, not {values!r}")
+
+
+def longest_travel(robot: RobotSpec) -> float:
+    """How far a wheel may travel in one step, m, before :func:`check_travel` refuses it.
+
+    A jump of the odometry by a few metres is accepted: it makes the status ``lost``.
+    """
+    return TOO_FAST * robot.max_wheel_speed * robot.control_period
 
 
 def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> None:

@@ -71,6 +71,15 @@ def test_a_robot_whose_readings_fit_near_the_believed_pose_is_placed_at_once(who
     assert not recovery.breaks
 
 
+def test_a_few_readings_suffice_near_the_believed_pose(whole):
+    """They say little against ground that the map does not have, and nothing says that the robot was carried away."""
+    recovery = lost(whole, NEAR)
+    recovery.absence.first = recovery.log.end - 12
+    rays = rays_of(recovery.log.since(recovery.absence.first), ROBOT)
+    assert recovery._near_fit(recovery.absence, rays, CONFIG.on_map) is None
+    assert recovery.seek_near(SENSOR) is not None
+
+
 def test_only_a_robot_that_drifted_is_placed_at_once(whole):
     assert lost(whole, FAR).seek_near(SENSOR) is None
     assert lost(whole, NEAR, is_carried=True).seek_near(SENSOR) is None
@@ -80,6 +89,24 @@ def test_only_a_robot_that_drifted_is_placed_at_once(whole):
     recovery = lost(whole, NEAR)
     recovery.absence.known = SimpleNamespace(step=0)
     assert recovery.seek_near(SENSOR) is None, "the map was copied after the doubt began, and fits in any case"
+
+
+def test_a_robot_that_a_renewal_has_found_is_unsure_until_nothing_contradicts_the_renewed_map(whole):
+    recovery, right = lost(whole, FAR), [step.pose for step in drive(PART, HALL)]
+    assert recovery.may_be_renewed
+    slam, grid = SimpleNamespace(segments=whole.segments, range_sensor=SENSOR), SimpleNamespace(view=whole.grid)
+    recovery.has_been_renewed(right, slam, grid)
+    assert recovery.status(Status()).level == "unsure"
+    np.testing.assert_array_equal([step.pose for step in recovery.log.steps], right)
+    assert recovery.still_fits(monitor(), SENSOR), "the renewed map is not contradicted"
+    recovery.log.steps = [replace(step, pose=compose(np.array(FAR), step.pose)) for step in recovery.log.steps]
+    assert not recovery.still_fits(monitor(), SENSOR)
+    assert not recovery.may_be_renewed, "one renewal is enough"
+
+
+@pytest.mark.parametrize("details", [{"is_carried": True}, {"jump": 1.1}])
+def test_a_robot_that_was_moved_is_not_sought_by_a_renewal(whole, details):
+    assert not lost(whole, NEAR, **details).may_be_renewed
 
 
 def test_a_drifted_robot_is_lost_again_only_by_all_its_readings(whole):

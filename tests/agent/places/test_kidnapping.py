@@ -12,13 +12,13 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.kidnapping import CARRIED, MAYBE_CARRIED, MAYBE_ELSEWHERE, Kidnapping
-from limslam_agent.places.localisation import KnownPlaces, localise
+from limslam_agent.places.localisation import KnownPlaces, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import WRONG_PLACE, Recovery
 from limslam_agent.status.contradictions import KnownMap
 from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import Suspicion
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, inverse
 
 CONFIG = PlaceConfig()
 COVARIANCE = np.diag([0.03**2, 0.03**2, 0.01**2])
@@ -186,5 +186,26 @@ def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole,
 @pytest.mark.parametrize(("frame", "is_near"), [((0.3, -0.2, 0.1), True), (AWAY, False), ((20.0, 0.0, 0.3), False)])
 def test_readings_that_fit_near_the_believed_pose_take_back_that_the_robot_was_carried_away(whole, frame, is_near):
     recovery, rays = Recovery(ROBOT, preset("graph"), CONFIG), rays_of(moved_log(frame).since(0), ROBOT)
-    assert (recovery._near_fit(whole, rays) is not None) is is_near
-    assert recovery._near_fit(whole, rays[:0]) is None
+    absence = Absence(None, 1, "", 0.0, whole, COVARIANCE)
+    assert (recovery._near_fit(absence, rays, CONFIG.on_map) is not None) is is_near
+    assert recovery._near_fit(absence, rays[:0], CONFIG.on_map) is None
+
+
+@pytest.mark.parametrize(("std", "is_carried"), [(0.03, True), (0.5, False)])
+def test_a_robot_within_its_uncertainty_was_not_carried_away(whole, std, is_carried):
+    """It comes back to known walls after a long way, and is off by 1 m and 7 degrees."""
+    log = moved_log([0.9, -0.5, 0.12])
+    covariance = np.diag([std**2, std**2, (0.3 * std) ** 2])
+    assert (doubt(log, [changed(whole, 5)], covariance=covariance).status == CARRIED) is is_carried
+
+
+def test_a_few_readings_do_not_lead_away_from_the_likeliest_pose_near_by(whole):
+    """A refinement may slide along a wall, where the prior says that the robot is not."""
+    log, covariance = moved_log([0.4, -0.3, 0.1]), np.diag([0.4**2, 0.4**2, 0.12**2])
+    for count in (6, 12, 24):
+        rays = rays_of(log.steps[-count:], ROBOT)
+        found = near_fit(whole, rays, covariance)
+        (here,) = whole.weigh(np.zeros((1, 3)), rays)
+        right = np.array(inverse(np.array([0.4, -0.3, 0.1])))
+        assert found.evidence > here.evidence
+        assert not is_far(compose(found.fit.pose, inverse(right)), np.zeros(2), 0.9, 0.35)
