@@ -395,7 +395,7 @@ def test_the_same_observations_give_the_same_bits() -> None:
 def test_beams_on_teammates_make_no_wall() -> None:
     env = LimSlamParallelEnv("env2", num_robots=2, sensor_noise=0.02, coverage_goal=None, max_cycles=None)
     # Face to face.
-    told, infos = env.reset(seed=3, options={"start": [(0.8, 4.5, -0.5 * math.pi), (0.8, 3.5, 0.5 * math.pi)]})
+    told, infos = env.reset(seed=8, options={"start": [(0.8, 4.5, -0.5 * math.pi), (0.8, 3.5, 0.5 * math.pi)]})
     team = LimSlamTeam(ROBOT, NOISY, 2)
     team.reset(np.array([infos[name]["pose"] for name in team.names]))
     records: list[AssociationRecord] = []
