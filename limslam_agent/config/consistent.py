@@ -101,8 +101,9 @@ class WallAssociationConfig(Bounded):
     gate
         Largest chi-square (two degrees of freedom) of the difference between the readings and a landmark.
     far_gate
-        Readings with a chi-square between ``gate`` and ``far_gate`` stay pending: they neither update the landmark
-        nor create one.
+        Readings with a chi-square between ``gate`` and ``far_gate`` create no landmark. They update the landmark if
+        every other one has a chi-square of ``far_gate`` or more, and if they lie inside the landmark's known ends and
+        would be good enough for a new landmark but for their length (``CreationConfig``). Otherwise they stay pending.
     ambiguity
         Readings are discarded if the chi-square of a second landmark within ``gate`` is larger by less than this.
     """

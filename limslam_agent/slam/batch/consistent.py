@@ -48,7 +48,8 @@ from limslam_agent.slam.batch.wall_map import (
     shared,
 )
 from limslam_agent.slam.batch.wall_map import merge as merge_walls
-from limslam_agent.slam.consistent.consistent import BESIDE_CORNER, SHORTEST, STRAIGHTNESS
+from limslam_agent.slam.consistent.consistent import SHORTEST, STRAIGHTNESS
+from limslam_agent.slam.consistent.corners import BESIDE_CORNER
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES
 from limslam_agent.slam.core import wall_faces
 from limslam_agent.slam.core.ekf import POSE
@@ -208,15 +209,16 @@ def incorporate(
     best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
     if second <= settings.gate and second - best < settings.ambiguity:
         return True
-    if best <= settings.gate:
+    is_enough = len(points) >= settings.new_readings * settings.std
+    is_sure = is_enough and segment[ANGLE_STD] <= settings.max_angle_std and is_whole(points, segment, settings)
+    gate = settings.far_gate if is_sure and second >= settings.far_gate else settings.gate
+    if best <= gate:
         index = rows[0]
         if not fits(ekf, walls, index, points, segment, settings, best, details[index, 0], details[index, 1]):
             return False
         update(ekf, walls, places, readings, index, settings, settings.iterations)
         return True
     least = settings.new_length_complete if is_complete else settings.new_length
-    is_enough = len(points) >= settings.new_readings * settings.std
-    is_sure = is_enough and segment[ANGLE_STD] <= settings.max_angle_std and is_whole(points, segment, settings)
     if best < settings.far_gate or segment[EXTENT] < least or not is_sure:
         return False
     if ekf.counts[LINES] == room:

@@ -17,6 +17,7 @@ from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
+from limslam_agent.slam.consistent.corners import on_crossing_wall, uncontested
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
@@ -31,13 +32,10 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import direction, distance, normal
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import direction, distance
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
-
-BESIDE_CORNER = 0.15
-"""A reading this close to the end of another line, m along it, may belong to either line."""
 
 STRAIGHTNESS = (1e-3**2, 1e-4**2)
 """Variances, m^2 and rad^2, by which one real wall deviates from a line.
@@ -305,37 +303,14 @@ class ConsistentEstimator(Estimator):
 
     def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> Iterator[tuple[FloatArray, IntArray]]:
         """Each line, and its readings without those near a corner that could also belong to another wall."""
-        near = max_distance(self._settings.hough, self._usual_std)
-        for line in lines:
-            members = np.sort(line.members)
-            for other in lines:
-                if other is line:
-                    continue
-                places = np.sort(other.fit.ends @ direction(other.fit.line))
-                along = points[members] @ direction(other.fit.line)
-                beside = (along > places[0] - BESIDE_CORNER) & (along < places[1] + BESIDE_CORNER)
-                members = members[~(beside & (np.abs(distance(other.fit.line, points[members])) < near))]
-            if self._usual_std >= self._settings.segmentation.corner_std:
-                members = members[~self._on_crossing_wall(points[members], float(line.fit.line[1]), near)]
+        near, settings = max_distance(self._settings.hough, self._usual_std), self._settings.segmentation
+        for line, own in uncontested(points, lines, near):
+            members = own
+            if self._usual_std >= settings.corner_std:
+                theta, kink = float(line[1]), settings.min_kink
+                members = own[~on_crossing_wall(points[own], theta, near, kink, self._filter, self._map)]
             if len(members) >= FEWEST:
-                yield line.fit.line, members
-
-    def _on_crossing_wall(self, points: FloatArray, theta: float, near: float) -> BoolArray:
-        """Which points (n,) of a line with its normal at ``theta``, rad, may lie on a known wall that crosses the line.
-
-        At a corner, readings of the next wall look like a turn of the first one, and they would turn the robot.
-        """
-        lines, anchors = self._filter.anchored, self._filter.anchors
-        crosses = (
-            np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi) > self._settings.segmentation.min_kink
-        )
-        ends = np.array([wall.extent.ends for wall in self._map.walls]).reshape(-1, 2)[crosses]
-        lines, offsets = lines[crosses], points[:, None] - anchors[crosses]
-        along = np.sum(offsets * direction(lines), axis=2)
-        is_beside = (along > ends[:, 0] - BESIDE_CORNER) & (along < ends[:, 1] + BESIDE_CORNER)
-        return np.asarray(
-            (is_beside & (np.abs(np.sum(offsets * normal(lines), axis=2) - lines[:, 0]) < near)).any(axis=1)
-        )
+                yield line, members
 
     def _incorporate(
         self, robot: int, step: int, readings: Readings, segment: WallSegment, *, is_complete: bool
@@ -347,20 +322,22 @@ class ConsistentEstimator(Estimator):
             if not self._closes_loop(candidates[0].landmark, candidates[1].landmark, step):
                 break
             candidates = self._candidates(readings, segment)
+        best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
+        is_sure = self._is_sure(segment)
+        # A filter that is more wrong than it states refuses the right walls, unless nothing else can be meant.
+        gate = settings.far_gate if is_sure and second >= settings.far_gate else settings.gate
         if self.on_comparison is not None:
             known = {each.landmark: each.of_line for each in candidates}
             other_side = {index for index, _ in self._comparable(readings, segment)} - known.keys()
+            limits = replace(settings, gate=gate)
             self.on_comparison(
-                comparison(robot, step, readings, segment, known, other_side, self._filter, self._map, settings)
+                comparison(robot, step, readings, segment, known, other_side, self._filter, self._map, limits)
             )
-        best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
         if second <= settings.gate and second - best < settings.ambiguity:
             return True
-        if best <= settings.gate:
+        if best <= gate:
             return self._observe(robot, step, readings, segment, candidates[0])
         least = creation.min_length_complete if is_complete else creation.min_length
-        is_enough = len(segment.members) >= creation.readings_per_std * self._usual_std
-        is_sure = is_enough and segment.angle_std <= creation.max_angle_std and self._is_whole(segment)
         if best < settings.far_gate or segment.length < least or not is_sure:
             return False
         self._add(robot, step, readings, segment)
@@ -449,6 +426,12 @@ class ConsistentEstimator(Estimator):
             and self._is_whole(segment)
         )
         return bool(is_inside or is_clear)
+
+    def _is_sure(self, segment: WallSegment) -> bool:
+        """Whether a segment is good enough for a new landmark, but for its length."""
+        creation = self._settings.creation
+        is_enough = len(segment.members) >= creation.readings_per_std * self._usual_std
+        return bool(is_enough and segment.angle_std <= creation.max_angle_std and self._is_whole(segment))
 
     def _is_whole(self, segment: WallSegment) -> bool:
         """Whether no hole in a segment is so wide that its points may lie on two walls."""

