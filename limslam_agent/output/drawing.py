@@ -163,8 +163,9 @@ def legend(picture: MapPicture) -> list[Line2D]:
     if picture.true_edges is not None:
         handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
     if picture.grid is not None:
-        cells = Line2D([], [], linestyle="", marker="s", color=_GRID(2), markeredgecolor="0.8", label="seen free")
-        handles.append(cells)
+        for colour, label in ((2, "seen free"), (0, "seen occupied")):
+            cells = Line2D([], [], linestyle="", marker="s", color=_GRID(colour), markeredgecolor="0.8", label=label)
+            handles.append(cells)
     return handles
 
 

@@ -89,7 +89,7 @@ def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
     (image,) = axes.images
     assert image.get_extent() == pytest.approx((0.0, 4.0, 0.0, 3.0))
     assert image.get_zorder() < min(artist.get_zorder() for artist in (*axes.lines, *axes.collections))
-    assert labels(picture)[-1] == "seen free"
+    assert labels(picture)[-2:] == ["seen free", "seen occupied"]
     marks = {line.get_marker(): line.get_xydata()[0].tolist() for line in axes.lines if len(line.get_xydata()) == 1}
     assert marks == {"o": [0.5, 1.0], "s": [3.5, 1.0]}
 
