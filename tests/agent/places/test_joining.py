@@ -152,6 +152,22 @@ def test_a_wrong_match_is_refused_by_the_readings(episode):
     assert mapper.poses.shape == (2, 3)
 
 
+def test_robots_that_were_lost_before_they_met_join_later(episode, monkeypatch):
+    mapper, joined = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE))), episode.places.records[0]["step"]
+    mapper.reset(np.array([episode.true[0, 0], HERE]))
+    with monkeypatch.context() as patch:
+        patch.setattr(Mapper, "statuses", property(lambda _: [Status("lost", "made up")]))
+        for step in range(joined + 1):
+            mapper.step(*observations_of(episode, step))
+    assert mapper.is_apart, "a lost robot is not in its map"
+    assert mapper.places.records == []
+    step = joined
+    while mapper.is_apart:
+        step += 1
+        mapper.step(*observations_of(episode, step))
+    assert [each["event"] for each in mapper.places.records] == ["joined"]
+
+
 def room(width, height, corner):
     """A closed room with a short wall that stands at a corner of it, and the ground in it."""
     walls = [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
