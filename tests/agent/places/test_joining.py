@@ -20,7 +20,7 @@ from limslam_agent.runs.episode import RunConfig, run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.status import Status
+from limslam_agent.status.status import LEVELS, Status
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -166,6 +166,13 @@ def test_robots_that_were_lost_before_they_met_join_later(episode, monkeypatch):
         step += 1
         mapper.step(*observations_of(episode, step))
     assert [each["event"] for each in mapper.places.records] == ["joined"]
+
+
+def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
+    met = run_episode(RunConfig("env2", NOISE, seed=72, robots=2, unknown_starts=True, max_time=52.0))
+    assert met.joined is None
+    assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
+    assert met.levels[:, 0].max() < LEVELS.index("lost")
 
 
 def room(width, height, corner):
