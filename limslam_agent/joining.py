@@ -27,6 +27,8 @@ NOT_YET_JOINED = Status("unsure", "the second robot's place relative to the firs
 NOT_YET_CONFIRMED = Status("unsure", "the second robot's place relative to the first one is not confirmed yet")
 """The status of the second robot while a part of the building that was not seen yet may look like its place."""
 
+_NEVER = 30_000  # no cell of a grid reaches this value
+
 UNKNOWN = np.diag([100.0, 100.0, np.pi**2])
 """Covariance (3, 3) of an unknown place in a building, m and rad."""
 
@@ -129,7 +131,8 @@ class JoiningMapper(Mapper):
             return
         self._follow_both(self._apart)
         if self._meeting.is_open:
-            self._meeting.end("no match was good and unambiguous")
+            is_lost = self._is_one_lost(self._apart)
+            self._meeting.end("a robot is lost" if is_lost else "no match was good and unambiguous")
         other = self._apart[1]
         self._unplaced = Unplaced(0, other.slam.segments, other.slam.landmarks, other.grid)
 
@@ -208,13 +211,19 @@ class JoiningMapper(Mapper):
         self.odometry.setflags(write=False)
 
     def _seek_other(self, apart: list[Mapper]) -> bool:
-        """Match both maps, and go on as a team if they fit together in one place only. Whether they are a team now."""
-        if self.parted is not None or any(mapper.places.records for mapper in apart):
-            self._meeting.end("a robot was lost before")
+        """Match both maps, and go on as a team if they fit together in one place only. Whether they are a team now.
+
+        A lost robot is not in its map. Robots that do not know of each other are easily lost when they meet, because
+        the body of the other robot contradicts the map. The search goes on when both know their places again.
+        """
+        if self._is_one_lost(apart):
             return False
         first, second = (place_map(mapper.slam.segments, mapper.grid) for mapper in apart)
         found = self._meeting.seek(first, second, self._starts[1], [mapper.slam.covariance for mapper in apart])
         return found is not None and self._join(apart, *found)
+
+    def _is_one_lost(self, apart: Sequence[Mapper]) -> bool:
+        return any(mapper.statuses[0].level == "lost" for mapper in apart)
 
     def _join(self, apart: list[Mapper], start: FloatArray, covariance: FloatArray) -> bool:
         """Process all steps again with a shared map; the second robot starts at a pose (3,) that a match has found.
@@ -260,8 +269,13 @@ class JoiningMapper(Mapper):
         return self_calibrating(self.config) if is_calibrated else self.config, mean
 
     def _separate_mappers(self) -> list[Mapper]:
-        """Mappers that begin at the robots' own starts."""
-        mappers = [Mapper(self.robot, self.config, start) for start in self._own]
+        """Mappers that begin at the robots' own starts.
+
+        What ends in space that is known to be free may be the body of the other robot, and contradicts no map.
+        """
+        contradictions = replace(self.config.status.contradictions, free=_NEVER)
+        config = replace(self.config, status=replace(self.config.status, contradictions=contradictions))
+        mappers = [Mapper(self.robot, config, start) for start in self._own]
         mappers[0].on_restart = self._forget_associations
         return mappers
 

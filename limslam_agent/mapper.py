@@ -31,7 +31,7 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
 
-RESTART_WITHIN = 600
+RESTART_WITHIN = 1800
 """Number of first steps within which a mapper starts again when the SLAM finds errors of odometry or sensor."""
 
 MOST_RESTARTS = 6

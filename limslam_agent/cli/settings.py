@@ -315,7 +315,12 @@ def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
     """The robot of a file's table."""
     from limslam_env.interface import RobotSpec, beams_on_rim
 
-    rim = {name: table.pop(name) for name in ("beams_deg", "min_range", "max_range") if name in table}
+    of_rim = [field.name for field in fields(_RimBeams)]
+    names = [*(field.name for field in fields(RobotSpec)), *of_rim]
+    unknown = next((name for name in table if name not in names), None)
+    if unknown is not None:
+        raise SettingsError(f"{where}: {unknown}: there is no such setting; there are {', '.join(names)}")
+    rim = {name: table.pop(name) for name in of_rim if name in table}
     robot = updated(RobotSpec(), table, where)
     if not rim:
         return robot

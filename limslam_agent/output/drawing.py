@@ -22,6 +22,7 @@ _DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
 _ONLINE_WIDTH = 0.9
 _START, _END = "o", "s"
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
+_WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
 
 
@@ -124,6 +125,14 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
     _draw_scale(axes, low, high)
 
 
+def limit_bands(axes: Axes) -> None:
+    """Limit the vertical axis of a plot, so that the wide band of a lost robot does not hide the curves."""
+    largest = max((float(np.nanmax(np.abs(line.get_ydata()), initial=0.0)) for line in axes.lines), default=0.0)
+    if largest > 0.0:
+        low, high = axes.get_ylim()
+        axes.set_ylim(max(low, -_WIDEST_BAND * largest), min(high, _WIDEST_BAND * largest))
+
+
 def path_colours(robots: int) -> list[tuple[str, str]]:
     """Colours of each robot's estimated path and odometry. A single robot has two colours, each of several robots has
     one.
@@ -163,8 +172,9 @@ def legend(picture: MapPicture) -> list[Line2D]:
     if picture.true_edges is not None:
         handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
     if picture.grid is not None:
-        cells = Line2D([], [], linestyle="", marker="s", color=_GRID(2), markeredgecolor="0.8", label="seen free")
-        handles.append(cells)
+        for colour, label in ((2, "seen free"), (0, "seen occupied")):
+            cells = Line2D([], [], linestyle="", marker="s", color=_GRID(colour), markeredgecolor="0.8", label=label)
+            handles.append(cells)
     return handles
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from limslam_agent.output.drawing import MapPicture, legend, paint_map, path_colours
+from limslam_agent.output.drawing import MapPicture, legend, limit_bands, paint_map, path_colours
 from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
 from limslam_env.geometry import FloatArray
 
@@ -96,6 +96,7 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     upper.tick_params(labelsize=8, labelbottom=False)
     lower.tick_params(labelsize=8)
     for axes in (upper, lower):
+        limit_bands(axes)
         axes.grid(color="0.9", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
     if upper.lines:

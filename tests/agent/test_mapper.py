@@ -11,6 +11,7 @@ from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset, save_map
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -262,3 +263,22 @@ def test_a_saved_map_shows_the_path_and_can_be_replaced(tmp_path):
     assert (tmp_path / "map.png").read_bytes() != short
     with pytest.raises(ValueError, match="2 paths do not go with 1 robots"):
         save_map(tmp_path, snapshot, [np.zeros((2, 2)), np.zeros((2, 2))])
+
+
+def test_a_sensor_that_is_found_in_the_third_minute_is_known_from_the_start():
+    mapper, restarts = Mapper(ROBOT, preset("graph", NOISE)), list[int]()
+    mapper.on_restart = restarts.append
+    seen = {"ranges": np.full(6, 1.5), "wheels": np.zeros(2)}
+    early, late = RangeSensor(0.03, growth=0.01), RangeSensor(0.04, growth=0.01)
+    for _ in range(1500):
+        mapper.step(seen)
+    mapper.slam.assume(early)
+    mapper.step(seen)
+    assert restarts == [0]
+    assert mapper.slam.sensor == early
+    for _ in range(500):
+        mapper.step(seen)
+    mapper.slam.assume(late)
+    mapper.step(seen)
+    assert restarts == [0], "after the third minute the sensor acts from then on"
+    assert mapper.slam.sensor == late

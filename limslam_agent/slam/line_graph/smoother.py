@@ -22,6 +22,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
+# The error of the right wheel less that of the left one, and the error of the axle less the mean of the wheels.
+_RELATIVE = np.array([[-1.0, 1.0, 0.0, 0.0], [-0.5, -0.5, 1.0, 0.0]])
 _CARRIED_STD = 10.0  # m, of all three components of a motion of which nothing is known
 
 
@@ -186,15 +188,20 @@ def _settled(problem: Problem, found: Association, run: FilteredRun, config: Smo
 def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     """Whether beams contradict a solution, or another calibration fits the wheels and ranges much better.
 
-    The second criterion is Wald's test of the calibration that is estimated with the same associations.
+    The second criterion is Wald's test of the calibration that is estimated with the same associations. What a wide
+    beam reads, and what a sensor whose noise grows with the range misses near its limit, is known to some millimetres
+    only. That looks like a common error of all sizes with a bias, so such sensors are tested for relative errors alone,
+    unless a bias is known: a wrong one has to be corrected.
     """
     if is_contradicted(found.problem, found.association, config):
         return True
     sized = replace(found.problem, prior=config.calibration.information)
     solution = solve(sized, found.association.state, found.association.labels)
-    values = (solution.state.calibration - sized.assumed_calibration).ravel()
-    first = solution.factored.first_shared
-    covariance = solution.factored.covariance[first : first + len(values), first : first + len(values)]
+    first, count = solution.factored.first_shared, solution.state.calibration.size
+    is_rough = (sized.beam_width > 0.0 or sized.growth > 0.0) and not sized.bias
+    tested = np.kron(np.eye(len(sized.starts)), _RELATIVE if is_rough else np.eye(4))
+    values = tested @ (solution.state.calibration - sized.assumed_calibration).ravel()
+    covariance = tested @ solution.factored.covariance[first : first + count, first : first + count] @ tested.T
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
 
 

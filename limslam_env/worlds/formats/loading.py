@@ -11,6 +11,7 @@ import numpy as np
 
 from limslam_env.worlds.formats.house_expo import house_world
 from limslam_env.worlds.formats.json_files import read_table
+from limslam_env.worlds.formats.keyed import keyed_world
 from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, read_text
 from limslam_env.worlds.formats.toml import parse_world
 from limslam_env.worlds.formats.wall_list import wall_list_world
@@ -97,20 +98,23 @@ def _load_file(path: Path) -> World:
 
 
 def read_json(path: str | os.PathLike[str]) -> World:
-    """The world in a JSON file, which is HouseExpo's if it has the key ``verts`` and a wall list otherwise.
+    """The world in a JSON file.
+
+    It is HouseExpo's if it has the key ``verts``, and a wall list if it has ``walls`` and ``id``. Otherwise it has the
+    keys of a world in TOML.
 
     Raises
     ------
     WorldError
-        If the file is neither, or cannot be used; the message names file and reason.
+        If the file is none of them, or cannot be used; the message names file and reason.
     """
     with named(path):
         table = read_table(Path(path))
         if "verts" in table:
             return house_world(table)
         if "walls" in table:
-            return wall_list_world(table)
-        raise WorldError("holds neither 'walls', as a wall list, nor 'verts', as a house of HouseExpo")
+            return wall_list_world(table) if "id" in table else keyed_world(table)
+        raise WorldError("holds neither 'walls', as a world or a wall list, nor 'verts', as a house of HouseExpo")
 
 
 def shipped_worlds() -> list[str]:

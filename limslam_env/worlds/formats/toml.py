@@ -3,10 +3,9 @@
 import tomllib
 from typing import Any
 
-from limslam_env.worlds.formats.text_files import number_array
+from limslam_env.worlds.formats.keyed import keyed_world
 from limslam_env.worlds.world import World, WorldError, named
 
-_KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r"}
 
 
@@ -23,25 +22,8 @@ def parse_world(text: str, label: str) -> World:
     except (ValueError, RecursionError) as error:
         # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
         raise WorldError(f"{label}: not TOML: {error}") from error
-    unknown = sorted(set(table) - _KEYS)
-    if unknown:
-        raise WorldError(f"{label}: unknown key {unknown[0]!r}; a world has {', '.join(sorted(_KEYS))}")
-    missing = sorted({"name", "size", "walls"} - set(table))
-    if missing:
-        raise WorldError(f"{label}: the key {missing[0]!r} is missing")
-    if not isinstance(table.get("obstacles", []), list):
-        raise WorldError(f"{label}: obstacles must be a list of polygons")
     with named(label):
-        return World(
-            name=table["name"],
-            size=tuple(number_array(table["size"], "size", 1)),
-            walls=number_array(table["walls"], "walls", 2),
-            obstacles=tuple(
-                number_array(polygon, f"obstacles[{number}]", 2)
-                for number, polygon in enumerate(table.get("obstacles", []))
-            ),
-            **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
-        )
+        return keyed_world(table)
 
 
 def world_toml(world: World) -> str:

@@ -405,7 +405,9 @@ def test_an_option_of_the_simulated_robot_that_cannot_be_is_refused_by_its_name(
 def test_a_robots_file_that_cannot_be_used_is_refused_by_option_file_and_key(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text("axel = 0.2\n")
-    with pytest.raises(ValueError, match=r"^--robot: .*robot\.toml: axel: there is no such setting; there are radius"):
+    with pytest.raises(
+        ValueError, match=r"^--robot: .*robot\.toml: axel: there is no such setting; there are radius.* beams_deg"
+    ):
         config_of(given(tmp_path, robot=str(path)))
 
 

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from PIL import Image as Pictures
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map, path_colours
+from limslam_agent.output.drawing import MapPicture, draw_map, legend, limit_bands, paint_map, path_colours
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
 NOTHING = np.zeros((0, 4))
@@ -89,7 +89,7 @@ def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
     (image,) = axes.images
     assert image.get_extent() == pytest.approx((0.0, 4.0, 0.0, 3.0))
     assert image.get_zorder() < min(artist.get_zorder() for artist in (*axes.lines, *axes.collections))
-    assert labels(picture)[-1] == "seen free"
+    assert labels(picture)[-2:] == ["seen free", "seen occupied"]
     marks = {line.get_marker(): line.get_xydata()[0].tolist() for line in axes.lines if len(line.get_xydata()) == 1}
     assert marks == {"o": [0.5, 1.0], "s": [3.5, 1.0]}
 
@@ -124,3 +124,19 @@ def test_paths_that_do_not_go_together_are_refused():
         MapPicture("two", WALLS, path(1.0), path(1.0), WALLS, [path(1.0), path(2.0)])
     with pytest.raises(ValueError, match="path of a robot"):
         MapPicture("none", WALLS, [], [])
+
+
+@pytest.mark.parametrize(("band", "high"), [(100.0, 1.5), (1.0, 1.05)])
+def test_the_band_of_a_lost_robot_does_not_hide_the_errors(band, high):
+    axes = Figure().add_subplot()
+    axes.plot([0.0, 1.0, 2.0], [0.0, np.nan, 0.5])
+    axes.fill_between([0.0, 2.0], [-band, -band], [band, band])
+    limit_bands(axes)
+    assert axes.get_ylim() == pytest.approx((-high, high), rel=0.06)
+
+
+def test_a_plot_without_errors_keeps_its_limits():
+    axes = Figure().add_subplot()
+    before = axes.get_ylim()
+    limit_bands(axes)
+    assert axes.get_ylim() == before

@@ -21,7 +21,7 @@ from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.status import Status
+from limslam_agent.status.status import LEVELS, Status
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -151,6 +151,29 @@ def test_a_wrong_match_is_refused_by_the_readings(episode):
     assert mapper.is_apart
     assert [each["event"] for each in mapper.places.records] == ["match refused"]
     assert mapper.poses.shape == (2, 3)
+
+
+def test_robots_that_were_lost_before_they_met_join_later(episode, monkeypatch):
+    mapper, joined = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE))), episode.places.records[0]["step"]
+    mapper.reset(np.array([episode.true[0, 0], HERE]))
+    with monkeypatch.context() as patch:
+        patch.setattr(Mapper, "statuses", property(lambda _: [Status("lost", "made up")]))
+        for step in range(joined + 1):
+            mapper.step(*observations_of(episode, step))
+    assert mapper.is_apart, "a lost robot is not in its map"
+    assert mapper.places.records == []
+    step = joined
+    while mapper.is_apart:
+        step += 1
+        mapper.step(*observations_of(episode, step))
+    assert [each["event"] for each in mapper.places.records] == ["joined"]
+
+
+def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
+    met = run_episode(RunConfig("env2", NOISE, seed=72, robots=2, unknown_starts=True, max_time=52.0))
+    assert met.joined is None
+    assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
+    assert met.levels[:, 0].max() < LEVELS.index("lost")
 
 
 def room(width, height, corner):

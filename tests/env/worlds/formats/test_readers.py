@@ -391,6 +391,17 @@ class TestPlans:
         world.check(RADIUS)
         assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
 
+    def test_json_with_the_keys_of_toml_is_the_same_world(self, tmp_path):
+        world = load_world("env2")
+        table = {
+            "name": world.name,
+            "size": world.size,
+            "walls": world.walls.tolist(),
+            "obstacles": [polygon.tolist() for polygon in world.obstacles],
+            **{key: getattr(world, key).tolist() for key in ("doors", "starts", "loop") if len(getattr(world, key))},
+        }
+        assert load_world(write_json(tmp_path, table)) == world
+
     def test_walls_without_length_are_dropped(self, tmp_path):
         walls = [*PLAN["walls"][:2], [1, 1, 1, 1], *PLAN["walls"][2:], [2, 2, 2 + 1e-7, 2]]
         assert read_json(write_json(tmp_path, {**PLAN, "walls": walls})) == read_json(write_json(tmp_path, PLAN))
@@ -466,7 +477,8 @@ class TestPlans:
             (b'{"id": "n", "walls": [[]]}', "walls is empty"),
             (b'{"id": "n", "walls": [[1, 1, 1, 1]]}', "stand on one line and enclose nothing"),
             (b'{"id": "n", "walls": [[0, 1, 2, 1]]}', "stand on one line and enclose nothing"),
-            (b'{"walls": [[0, 0, 1, 1]]}', "the key 'id' is missing"),
+            (b'{"walls": [[0, 0, 1, 1]]}', "the key 'name' is missing"),
+            (b'{"name": "n", "size": [1, 1], "walls": [[0, 0, 1, 1]], "start": [[0, 0, 0]]}', "unknown key 'start'"),
             (b'{"id": 7, "walls": [[0, 0, 1, 1]]}', "id must be a text"),
             (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds an invalid character"),
             (b'{"id": "n", "verts": []}', "verts is empty"),
@@ -476,7 +488,7 @@ class TestPlans:
             (b'{"id": "n", "verts": [[0, 0], [1, 0], [2, 0]]}', "stand on one line and enclose nothing"),
             (b'{"verts": [[0, 0], [1, 1], [1, 0]]}', "the key 'id' is missing"),
         ],
-        ids=range(37),
+        ids=range(38),
     )
     def test_json_that_is_no_plan_is_refused(self, tmp_path, content, reason):
         path = tmp_path / "plan.json"
