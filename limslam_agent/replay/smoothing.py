@@ -23,7 +23,7 @@ from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import agreement_of_visits
+from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loops
@@ -112,12 +112,14 @@ def _signals(found: GraphResult, config: GraphConfig, data: LogData) -> tuple[li
     keys, trajectory = found.keys, found.trajectory
     landmarks = draw_walls(point_cloud(keys, trajectory, config.links, data.range_std), data.range_std)
     loops = sum(verdict.kept for verdict in found.verdicts)
-    agreement = agreement_of_visits(keys, trajectory, config, data.max_range) if len(keys) > 1 else (0.0, 0.0)
+    visits = visit_counts(keys, trajectory, config, data.max_range)
     time = data.time[keys.first_event] - data.time[0]
     crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
-    driven = float(keys.travel[-1])
-    return landmarks, PathSignals(driven, tuple(crossed.tolist()), *agreement, loops, tuple(bent.tolist()))
+    return landmarks, PathSignals(
+        float(keys.travel[-1]), tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()),
+        tuple(time[visits.doubtful].tolist()),
+    )  # fmt: skip
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:

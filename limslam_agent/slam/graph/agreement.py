@@ -23,8 +23,21 @@ kernel = entry_of(__name__)
 NO_SUPPORT = "no other loop nearby agrees"
 REMOVED = "the map agrees better with itself without it"
 NOT_ADDED = "the map does not agree better with itself with it"
+CONTRADICTED = "visits contradict each other where it joins them"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
+
+MOST_CONTRADICTED = 0.12
+"""Visits contradict each other if a larger share of the points that both have seen is contradicted."""
+
+MUCH_MORE = 8.0
+"""A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
+
+_LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
+_LEAST_JUDGED = 100  # fewer points are not judged
+_LEAST_KNOWN = 0.2  # share of the log's points that other visits must have seen, to know what is usual
+_STRETCH = 2  # chunks before and after a chunk
+_USUAL = 0.75  # quantile of the shares of all stretches
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +179,55 @@ def agreement_of_visits(
 
     The chunks of the comparison have middles that are ``config.maps.half`` apart.
     """
+    return visit_counts(keys, trajectory, config, max_range).shares
+
+
+@dataclass(frozen=True, eq=False)
+class VisitCounts:
+    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
+
+    middles: IntArray
+    points: IntArray
+    confirmed: IntArray
+    contradicted: IntArray
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Shares of confirmed and of contradicted points among all points."""
+        total = max(1, int(self.points.sum()))
+        return float(self.confirmed.sum() / total), float(self.contradicted.sum() / total)
+
+    @property
+    def doubtful(self) -> IntArray:
+        """Middles of the chunks around which points are contradicted much more often than in the rest of the log.
+
+        In a cluttered building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor,
+        visits contradict each other there only.
+        """
+        around = np.ones(2 * _STRETCH + 1)
+        contradicted = np.convolve(self.contradicted, around)[_STRETCH:-_STRETCH]
+        judged = contradicted + np.convolve(self.confirmed, around)[_STRETCH:-_STRETCH]
+        share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
+        return self.middles[share > _largest_usual(float(np.quantile(share, _USUAL)))]
+
+
+def _largest_usual(usual: float) -> float:
+    """The largest share of contradicted points that clutter explains, in a log with a usual share."""
+    return max(MOST_CONTRADICTED, MUCH_MORE * max(usual, _LEAST_USUAL))
+
+
+def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:
+    """How many points of each chunk other visits confirm and contradict.
+
+    The chunks have middles that are ``config.maps.half`` apart.
+    """
     middles = chunk_middles(keys, config.maps, config.maps.half)
-    maps = cut_chunks(keys, trajectory, config.maps, middles, max_range)
-    confirmed, contradicted = MapScore.of(maps, config.agreement).verdicts(trajectory.poses[middles])
-    if not len(confirmed):
-        return 0.0, 0.0
-    return float(confirmed.mean()), float(contradicted.mean())
+    score = MapScore.of(cut_chunks(keys, trajectory, config.maps, middles, max_range), config.agreement)
+    points = np.diff(score.starts)
+    owner = np.repeat(np.arange(len(middles)), points)
+    verdicts = score.verdicts(trajectory.poses[middles])
+    confirmed, contradicted = (np.bincount(owner[each], minlength=len(middles)) for each in verdicts)
+    return VisitCounts(middles, points, confirmed, contradicted)
 
 
 @kernel
@@ -265,6 +321,38 @@ def _contradictions(groups: list[list[int]], loops: Sequence[Loop], score: MapSc
         judged = ((confirmed | contradicted) & around).sum()
         shares[row] = (contradicted & around).sum() / max(1, judged)
     return shares
+
+
+def plausible_groups(
+    chain: tuple[FloatArray, Hops],
+    placed: Decision,
+    new: Sequence[Sequence[Loop]],
+    score: MapScore,
+    config: GraphConfig,
+) -> tuple[list[list[Loop]], list[Loop]]:
+    """New groups of loops that may be right, and the loops of the other groups.
+
+    A group is refused if the visits that it joins contradict each other much more often than the other visits of the
+    log. The walls of two similar corridors confirm each other, so the score rises with wrong groups, too. ``chain`` has
+    the poses (c, 3) of the chunks in the trajectory and their hops. ``placed`` is the graph without the groups.
+    """
+    found = [loop for group in new for loop in group]
+    before = [int(each.sum()) for each in score.verdicts(placed.solution.poses)]
+    if not found or sum(before) < _LEAST_KNOWN * len(score.points):
+        return [list(group) for group in new], []
+    most = _largest_usual(before[1] / sum(before))
+    kept, refused = list[list[Loop]](), list[Loop]()
+    for members in groups_of(found, chain[0], config.loops):
+        group = [found[number] for number in members]
+        chosen = sorted(group, key=lambda loop: -loop.score)[: config.agreement.max_group]
+        trial = solve_annealed(chain[0][0], chain[1], [*placed.loops, *chosen], config.chunks)
+        confirmed, contradicted = (int(each.sum()) for each in score.verdicts(trial.poses))
+        more, judged = contradicted - before[1], confirmed + contradicted - sum(before)
+        if more >= _LEAST_JUDGED * most and more > most * judged:
+            refused += group
+        else:
+            kept.append(group)
+    return kept, refused
 
 
 def accept_groups(
