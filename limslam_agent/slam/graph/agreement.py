@@ -35,6 +35,10 @@ MUCH_MORE = 8.0
 
 _LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
 _LEAST_JUDGED = 100  # fewer points are not judged
+_LEAST_CONTRADICTED = 20  # points; a group that adds fewer contradictions is not refused
+# A group that bends the path by this chi-square (99 % of three degrees of freedom) must not add more contradictions
+# than this many times what is usual.
+_BENT, _MORE = 11.3, 2.0
 _LEAST_KNOWN = 0.2  # share of the log's points that other visits must have seen, to know what is usual
 _STRETCH = 2  # chunks before and after a chunk
 _USUAL = 0.75  # quantile of the shares of all stretches
@@ -333,14 +337,15 @@ def plausible_groups(
     """New groups of loops that may be right, and the loops of the other groups.
 
     A group is refused if the visits that it joins contradict each other much more often than the other visits of the
-    log. The walls of two similar corridors confirm each other, so the score rises with wrong groups, too. ``chain`` has
-    the poses (c, 3) of the chunks in the trajectory and their hops. ``placed`` is the graph without the groups.
+    log, or if they do so more often and the group bends the path. The walls of two similar corridors confirm each
+    other, so the score rises with wrong groups, too. ``chain`` has the poses (c, 3) of the chunks in the trajectory and
+    their hops. ``placed`` is the graph without the groups.
     """
     found = [loop for group in new for loop in group]
     before = [int(each.sum()) for each in score.verdicts(placed.solution.poses)]
     if not found or sum(before) < _LEAST_KNOWN * len(score.points):
         return [list(group) for group in new], []
-    most = _largest_usual(before[1] / sum(before))
+    usual, straight = before[1] / sum(before), _bend(score, placed.solution.poses)
     kept, refused = list[list[Loop]](), list[Loop]()
     for members in groups_of(found, chain[0], config.loops):
         group = [found[number] for number in members]
@@ -348,11 +353,18 @@ def plausible_groups(
         trial = solve_annealed(chain[0][0], chain[1], [*placed.loops, *chosen], config.chunks)
         confirmed, contradicted = (int(each.sum()) for each in score.verdicts(trial.poses))
         more, judged = contradicted - before[1], confirmed + contradicted - sum(before)
-        if more >= _LEAST_JUDGED * most and more > most * judged:
+        bent = _bend(score, trial.poses) - straight > _BENT
+        most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual)
+        if more > _LEAST_CONTRADICTED and more > most * judged:
             refused += group
         else:
             kept.append(group)
     return kept, refused
+
+
+def _bend(score: MapScore, poses: FloatArray) -> float:
+    """By how much poses (c, 3) bend the path, as a chi-square."""
+    return 0.0 if score.strain is None else score.strain.total(poses)
 
 
 def accept_groups(

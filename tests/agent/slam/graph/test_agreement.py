@@ -7,7 +7,7 @@ import pytest
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import Decision, VisitCounts, plausible_groups
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain
 
 CONFIG = GraphConfig()
 
@@ -34,10 +34,11 @@ def test_chunks_that_no_other_visit_has_seen_are_not_doubtful():
     assert len(VisitCounts(np.arange(9), np.full(9, 200), unseen, unseen).doubtful) == 0
 
 
-def similar_corridors(contradicted):
+def similar_corridors(contradicted, hops, kernel):
     """A stand-in for the score of ten chunks, of which the first is laid onto the last by a loop.
 
     Of 1000 points, 500 are confirmed by right loops. The wrong loop adds 300 points, of which a number is contradicted.
+    A narrow kernel makes the path count as bent.
     """
 
     def verdicts(poses):
@@ -48,14 +49,18 @@ def similar_corridors(contradicted):
             confirmed[500 : 800 - contradicted] = wrong[800 - contradicted : 800] = True
         return confirmed, wrong
 
-    return SimpleNamespace(points=np.zeros((1000, 2)), verdicts=verdicts)
+    return SimpleNamespace(points=np.zeros((1000, 2)), verdicts=verdicts, strain=Strain(hops, kernel, 0.1))
 
 
-@pytest.mark.parametrize(("contradicted", "refused"), [(10, False), (60, True)])
-def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(contradicted, refused):
+@pytest.mark.parametrize(
+    ("contradicted", "kernel", "refused"), [(10, 0.1, False), (30, 0.1, False), (60, 0.1, True), (30, 9.0, True)]
+)
+def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(contradicted, kernel, refused):
     poses = np.column_stack((np.arange(10.0), np.zeros((10, 2))))
-    hops = Hops(np.tile([1.0, 0.0, 0.0], (9, 1)), np.tile(np.eye(3), (9, 1, 1)))
-    loop = Loop(0, 9, np.zeros(3), 100.0 * np.eye(3), 0.8, "wide search")
+    hops = Hops(np.tile([1.0, 0.0, 0.0], (9, 1)), np.tile(0.1 * np.eye(3), (9, 1, 1)))
+    loop = Loop(0, 9, np.zeros(3), 1e4 * np.eye(3), 0.8, "wide search")
     placed = Decision([], ChunkSolution(poses, np.zeros(0)), [])
-    kept, left = plausible_groups((poses, hops), placed, [[loop]], similar_corridors(contradicted), CONFIG)
+    kept, left = plausible_groups(
+        (poses, hops), placed, [[loop]], similar_corridors(contradicted, hops, kernel), CONFIG
+    )
     assert (kept, left) == (([], [loop]) if refused else ([[loop]], []))
