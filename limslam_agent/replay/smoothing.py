@@ -19,7 +19,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
-from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings
+from limslam_agent.replay.trust import MOST_BENT, MOST_CONTRADICTED, PathSignals, crossings
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -118,7 +118,7 @@ def _signals(found: GraphResult, config: GraphConfig, data: LogData) -> tuple[li
     bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
     return landmarks, PathSignals(
         float(keys.travel[-1]), tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()),
-        tuple(time[visits.doubtful].tolist()),
+        tuple(time[visits.doubtful(MOST_CONTRADICTED)].tolist()),
     )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.slam.graph.agreement import MOST_CONTRADICTED
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 
@@ -26,6 +25,9 @@ INSIDE_BY = 0.2
 
 MOST_CROSSINGS = 3.0
 """A path that crosses more walls than this in 100 m, and at least two, is doubtful."""
+
+MOST_CONTRADICTED = 0.12
+"""A path is doubtful if other visits contradict a larger share of the points that they confirm or contradict."""
 
 MOST_BENT = 16.0
 """A path is doubtful where its loops bend it away from the local smoothing by a larger chi-square."""

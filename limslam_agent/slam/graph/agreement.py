@@ -27,9 +27,6 @@ CONTRADICTED = "visits contradict each other where it joins them"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
 
-MOST_CONTRADICTED = 0.12
-"""Visits contradict each other if a larger share of the points that both have seen is contradicted."""
-
 MUCH_MORE = 8.0
 """A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
 
@@ -201,23 +198,23 @@ class VisitCounts:
         total = max(1, int(self.points.sum()))
         return float(self.confirmed.sum() / total), float(self.contradicted.sum() / total)
 
-    @property
-    def doubtful(self) -> IntArray:
+    def doubtful(self, least: float) -> IntArray:
         """Middles of the chunks around which points are contradicted much more often than in the rest of the log.
 
-        In a cluttered building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor,
-        visits contradict each other there only.
+        There, a larger share than ``least`` of the points that other visits have seen is contradicted. In a cluttered
+        building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor, visits
+        contradict each other there only.
         """
         around = np.ones(2 * _STRETCH + 1)
         contradicted = np.convolve(self.contradicted, around)[_STRETCH:-_STRETCH]
         judged = contradicted + np.convolve(self.confirmed, around)[_STRETCH:-_STRETCH]
         share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
-        return self.middles[share > _largest_usual(float(np.quantile(share, _USUAL)))]
+        return self.middles[share > _largest_usual(float(np.quantile(share, _USUAL)), least)]
 
 
-def _largest_usual(usual: float) -> float:
-    """The largest share of contradicted points that clutter explains, in a log with a usual share."""
-    return max(MOST_CONTRADICTED, MUCH_MORE * max(usual, _LEAST_USUAL))
+def _largest_usual(usual: float, least: float) -> float:
+    """The largest share of contradicted points that clutter explains in a log with this usual share."""
+    return max(least, MUCH_MORE * max(usual, _LEAST_USUAL))
 
 
 def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:
@@ -354,7 +351,7 @@ def plausible_groups(
         confirmed, contradicted = (int(each.sum()) for each in score.verdicts(trial.poses))
         more, judged = contradicted - before[1], confirmed + contradicted - sum(before)
         bent = _bend(score, trial.poses) - straight > _BENT
-        most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual)
+        most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual, config.agreement.doubtful_share)
         if more > _LEAST_CONTRADICTED and more > most * judged:
             refused += group
         else:

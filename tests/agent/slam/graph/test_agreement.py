@@ -20,18 +20,18 @@ def counts(contradicted):
 
 def test_a_stretch_is_doubtful_if_it_is_contradicted_much_more_than_the_rest():
     visits = counts([2] * 20 + [50] * 5 + [2] * 20)
-    assert visits.doubtful.tolist() == [60, 63, 66, 69, 72]
+    assert visits.doubtful(0.12).tolist() == [60, 63, 66, 69, 72]
     assert visits.shares == pytest.approx((1.0 - 330 / 9000, 330 / 9000))
 
 
 @pytest.mark.parametrize("contradicted", [[2] * 25, [20] * 20 + [50] * 5 + [20] * 20, [2] * 12 + [80] + [2] * 12])
 def test_clutter_and_single_chunks_are_not_doubtful(contradicted):
-    assert len(counts(contradicted).doubtful) == 0
+    assert len(counts(contradicted).doubtful(0.12)) == 0
 
 
 def test_chunks_that_no_other_visit_has_seen_are_not_doubtful():
     unseen = np.zeros(9, dtype=np.int64)
-    assert len(VisitCounts(np.arange(9), np.full(9, 200), unseen, unseen).doubtful) == 0
+    assert len(VisitCounts(np.arange(9), np.full(9, 200), unseen, unseen).doubtful(0.12)) == 0
 
 
 def similar_corridors(contradicted, hops, kernel):
