@@ -27,7 +27,7 @@ CONTRADICTED = "visits contradict each other where it joins them"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
 
-MUCH_MORE = 8.0
+_MUCH_MORE = 8.0
 """A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
 
 _LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
@@ -214,7 +214,7 @@ class VisitCounts:
 
 def _largest_usual(usual: float, least: float) -> float:
     """The largest share of contradicted points that clutter explains in a log with this usual share."""
-    return max(least, MUCH_MORE * max(usual, _LEAST_USUAL))
+    return max(least, _MUCH_MORE * max(usual, _LEAST_USUAL))
 
 
 def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:
