@@ -37,6 +37,7 @@ _LEAST_CONTRADICTED = 20  # points; a group that adds fewer contradictions is no
 # than this many times what is usual.
 _BENT, _MORE = 11.3, 2.0
 _LEAST_KNOWN = 0.2  # share of the log's points that other visits must have seen, to know what is usual
+_OFTEN_USUAL = 0.04  # what is taken as usual until then; 2 to 8 % in most logs
 _STRETCH = 2  # chunks before and after a chunk
 _USUAL = 0.75  # quantile of the shares of all stretches
 
@@ -339,10 +340,12 @@ def plausible_groups(
     their hops. ``placed`` is the graph without the groups.
     """
     found = [loop for group in new for loop in group]
+    if not found:
+        return [], []
     before = [int(each.sum()) for each in score.verdicts(placed.solution.poses)]
-    if not found or sum(before) < _LEAST_KNOWN * len(score.points):
-        return [list(group) for group in new], []
-    usual, straight = before[1] / sum(before), _bend(score, placed.solution.poses)
+    is_known = sum(before) > _LEAST_KNOWN * len(score.points)
+    usual = before[1] / sum(before) if is_known else _OFTEN_USUAL
+    straight = _bend(score, placed.solution.poses)
     kept, refused = list[list[Loop]](), list[Loop]()
     for members in groups_of(found, chain[0], config.loops):
         group = [found[number] for number in members]

@@ -60,7 +60,7 @@ def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(co
     hops = Hops(np.tile([1.0, 0.0, 0.0], (9, 1)), np.tile(0.1 * np.eye(3), (9, 1, 1)))
     loop = Loop(0, 9, np.zeros(3), 1e4 * np.eye(3), 0.8, "wide search")
     placed = Decision([], ChunkSolution(poses, np.zeros(0)), [])
-    kept, left = plausible_groups(
-        (poses, hops), placed, [[loop]], similar_corridors(contradicted, hops, kernel), CONFIG
-    )
+    score = similar_corridors(contradicted, hops, kernel)
+    assert plausible_groups((poses, hops), placed, [], score, CONFIG) == ([], [])
+    kept, left = plausible_groups((poses, hops), placed, [[loop]], score, CONFIG)
     assert (kept, left) == (([], [loop]) if refused else ([[loop]], []))
