@@ -32,7 +32,6 @@ _MUCH_MORE = 8.0
 
 _LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
 _LEAST_JUDGED = 100  # fewer points are not judged
-_LEAST_CONTRADICTED = 20  # points; a group that adds fewer contradictions is not refused
 # A group that bends the path by this chi-square (99 % of three degrees of freedom) must not add more contradictions
 # than this many times what is usual.
 _BENT, _MORE = 11.3, 2.0
@@ -355,7 +354,7 @@ def plausible_groups(
         more, judged = contradicted - before[1], confirmed + contradicted - sum(before)
         bent = _bend(score, trial.poses) - straight > _BENT
         most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual, config.agreement.doubtful_share)
-        if more > _LEAST_CONTRADICTED and more > most * judged:
+        if judged >= _LEAST_JUDGED and more > most * judged:
             refused += group
         else:
             kept.append(group)

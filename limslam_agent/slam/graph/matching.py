@@ -22,8 +22,6 @@ from limslam_env.geometry import FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
-_UNLIKELY = 4.0  # a match is flat as long as its log-likelihood falls by less than this
-_LEAST_OVERLAP = 0.4  # and as long as at least this share of its points is still compared
 NO_MATCH = -9.0
 
 Sums = NDArray[np.int16]
@@ -116,8 +114,7 @@ def match_covariance(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (3,) and covariance (3, 3) of a match, from the scores of all poses around it.
 
-    The likelihood of a pose is exp(``sharpness`` times the number of points times the score). Along a corridor without
-    features it may be flat over several metres. The direction of the largest variance is therefore followed farther.
+    The likelihood of a pose is exp(``sharpness`` times the number of points times the score).
     """
     scores = _volume(grid.padded, points, pose, grid.low, grid.cell, turn_step, _VOLUME_CELLS, _VOLUME_TURNS)
     weight = np.exp((scores - scores.max()) * len(points) * config.sharpness)
@@ -128,31 +125,7 @@ def match_covariance(
     mean = weight.ravel() @ offsets
     apart = offsets - mean
     floor = np.diag([config.floor_position**2, config.floor_position**2, config.floor_turn**2])
-    covariance = (apart * weight.reshape(-1, 1)).T @ apart + floor
-    return pose + mean, _widened(grid, points, pose + mean, covariance, config)
-
-
-def _widened(
-    grid: SearchGrid, points: FloatArray, pose: FloatArray, covariance: FloatArray, config: MatchConfig
-) -> FloatArray:
-    """The covariance (3, 3) of a match after its least certain direction has been followed as far as it is flat.
-
-    Only points in known cells are compared. Otherwise the best shift along a corridor without features would be the one
-    at which most of the two chunks overlaps, and it would seem to be certain.
-    """
-    variances, axes = np.linalg.eigh(covariance[:2, :2])
-    axis, middle = axes[:, 1], grid.margin
-    sums, known = _along(grid.padded, points, pose, grid.low, grid.cell, axis, middle)
-    score = sums / np.maximum(known, 1)
-    change = np.minimum((score - score[middle]) * known * config.sharpness, 0.0)
-    flat = (change > -_UNLIKELY) & (known >= _LEAST_OVERLAP * known[middle])
-    behind, ahead = np.logical_and.accumulate(flat[middle::-1]), np.logical_and.accumulate(flat[middle:])
-    weight = np.exp(change) * np.append(behind[:0:-1], ahead)
-    shift = grid.cell * np.arange(-middle, middle + 1)
-    variance = float(np.average(shift**2, weights=weight)) + config.floor_position**2
-    wider = covariance.copy()
-    wider[:2, :2] += max(0.0, variance - variances[1]) * np.outer(axis, axis)
-    return wider
+    return pose + mean, (apart * weight.reshape(-1, 1)).T @ apart + floor
 
 
 def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
@@ -346,33 +319,6 @@ def _search(
     if not found:
         best = -9.0
     return best, guess[0] + best_x * cell, guess[1] + best_y * cell, guess[2] + best_turn * turn_step
-
-
-@kernel
-def _along(
-    padded: Cells, points: FloatArray, pose: FloatArray, low: float, cell: float, axis: FloatArray, steps: int
-) -> tuple[FloatArray, IntArray]:
-    """Scores of poses along an axis (2,), as sums over the points, and numbers of points in known cells.
-
-    Both have 2 ``steps`` + 1 entries, one for each cell. Of three shifts across the axis, the best one counts, because
-    the axis is not known exactly.
-    """
-    size, count = padded.shape[0], len(points)
-    best, known = np.full(2 * steps + 1, -9.0 * count), np.zeros(2 * steps + 1, np.int64)
-    pixels = np.empty((count, 2), np.int64)
-    for step in range(-steps, steps + 1):
-        for side in range(-1, 2):
-            x = pose[0] + cell * (step * axis[0] - side * axis[1])
-            y = pose[1] + cell * (step * axis[1] + side * axis[0])
-            _pixels(points, x, y, pose[2], low, cell, 0, size, pixels)
-            total, met = 0, 0
-            for k in range(count):
-                value = padded[pixels[k, 0], pixels[k, 1]]
-                total += value
-                met += 1 if value else 0
-            if total / 5.0 > best[step + steps]:
-                best[step + steps], known[step + steps] = total / 5.0, met
-    return best, known
 
 
 @kernel

@@ -1,7 +1,5 @@
 """Matching of local maps: branch and bound against trying everything, and matches that must be found."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -115,29 +113,6 @@ def test_a_corridor_is_uncertain_along_and_sure_across():
     _, covariance = match_covariance(search_grid(chunk, 1.0, MATCHING), points, np.zeros(3), np.radians(3.0), MATCHING)
     assert covariance[0, 0] > 10.0 * covariance[1, 1]
     assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
-
-
-def wall_points(*corners, every=0.05):
-    """Points along the walls between successive corners."""
-    pairs = pairwise(np.asarray(corners))
-    return np.vstack([np.linspace(a, b, int(np.hypot(*(b - a)) / every) + 1) for a, b in pairs])
-
-
-def deviation_along(first, second):
-    """The largest standard deviation of a match in position, m."""
-    grid = search_grid(chunk_of(first), 4.0, MATCHING)
-    _, covariance = match_covariance(grid, thinned(second, MAPS.cell), np.zeros(3), np.radians(3.0), MATCHING)
-    return np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1])
-
-
-def test_a_corridor_without_features_says_nothing_about_the_place_along_it():
-    right = wall_points((-4.0, -1.0), (4.0, -1.0))
-    plain = wall_points((-4.0, 1.0), (4.0, 1.0))
-    niche = wall_points((-4.0, 1.0), (0.0, 1.0), (0.0, 2.2), (1.5, 2.2), (1.5, 1.0), (4.0, 1.0))
-    for left, least, most in ((plain, 1.5, 4.0), (niche, 0.0, 0.3)):
-        whole = np.vstack((right, left))
-        assert least < deviation_along(whole, whole) < most
-        assert least < deviation_along(whole, whole[whole[:, 0] > -1.5]) < most
 
 
 def test_a_grid_is_free_along_the_beams_and_hit_at_their_ends():
