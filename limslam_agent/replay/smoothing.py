@@ -20,11 +20,18 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
-from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings, odometry_variances, reach_of_agreement
+from limslam_agent.replay.trust import (
+    MOST_BENT,
+    MOST_CONTRADICTED,
+    PathSignals,
+    crossings,
+    odometry_variances,
+    reach_of_agreement,
+)
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import agreement_of_visits
+from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loops
@@ -145,12 +152,14 @@ def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     keys, trajectory = found.keys, found.trajectory
     landmarks = draw_walls(point_cloud(keys, trajectory, config.links, data.range_std), data.range_std)
     loops = sum(verdict.kept for verdict in found.verdicts)
-    agreement = agreement_of_visits(keys, trajectory, config, data.max_range) if len(keys) > 1 else (0.0, 0.0)
-    time = data.time[keys.first_event] - data.time[0]
-    crossed = time[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
+    visits = visit_counts(keys, trajectory, config, data.max_range)
+    times = data.time[keys.first_event] - data.time[0]
+    crossed = times[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
-    driven = float(keys.travel[-1])
-    return found, landmarks, PathSignals(driven, tuple(crossed.tolist()), *agreement, loops, tuple(bent.tolist()))
+    doubtful = times[visits.doubtful(MOST_CONTRADICTED)]
+    where = (tuple(each.tolist()) for each in (bent, doubtful))
+    signals = PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *visits.shares, loops, *where)
+    return found, landmarks, signals
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:

@@ -17,9 +17,9 @@ from limslam_agent.replay.joined_lines import NotJoined, grid_of, joined_by_line
 from limslam_agent.replay.replay import Replay, replay_log
 from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import draw_walls, ends_of, log_data
-from limslam_agent.replay.trust import MOST_BENT, PathSignals, crossings
+from limslam_agent.replay.trust import MOST_BENT, MOST_CONTRADICTED, PathSignals, crossings
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.agreement import agreement_of_visits
+from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.point_links import point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_agent.slam.merging.chains import Chain, divided
@@ -212,18 +212,19 @@ def _signals(
     std = max(each.config.range_std for each in replays)
     landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, config.links, std), std)
     reach = max(float(each.log.robot.max_ranges.max()) for each in replays)
-    agreement = agreement_of_visits(joint.keys, joint.trajectory, config, reach)
-    bent = joint.hop_keys[joint.hop_errors > MOST_BENT]
-    times, bends, driven, first_key = list[float](), list[float](), 0.0, 0
+    visits = visit_counts(joint.keys, joint.trajectory, config, reach)
+    bent, doubtful = joint.hop_keys[joint.hop_errors > MOST_BENT], visits.doubtful(MOST_CONTRADICTED)
+    times, bends, doubts, driven, first_key = list[float](), list[float](), list[float](), 0.0, 0
     for chain in (joint.first, joint.second):
         keys = slice(first_key, first_key := first_key + len(chain.keys))
         crossed = crossings(joint.trajectory.poses[keys, :2], ends_of(landmarks))
         when = chain.data.time[chain.keys.first_event]
         times += (when[1:][crossed] - when[0]).tolist()
         bends += (when[bent[(bent >= keys.start) & (bent < keys.stop)] - keys.start] - when[0]).tolist()
+        doubts += (when[doubtful[(doubtful >= keys.start) & (doubtful < keys.stop)] - keys.start] - when[0]).tolist()
         driven += float(chain.keys.travel[-1])
     loops = sum(each.kept for each in joint.verdicts)
-    return landmarks, PathSignals(driven, tuple(times), *agreement, loops, tuple(bends))
+    return landmarks, PathSignals(driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts))
 
 
 def _loops(joint: JointMap, replays: tuple[Replay, Replay]) -> list[dict[str, Any]]:

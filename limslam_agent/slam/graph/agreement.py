@@ -24,8 +24,22 @@ kernel = entry_of(__name__)
 NO_SUPPORT = "no other loop nearby agrees"
 REMOVED = "the map agrees better with itself without it"
 NOT_ADDED = "the map does not agree better with itself with it"
+CONTRADICTED = "visits contradict each other where it joins them"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
+
+_MUCH_MORE = 8.0
+"""A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
+
+_LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
+_LEAST_JUDGED = 100  # fewer points are not judged
+# A group that bends the path by this chi-square (99 % of three degrees of freedom) must not add more contradictions
+# than this many times what is usual.
+_BENT, _MORE = 11.3, 2.0
+_LEAST_KNOWN = 0.2  # share of the log's points that other visits must have seen, to know what is usual
+_OFTEN_USUAL = 0.04  # what is taken as usual until then; 2 to 8 % in most logs
+_STRETCH = 2  # chunks before and after a chunk
+_USUAL = 0.75  # quantile of the shares of all stretches
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +181,55 @@ def agreement_of_visits(
 
     The chunks of the comparison have middles that are ``config.maps.half`` apart.
     """
+    return visit_counts(keys, trajectory, config, max_range).shares
+
+
+@dataclass(frozen=True, eq=False)
+class VisitCounts:
+    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
+
+    middles: IntArray
+    points: IntArray
+    confirmed: IntArray
+    contradicted: IntArray
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Shares of confirmed and of contradicted points among all points."""
+        total = max(1, int(self.points.sum()))
+        return float(self.confirmed.sum() / total), float(self.contradicted.sum() / total)
+
+    def doubtful(self, least: float) -> IntArray:
+        """Middles of the chunks around which points are contradicted much more often than in the rest of the log.
+
+        There, a larger share than ``least`` of the points that other visits have seen is contradicted. In a cluttered
+        building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor, visits
+        contradict each other there only.
+        """
+        around = np.ones(2 * _STRETCH + 1)
+        contradicted = np.convolve(self.contradicted, around)[_STRETCH:-_STRETCH]
+        judged = contradicted + np.convolve(self.confirmed, around)[_STRETCH:-_STRETCH]
+        share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
+        return self.middles[share > _largest_usual(float(np.quantile(share, _USUAL)), least)]
+
+
+def _largest_usual(usual: float, least: float) -> float:
+    """The largest share of contradicted points that clutter explains in a log with this usual share."""
+    return max(least, _MUCH_MORE * max(usual, _LEAST_USUAL))
+
+
+def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:
+    """How many points of each chunk other visits confirm and contradict.
+
+    The chunks have middles that are ``config.maps.half`` apart.
+    """
     middles = chunk_middles(keys, config.maps, config.maps.half)
-    maps = cut_chunks(keys, trajectory, config.maps, middles, max_range)
-    confirmed, contradicted = MapScore.of(maps, config.agreement).verdicts(trajectory.poses[middles])
-    if not len(confirmed):
-        return 0.0, 0.0
-    return float(confirmed.mean()), float(contradicted.mean())
+    score = MapScore.of(cut_chunks(keys, trajectory, config.maps, middles, max_range), config.agreement)
+    points = np.diff(score.starts)
+    owner = np.repeat(np.arange(len(middles)), points)
+    verdicts = score.verdicts(trajectory.poses[middles])
+    confirmed, contradicted = (np.bincount(owner[each], minlength=len(middles)) for each in verdicts)
+    return VisitCounts(middles, points, confirmed, contradicted)
 
 
 @kernel
@@ -266,6 +323,48 @@ def _contradictions(groups: list[list[int]], loops: Sequence[Loop], score: MapSc
         judged = ((confirmed | contradicted) & around).sum()
         shares[row] = (contradicted & around).sum() / max(1, judged)
     return shares
+
+
+def plausible_groups(
+    chain: tuple[FloatArray, Hops],
+    placed: Decision,
+    new: Sequence[Sequence[Loop]],
+    score: MapScore,
+    config: GraphConfig,
+) -> tuple[list[list[Loop]], list[Loop]]:
+    """New groups of loops that may be right, and the loops of the other groups.
+
+    A group is refused if the visits that it joins contradict each other much more often than the other visits of the
+    log, or if they do so more often and the group bends the path. The walls of two similar corridors confirm each
+    other, so the score rises with wrong groups, too. ``chain`` has the poses (c, 3) of the chunks in the trajectory and
+    their hops. ``placed`` is the graph without the groups.
+    """
+    found = [loop for group in new for loop in group]
+    if not found:
+        return [], []
+    before = [int(each.sum()) for each in score.verdicts(placed.solution.poses)]
+    is_known = sum(before) > _LEAST_KNOWN * len(score.points)
+    usual = before[1] / sum(before) if is_known else _OFTEN_USUAL
+    straight = _bend(score, placed.solution.poses)
+    kept, refused = list[list[Loop]](), list[Loop]()
+    for members in groups_of(found, chain[0], config.loops):
+        group = [found[number] for number in members]
+        chosen = sorted(group, key=lambda loop: -loop.score)[: config.agreement.max_group]
+        trial = solve_annealed(chain[0][0], chain[1], [*placed.loops, *chosen], config.chunks)
+        confirmed, contradicted = (int(each.sum()) for each in score.verdicts(trial.poses))
+        more, judged = contradicted - before[1], confirmed + contradicted - sum(before)
+        bent = _bend(score, trial.poses) - straight > _BENT
+        most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual, config.agreement.doubtful_share)
+        if judged >= _LEAST_JUDGED and more > most * judged:
+            refused += group
+        else:
+            kept.append(group)
+    return kept, refused
+
+
+def _bend(score: MapScore, poses: FloatArray) -> float:
+    """By how much poses (c, 3) bend the path, as a chi-square."""
+    return 0.0 if score.strain is None else score.strain.total(poses)
 
 
 def accept_groups(

@@ -188,10 +188,13 @@ class Strain:
 
     def __call__(self, poses: FloatArray) -> float:
         """The cost of poses (c, 3) of the chunks."""
+        return self.weight * self.total(poses) / max(1, len(poses) - 1)
+
+    def total(self, poses: FloatArray) -> float:
+        """The sum of the chi-squares of all hops along poses (c, 3), after the kernel."""
         if len(poses) < 2:
             return 0.0
-        bends = np.log1p(hop_chi_squares(poses, self.hops) / self.kernel)
-        return self.weight * self.kernel * float(bends.mean())
+        return self.kernel * float(np.log1p(hop_chi_squares(poses, self.hops) / self.kernel).sum())
 
 
 def _edges(hops: Hops, loops: Sequence[Loop], count: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import (
+    CONTRADICTED,
     KEPT,
     NO_SUPPORT,
     NOT_ADDED,
@@ -17,6 +18,7 @@ from limslam_agent.slam.graph.agreement import (
     MapScore,
     accept_groups,
     agreement_of_visits,
+    plausible_groups,
     prune_groups,
     supported,
 )
@@ -154,13 +156,20 @@ class Candidates:
 
     chunks: Chunks
     loops: list[Loop]
-    _groups: list[list[Loop]] | None = None
+    _groups: tuple[list[list[Loop]], list[Loop]] | None = None
 
-    def groups(self, placed: _Placed) -> list[list[Loop]]:
-        """The groups of the wide search, which begins with the graph ``placed`` when it is asked for first."""
+    def groups(self, placed: _Placed, score: MapScore) -> tuple[list[list[Loop]], _Placed]:
+        """The plausible groups of the wide search, and the graph with the verdicts on the other groups.
+
+        The search begins with the graph ``placed`` when it is asked for first.
+        """
         if self._groups is None:
-            self._groups = search_widely(self.chunks, placed.solution, placed.loops)
-        return self._groups
+            chunks = self.chunks
+            found = search_widely(chunks, placed.solution, placed.loops)
+            known = Decision(placed.loops, placed.solution, [])
+            self._groups = plausible_groups((chunks.poses, chunks.hops), known, found, score, chunks.config)
+        kept, refused = self._groups
+        return kept, placed.after(Decision(placed.loops, placed.solution, refused), CONTRADICTED)
 
 
 def do_round(log: LogProblem, trajectory: Trajectory, number: int, candidates: Candidates, start: str) -> Round:
@@ -189,16 +198,17 @@ def _place_guarded(candidates: Candidates, placed: _Placed, score: MapScore) -> 
     """The guarded start: groups of the wide search must raise G, and doubtful groups are removed."""
     chunks = candidates.chunks
     placed = _pruned(chunks, placed, score)
-    groups = candidates.groups(placed)
+    groups, placed = candidates.groups(placed, score)
     decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
     gained = len(decision.loops) > len(placed.loops)
     placed = placed.after(decision, NOT_ADDED)
     return _pruned(chunks, placed, score) if gained else placed
 
 
-def _place_all(candidates: Candidates, placed: _Placed, _: MapScore) -> _Placed:
+def _place_all(candidates: Candidates, placed: _Placed, score: MapScore) -> _Placed:
     """The unguarded start: all groups of the wide search are added, and only the robust kernels reject loops."""
-    chunks, groups = candidates.chunks, candidates.groups(placed)
+    chunks = candidates.chunks
+    groups, placed = candidates.groups(placed, score)
     loops = placed.loops + [loop for group in groups for loop in group]
     solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
     return _Placed(loops, solution, placed.dropped)

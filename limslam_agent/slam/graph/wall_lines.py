@@ -258,6 +258,31 @@ def _take(
 
 
 @kernel
+def _assign(
+    places: FloatArray,
+    turns: FloatArray,
+    good: BoolArray,
+    free: BoolArray,
+    label: IntArray,
+    line: int,
+    votes: FloatArray,
+    spread: int,
+    grid: tuple[int, int, float, float],
+) -> tuple[int, int]:
+    """Label the points that a line took, and remove their votes; return the numbers of labels and of removed votes."""
+    labelled, removed = 0, 0
+    for k in range(len(places)):
+        if free[k] or label[k] >= 0:
+            continue
+        label[k] = line
+        labelled += 1
+        if good[k]:
+            _vote(votes, places[k], turns[k], spread, grid, -1.0)
+            removed += 1
+    return labelled, removed
+
+
+@kernel
 def _window(
     places: FloatArray,
     normals: FloatArray,
@@ -295,16 +320,12 @@ def _window(
         line[0], line[1] = np.cos(angle), np.sin(angle)
         line[2], line[3] = offset * line[0], offset * line[1]
         stands, low, high = _refine(local, normals, good, free, line, counts[0], limits)
-        taken = 0
+        taken = labelled = 0
         if stands:
             _take(local, normals, good, free, line, (low, high), limits)
-            for k in range(len(local)):
-                if free[k] or label[k] >= 0:
-                    continue
-                label[k] = lines
-                if good[k]:
-                    _vote(votes, local[k], turns[k], counts[3], grid, -1.0)
-                    taken += 1
+            labelled, taken = _assign(local, turns, good, free, label, lines, votes, counts[3], grid)
+        # The last fit of a line may turn it away from all of its points.
+        if labelled:
             found[lines, 0] = np.arctan2(line[1], line[0])
             found[lines, 1], found[lines, 2] = line[2] + mx, line[3] + my
             lines += 1
