@@ -157,8 +157,10 @@ def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     crossed = times[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
     doubtful = times[visits.doubtful(MOST_CONTRADICTED)]
-    where = (tuple(each.tolist()) for each in (bent, doubtful))
-    signals = PathSignals(float(keys.travel[-1]), tuple(crossed.tolist()), *visits.shares, loops, *where)
+    driven = float(keys.travel[-1])
+    signals = PathSignals(
+        driven, tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()), tuple(doubtful.tolist())
+    )
     return found, landmarks, signals
 
 
