@@ -8,7 +8,7 @@ import pytest
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import smoother
-from limslam_agent.slam.line_graph.line_smoother import make_problem
+from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_env.interface import NominalNoise, RobotSpec
 
 COMMON = (-0.006, -0.006, -0.006, 0.006)
