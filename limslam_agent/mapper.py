@@ -264,14 +264,10 @@ class Mapper:
         has_jumped = self._present.process(observations, self.frame)
         self.slam_ms += self._present.slam_ms
         if has_jumped:
-            self._note_jump()
+            self.frame += 1
+            if self._recovery is not None:
+                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
         return self.slam.increments
-
-    def _note_jump(self) -> None:
-        """A renewal has moved the path far: plans and copies made before mean nothing now."""
-        self.frame += 1
-        if self._recovery is not None:
-            self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.
@@ -408,7 +404,7 @@ class Mapper:
         if is_renewed:
             poses, covariance = self._present.renewed_path, self.slam.covariance
             if self._present.has_jumped:
-                self._note_jump()
+                self.frame += 1
             self._revise(recovery.log.end - len(poses), [(pose, covariance) for pose in poses])
             recovery.has_been_renewed(poses, self.slam, self._present.grid)
         return is_renewed
