@@ -60,13 +60,15 @@ class FrameMapper:
         slam = self.slam
         self.monitors = [StatusMonitor(slam.robot, self._config.status, slam.range_sensor) for _ in slam.robots]
 
-    def process(self, observations: Sequence[Observation], frame: int) -> bool:
+    def process(self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True) -> bool:
         """Process one observation of each robot.
 
         Parameters
         ----------
         frame
             Number of the frame: readings that the drawers hold back are forgotten when it changes.
+        may_renew
+            Whether the estimate may be renewed in this step.
 
         Returns
         -------
@@ -81,7 +83,7 @@ class FrameMapper:
             self._watch(number, is_busy=before is not self._extraction)
         for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
-        return self._renew(observations[0])
+        return self._renew(observations[0], may_renew=may_renew)
 
     def renew_lost(self) -> bool:
         """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
@@ -101,6 +103,11 @@ class FrameMapper:
         """Poses (3,) of the robot in the steps of the stretch that was renewed last, by all its readings."""
         return self._renewal.poses
 
+    @property
+    def renewed_covariances(self) -> list[FloatArray]:
+        """Covariances (3, 3) that the filter stated for these poses."""
+        return self._renewal.covariances
+
     def _watch(self, number: int, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
         monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
@@ -109,7 +116,7 @@ class FrameMapper:
             monitor.sensor = slam.range_sensor
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view))
 
-    def _renew(self, observation: Observation) -> bool:
+    def _renew(self, observation: Observation, *, may_renew: bool) -> bool:
         """Smooth the last minutes, if that is due; whether that has moved the path far.
 
         A robot that goes on in a local frame when it is lost counts as ok.
@@ -120,7 +127,7 @@ class FrameMapper:
         begin = time.perf_counter()
         renewal.note(observation)
         is_recovered = self._config.recovery is not None and len(self.monitors) == 1
-        is_renewed = renewal.renew_if_due("ok" if is_recovered else self.monitors[0].status.level)
+        is_renewed = may_renew and renewal.renew_if_due("ok" if is_recovered else self.monitors[0].status.level)
         if is_renewed:
             self.grid = renewal.grid
             if renewal.has_jumped:

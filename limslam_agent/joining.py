@@ -218,6 +218,9 @@ class JoiningMapper(Mapper):
         """
         if self._is_one_lost(apart):
             return False
+        if any(_has_left_its_path(mapper.places) for mapper in apart):
+            self._meeting.end("a robot was carried away, or has begun a new map")
+            return False
         first, second = (place_map(mapper.slam.segments, mapper.grid) for mapper in apart)
         found = self._meeting.seek(first, second, self._starts[1], [mapper.slam.covariance for mapper in apart])
         return found is not None and self._join(apart, *found)
@@ -312,3 +315,8 @@ class JoiningMapper(Mapper):
         self.parted = Joined(*(np.array(column) for column in zip(*parted, strict=True)))
         self._meeting.take_back(reason)
         self._follow_both(self._apart)
+
+
+def _has_left_its_path(places: PlaceHistory) -> bool:
+    """Whether a robot's wheels do not tell all its motions, or its map does not begin at its start."""
+    return bool(places.breaks) or any(record["event"] == "begun anew" for record in places.records)

@@ -259,9 +259,9 @@ class Mapper:
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
-    def _process(self, observations: tuple[Observation, ...]) -> list[FloatArray]:
+    def _process(self, observations: tuple[Observation, ...], *, may_renew: bool = True) -> list[FloatArray]:
         """Process one observation of each robot in the present frame; the reported motions."""
-        has_jumped = self._present.process(observations, self.frame)
+        has_jumped = self._present.process(observations, self.frame, may_renew=may_renew)
         self.slam_ms += self._present.slam_ms
         if has_jumped:
             self.frame += 1
@@ -282,7 +282,7 @@ class Mapper:
         self._restarts += 1
         self._present = self._new_frame()
         self.slam.on_association = listener
-        self._recovery = self._new_recovery()
+        self._recovery, self._revisions = self._new_recovery(), []
         for number, observations in enumerate(self._early):
             may_calibrate = self.slam.may_calibrate
             motions = self._process(observations)
@@ -402,10 +402,11 @@ class Mapper:
         """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
         is_renewed = self._present.renew_lost()
         if is_renewed:
-            poses, covariance = self._present.renewed_path, self.slam.covariance
             if self._present.has_jumped:
                 self.frame += 1
-            self._revise(recovery.log.end - len(poses), [(pose, covariance) for pose in poses])
+            poses = self._present.renewed_path
+            covariances = self._present.renewed_covariances
+            self._revise(recovery.log.end - len(poses), list(zip(poses, covariances, strict=True)))
             recovery.has_been_renewed(poses, self.slam, self._present.grid)
         return is_renewed
 
@@ -469,7 +470,8 @@ class Mapper:
         log, played = recovery.log, []
         for number in range(begin, log.end if end is None else end):
             step = log[number]
-            self._process((step.observation,))
+            # The log has later steps already, which a renewal would move in place of these.
+            self._process((step.observation,), may_renew=False)
             log.steps[number - log.begin] = replace(step, pose=self.slam.pose)
             played.append((self.slam.pose, self.slam.covariance))
         return played

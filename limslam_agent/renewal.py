@@ -72,13 +72,15 @@ class Renewal:
         Whether the last renewal has moved the path far.
     poses
         Poses (3,) of the robot in the steps of the last stretch that was renewed, by all its readings.
+    covariances
+        Covariances (3, 3) that the filter stated in these steps.
     is_possible
         Whether estimates of this SLAM can be renewed at all.
     """
 
     def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
         self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
-        self._first_grid, self.poses = grid, list[FloatArray]()
+        self._first_grid, self.poses, self.covariances = grid, list[FloatArray](), list[FloatArray]()
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
@@ -114,8 +116,7 @@ class Renewal:
         is_early = self._is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
         is_renewed = (is_over or is_early) and not (is_found or self._began_lost) and self._renew()
         if is_over or is_renewed or is_found:
-            self._begin()
-            self._rows = [self._rows[-1]]
+            self._begin_at_last_row()
         return is_renewed
 
     def renew_lost(self) -> bool:
@@ -126,8 +127,7 @@ class Renewal:
         settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
         if not self.is_possible or settings is None or waited < settings.least or not self._renew(is_expected=False):
             return False
-        self._begin()
-        self._rows = [self._rows[-1]]
+        self._begin_at_last_row()
         return True
 
     def _renew(self, *, is_expected: bool = True) -> bool:
@@ -152,6 +152,7 @@ class Renewal:
             return False
         self._slam.renew(state)
         self._is_wanted, self.grid, self.poses = False, grid, poses
+        self.covariances = [row[4] for row in self._rows[1:]]
         self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
         return True
 
@@ -179,6 +180,11 @@ class Renewal:
         rays = rays_of(steps, slam.robot, sensor.bias)
         (fit,) = KnownPlaces(slam.segments, grid.view, sensor).weigh(np.zeros((1, 3)), rays)
         return fit.is_on_map
+
+    def _begin_at_last_row(self) -> None:
+        """Begin a new stretch at the present estimate, which the last observation led to."""
+        self._begin()
+        self._rows = [self._rows[-1]]
 
     def _begin(self) -> None:
         """Begin a new stretch at the present estimate."""

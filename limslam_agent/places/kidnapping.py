@@ -145,7 +145,7 @@ class Kidnapping:
         is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence
         if is_doubtful:
             near = near_fit(likeliest.place, likeliest.rays, covariance)
-            evidence = min(evidence, likeliest.change.change - near.evidence + near.cost)
+            evidence = min(evidence, likeliest.change.change - near.evidence)
         status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
         if evidence >= self.config.carried and self._needs_no_beam(likeliest, log, sensor):
             status = CARRIED

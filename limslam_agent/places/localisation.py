@@ -47,7 +47,7 @@ _STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, r
 _DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
 _LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
 _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
-_OWN = 0.5  # share of the pose's standard deviation that the walls around it do not have
+_OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
 _RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
 
 FAR = 1.5, math.radians(30.0)
@@ -284,8 +284,11 @@ class NearFit(NamedTuple):
 def near_fit(known: KnownPlaces, rays: FloatArray, covariance: FloatArray) -> NearFit:
     """The likeliest pose of rays (n, 6) near the believed pose, the origin, whose covariance (3, 3) is given.
 
-    A pose is near within 0.5 m and 15 degrees, or within 3 standard deviations.
+    A pose is near within 0.5 m and 15 degrees, or within 3 standard deviations of the part of the pose's error that the
+    walls near by do not share. Without rays, the believed pose is as likely as any.
     """
+    if not len(rays):
+        return NearFit(known.weigh(np.zeros((1, 3)), rays)[0], 0.0)
     middle = rays[:, :2].mean(axis=0)
     about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
     spread = _OWN**2 * covariance + np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])

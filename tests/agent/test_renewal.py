@@ -12,6 +12,7 @@ from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.renewal import renewed
 from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -237,6 +238,18 @@ def test_a_robot_that_a_wrong_estimate_has_made_lost_is_renewed(monkeypatch):
     begin = mapper.places.revisions[0].begin
     revised = mapper.places.revisions[0].poses
     assert np.hypot(*(revised - true[begin : begin + len(revised)])[:, :2].T).max() < 0.15, "also the earlier poses"
+
+
+def test_a_restart_forgets_the_poses_that_a_renewal_has_revised(monkeypatch):
+    told, _ = rounds(3)
+    monkeypatch.setattr("limslam_agent.places.recovery.Recovery.seek_near", lambda *_: None)
+    monkeypatch.setattr("limslam_agent.renewal.FAR", 10.0)  # the frame stays the same
+    mapper, events = misled(told[:400], 330, (0.35, 0.3, 0.4))
+    assert events[:2] == ["lost", "renewed"]
+    assert mapper.places.revisions
+    mapper.slam.assume(RangeSensor(0.03, growth=0.01))
+    mapper.step(told[400])
+    assert not mapper.places.revisions
 
 
 @pytest.mark.parametrize(("before", "is_renewed"), [(38.0, False), (30.0, True)])

@@ -115,6 +115,19 @@ def test_a_joined_run_is_smoothed_with_an_unknown_start(episode):
     assert final_status(episode)["status"] == "unsure", "the joining is not confirmed"
 
 
+def test_robots_of_which_one_was_carried_away_are_not_joined(episode):
+    """The joining would process all steps again, with a motion that no wheels have told."""
+    mapper = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
+    mapper.reset(np.array([episode.true[0, 0], HERE]))
+    for step in range(episode.places.records[0]["step"] + 1):
+        if step == 10:
+            mapper._apart[1]._recovery.breaks.append(5)
+        mapper.step(*observations_of(episode, step))
+    assert mapper.is_apart
+    mapper.finish()
+    assert mapper.places.records[-1]["reason"] == "a robot was carried away, or has begun a new map"
+
+
 def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
     assert early.joined is None
     assert early.smoothed is None

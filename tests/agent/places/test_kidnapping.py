@@ -209,3 +209,13 @@ def test_a_few_readings_do_not_lead_away_from_the_likeliest_pose_near_by(whole):
         right = np.array(inverse(np.array([0.4, -0.3, 0.1])))
         assert found.evidence > here.evidence
         assert not is_far(compose(found.fit.pose, inverse(right)), np.zeros(2), 0.9, 0.35)
+
+
+def test_a_sudden_change_of_readings_that_say_nothing_is_weighed_without_rays(whole):
+    """A hand over the sensors: some beams read less than they can, and the others nothing."""
+    covered = np.array([0.03, 0.03, *[np.nan] * 4])
+    log = moved_log(np.zeros(3))
+    log.steps[5:] = [replace(step, ranges=covered) for step in log.steps[5:]]
+    assert not len(rays_of(log.since(5), ROBOT))
+    assert near_fit(whole, rays_of(log.since(5), ROBOT), COVARIANCE).cost == 0.0
+    assert doubt(log, [changed(whole, 5)]) is not None
