@@ -112,15 +112,16 @@ def trusted_path(
     """The smoothed log with its walls and signals, or odometry alone if its signals are clearly better."""
     report = report or (lambda _: None)
     # Frames that are only searched for a doubtful result can wait until it is known what is wrong with the log.
-    patient = replace(config, agreement=replace(config.agreement, doubtful_share=1.0))
+    patient = replace(config, rounds=replace(config.rounds, search_all_if_doubtful=False))
     judged = _judged(smooth_log(data, start, patient, report), config, data)
     if judged[2].contradicts_itself:
         judged = _second_look(data, start, config, judged, report)
     found, _, signals = judged
     if signals.status.level == "ok":
         return judged
-    plain = _judged(without_loops(found, start), config, data)
-    return plain if signals.is_worse_than(plain[2]) else judged
+    odometry, landmarks, of_odometry = _judged(without_loops(found, start), config, data)
+    plain = odometry, landmarks, replace(of_odometry, reach=signals.reach)
+    return plain if signals.is_worse_than(of_odometry) else judged
 
 
 def _second_look(

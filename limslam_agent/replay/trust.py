@@ -167,8 +167,8 @@ def reach_of_agreement(keys: KeyPoses, trajectory: Trajectory, config: GraphConf
 
 def _reach(ranges: FloatArray, confirmed: BoolArray, contradicted: BoolArray, max_range: float) -> float:
     """The first bin's begin from which on all bins with enough points are contradicted too much; or ``max_range``."""
-    bins = (ranges / _BIN).astype(np.int64)
     most = int(np.ceil(max_range / _BIN))
+    bins = np.minimum((ranges / _BIN).astype(np.int64), most - 1)  # a range may be rounded up to the longest one
     against = np.bincount(bins[contradicted], minlength=most)
     judged = against + np.bincount(bins[confirmed], minlength=most)
     bad = (judged < _LEAST_POINTS) | (against > MOST_CONTRADICTED * judged)

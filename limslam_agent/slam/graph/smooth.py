@@ -220,7 +220,9 @@ def _all_searches(keys: KeyPoses, data: LogData, config: GraphConfig, report: Re
     ]
     searches = _searched(_frames(frames))
     rest = frames[len(searches) // len(STARTS) :]
-    return searches + _searched(_frames(rest)) if rest and _doubtful(searches) else searches
+    if not rest or not config.rounds.search_all_if_doubtful or not _doubtful(searches):
+        return searches
+    return searches + _searched(_frames(rest))
 
 
 def _doubtful(searches: list[_Search]) -> bool:

@@ -9,7 +9,7 @@ from support.corridors import FOUR_BEAMS, corridor_log
 from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.output.summary import replay_summary
 from limslam_agent.replay.smoothing import trusted_path
-from limslam_agent.replay.trust import PathSignals, crossings, odometry_variances, reach_of_agreement
+from limslam_agent.replay.trust import PathSignals, _reach, crossings, odometry_variances, reach_of_agreement
 from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, motion_variances
 from limslam_env.geometry import se2
 
@@ -100,6 +100,27 @@ def test_a_log_whose_far_readings_contradict_each_other_is_smoothed_again_withou
     assert line.strip() == "readings beyond 2 m left out at the end: visits of a place contradict them"
     assert len(found.keys.in_robot) < data.hit.sum()
     assert np.hypot(*(found.poses - truth)[:, :2].T).max() < 0.3
+
+
+def test_the_first_look_only_puts_off_the_search_of_all_frames(monkeypatch):
+    """Groups of loops are refused by the limits of the settings then, too."""
+    asked = []
+
+    def stopped(_data, _start, config, _report):
+        asked.append(config)
+        raise StopIteration
+
+    monkeypatch.setattr("limslam_agent.replay.smoothing.smooth_log", stopped)
+    with pytest.raises(StopIteration):
+        trusted_path(floor_log()[0], np.zeros(3), GraphConfig())
+    (config,) = asked
+    assert config.agreement == GraphConfig().agreement
+    assert not config.rounds.search_all_if_doubtful
+
+
+def test_a_range_that_rounding_has_made_too_long_is_counted():
+    ranges, all_of, none = np.array([2.9, 3.0000000001]), np.array([True, False]), np.array([False, True])
+    assert _reach(ranges, all_of, none, 3.0) == 3.0
 
 
 def test_the_variances_of_odometry_follow_its_errors():
