@@ -28,7 +28,9 @@ def draw_lines(axes: Axes) -> None:
         axes.plot(*points_of(r, theta, along).T, "o", color=colour, markersize=5)
         foot = points_of(r, theta, np.zeros(1))[0]
         axes.plot([0.0, foot[0]], [0.0, foot[1]], color=colour, linestyle="--", linewidth=1.2)
-        axes.annotate("r", 0.7 * foot, xytext=(6, 6), textcoords="offset points", color=colour, style="italic")
+        beside = 10.0 * np.array([-np.sin(theta), np.cos(theta)])
+        words = {"ha": "center", "va": "center", "color": colour, "style": "italic"}
+        axes.annotate("r", 0.7 * foot, xytext=beside, textcoords="offset points", **words)
     angle = np.linspace(0.0, LINES[0][1], 40)
     axes.plot(0.45 * np.cos(angle), 0.45 * np.sin(angle), color=WALLS[0], linewidth=1.2)
     axes.annotate("theta", (0.45, 0.12), xytext=(4, 0), textcoords="offset points", color=WALLS[0], style="italic")
