@@ -15,7 +15,8 @@ from support.data import data_folder
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances, inside_polygon, lengths
 from limslam_env.worlds.formats import json_files, outlines
-from limslam_env.worlds.formats.loading import load_world, read_json
+from limslam_env.worlds.formats.json_files import read_json
+from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.map_server import read_map_server, read_pgm
 from limslam_env.worlds.free_space import cell_for, free_space
 from limslam_env.worlds.world import World, WorldError
