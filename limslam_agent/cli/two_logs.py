@@ -75,7 +75,7 @@ def _of_other(options: ReplayOptions) -> ReplayOptions:
 def _scores(joint: "JointReplay", jobs: tuple[Job, Job], *, is_shared: bool) -> dict[str, Any]:
     """Metrics of both logs together. Relations that both logs share may lie between the logs."""
     from limslam_agent.replay.two_logs_output import relation_scores
-    from limslam_agent.runs.results import mean_scores
+    from limslam_agent.runs.smoothing import mean_scores
     from limslam_env.metrics.metrics import trajectory_metrics
 
     one, other = (each.relations for each in jobs)
