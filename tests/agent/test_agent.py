@@ -83,14 +83,6 @@ def test_an_agent_does_not_write_into_its_observations(recording: Recording) -> 
         np.testing.assert_array_equal(agent.act(frozen), action)
 
 
-def test_observe_and_decide_are_the_two_halves_of_act(recording: Recording) -> None:
-    agent, actions = fresh(recording), []
-    for observation in recording[1][:200]:
-        agent.observe(observation)
-        actions.append(np.array(agent.decide()))
-    np.testing.assert_array_equal(actions, recording[2][:200])
-
-
 def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
     agent, records = fresh(recording), []
     agent.slam.on_association = records.append

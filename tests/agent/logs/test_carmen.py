@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.data import data_folder
+from support.data import refusal as refused
 from support.work import count_calls
 
 from limslam_agent.logs.carmen import MIN_RANGE, beam_angles_deg, read_carmen
@@ -57,13 +58,11 @@ def write(tmp_path: Path) -> Any:
 
 
 def refusal(path: Path, beams: tuple[float, ...] = SIX, max_range: float = 3.0) -> str:
-    """The message with which a log is refused: one line that begins with the file."""
-    with pytest.raises(LogError) as caught:
-        read_carmen(path, beams, max_range)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
+    return refused(path, beams, max_range, read=read_carmen)
+
+
+def npz_refusal(path: Path) -> str:
+    return refused(path, read=read_npz)
 
 
 # What is read
@@ -372,15 +371,6 @@ def own_log(count: int = 4) -> dict[str, Any]:
         "robot": np.array(robot.to_json()),
         "start_pose": np.array([1.0, 2.0, 0.5]),
     }
-
-
-def npz_refusal(path: Path) -> str:
-    with pytest.raises(LogError) as caught:
-        read_npz(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
