@@ -154,6 +154,10 @@ class RewardConfig:
     step: float = -0.001
     collision: float = -0.05
 
+    def of_step(self, new_area: float, *, contact: bool) -> float:
+        """The reward of a step in which ``new_area`` (m^2) was seen for the first time."""
+        return self.new_area * new_area + self.step + self.collision * contact
+
 
 @dataclass(frozen=True)
 class TaskConfig:
@@ -173,6 +177,10 @@ class TaskConfig:
     def __post_init__(self) -> None:
         if self.coverage_goal is not None and not _lies_within(self.coverage_goal, _SMALLEST_GOAL, 1.0):
             raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {self.coverage_goal}")
+
+    def is_over(self, coverage: float) -> bool:
+        """Whether a coverage (0 to 1) reaches the goal."""
+        return self.coverage_goal is not None and coverage >= self.coverage_goal
 
 
 def _lies_within(setting: Any, lowest: float, highest: float) -> bool:

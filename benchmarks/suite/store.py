@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.suite.jobs import Failure, Job, Metric, Outcome
 from limslam_agent.output.atomic_write import append_line, atomic_write, mend_lines, replace_content
 from limslam_agent.output.claims import clear_up, locked
-from limslam_agent.output.provenance import version_changes
+from limslam_agent.output.provenance import changes
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
@@ -209,11 +209,8 @@ def _check_stamp(folder: Path, stamp: Stamp) -> None:
             f" ({before.suite}, {before.jobs} jobs, digest {before.digest}; now {stamp.suite}, {stamp.jobs} jobs,"
             f" digest {stamp.digest}): choose another folder"
         )
-    changed = [version_changes(before.versions, stamp.versions)] if before.versions != stamp.versions else []
-    if before.commit != stamp.commit:
-        changed.append(f"commit {before.commit}, now {stamp.commit}")
-    if changed:
-        raise ValueError(f"{folder}: holds results of other versions ({'; '.join(changed)}): choose another folder")
+    if changed := changes(before, stamp):
+        raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
 
 
 def _mend(folder: Path) -> None:

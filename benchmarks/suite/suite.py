@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.suite.jobs import LOG, LOG_POLICY, RANDOM, Job, LogSource, digest
-from benchmarks.suite.train_config import TrainConfig, train_config
+from benchmarks.suite.train_config import TrainConfig
 from benchmarks.suite.work import check_log, contents, run_config
+from limslam_agent.config.tables import built
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import described, one_line
 
@@ -136,10 +137,10 @@ def _jobs(table: dict[str, Any], key: str, make: Callable[[dict[str, Any]], list
 def _train(table: dict[str, Any], jobs: list[Job]) -> TrainConfig | None:
     if "train" not in table:
         return None
+    config = built(TrainConfig, table["train"], "[train]")
     with _named("[train]"):
-        config = train_config(table["train"])
         config.check_apart(jobs)
-        return config
+    return config
 
 
 def _grid(table: dict[str, Any]) -> list[Job]:

@@ -2,19 +2,19 @@
 
 import functools
 import hashlib
-import math
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.suite.jobs import PLAN, RANDOM, Job, LogSource, Metric, Outcome, digest
+from benchmarks.suite.jobs import PLAN, RANDOM, Job, LogSource, Outcome, digest
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import OdometryConfig, preset
+from limslam_agent.output.export import plain
 from limslam_agent.replay.options import odometry_config
 from limslam_agent.runs.episode import Episode, run_episode
 from limslam_agent.runs.results import cost, score, trajectory_scores
@@ -138,7 +138,7 @@ def simulated(config: RunConfig) -> Outcome:
     """Run the simulator by a configuration, and score the run. The cost of the whole job is left out."""
     episode = run_episode(config)
     made_from = {"agent": asdict(config.agent), "robot": asdict(config.robot), "world": episode.world.digest}
-    return Outcome(_plain(score(episode)), cost(episode), _series(episode), digest(made_from))
+    return Outcome(plain(score(episode)), cost(episode), _series(episode), digest(made_from))
 
 
 def _series(episode: Episode) -> dict[str, FloatArray]:
@@ -176,7 +176,7 @@ def _replayed(job: Job, source: LogSource) -> Outcome:
     }  # fmt: skip
     made_from = {"agent": asdict(config), "robot": asdict(log.robot), "log": file_digest(path)}
     spent = run_cost(float(np.ptp(log.time)), result.wall_clock, slam=result.slam_ms)
-    return Outcome(_plain(scores), spent, series, digest(made_from))
+    return Outcome(plain(scores), spent, series, digest(made_from))
 
 
 def _odometry(source: LogSource) -> OdometryConfig:
@@ -194,11 +194,3 @@ def _each_second(times: FloatArray) -> Any:
     latest = np.maximum.accumulate(times - times[0])
     _, first = np.unique(np.floor(latest / SERIES_PERIOD + 1e-9), return_index=True)
     return np.union1d(first, [len(times) - 1])
-
-
-def _plain(scores: Mapping[str, Any]) -> dict[str, Metric]:
-    """Metrics as JSON values: plain numbers, and None for values that are not finite."""
-    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in scores.items()}
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in plain.items()
-    }

@@ -15,7 +15,7 @@ from limslam_agent.arena.entry import Entry, manifest_of, manifest_table
 from limslam_agent.arena.tracks import VERSION, plans_of
 from limslam_agent.output.atomic_write import append_line, mend_lines, replace_content
 from limslam_agent.output.claims import clear_up, locked
-from limslam_agent.output.provenance import version_changes
+from limslam_agent.output.provenance import changes
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
@@ -218,11 +218,8 @@ def _check_stamp(folder: Path, stamp: Stamp) -> None:
         raise ValueError(f"{folder}: holds results of other plans: choose another folder")
     if before.digest != stamp.digest:
         raise ValueError(f"{folder}: holds results of another entry, or of this one before it was changed")
-    changed = [version_changes(before.versions, stamp.versions)] if before.versions != stamp.versions else []
-    if before.commit != stamp.commit:
-        changed.append(f"commit {before.commit}, now {stamp.commit}")
-    if changed:
-        raise ValueError(f"{folder}: holds results of other versions ({'; '.join(changed)}): choose another folder")
+    if changed := changes(before, stamp):
+        raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
 
 
 def _row(line: bytes, label: str) -> Row:

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.exploration import Keep, explore
 from limslam_agent.arena.mapping import map_drive
@@ -23,6 +21,7 @@ from limslam_agent.arena.processes import begin_group, kill_group, without_folde
 from limslam_agent.arena.results import RUNS, Row, digest_of, open_store, stamp_of
 from limslam_agent.arena.scoring import lost_scores
 from limslam_agent.arena.tracks import MAPPING, Plan
+from limslam_agent.output.export import plain
 from limslam_agent.output.provenance import commit
 from limslam_agent.output.worker import end_with_parent
 from limslam_agent.runs.results import versions
@@ -188,7 +187,7 @@ def run_job(job: Job) -> Row:
         error = one_line(without_folders(error, (job.entry.folder,)))
         metrics, cost = lost_scores(plan, manifest.track, f"failed: {error}"), {}
     cost = {**cost, "cpu_s": _cpu_s() - cpu, "wall_clock_s": time.perf_counter() - begin}
-    return Row(plan.number, plan.setting, _plain(metrics), _plain(cost), **provenance, error=error)
+    return Row(plan.number, plan.setting, plain(metrics), plain(cost), **provenance, error=error)
 
 
 def _cpu_s() -> float:
@@ -199,11 +198,3 @@ def _cpu_s() -> float:
 
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Values that JSON has: plain numbers and texts. What is not finite is None."""
-    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
-    return {
-        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in plain.items()
-    }

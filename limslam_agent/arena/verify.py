@@ -1,7 +1,7 @@
 """Runs plans of a folder of results again, and compares the metrics."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from limslam_agent.arena.entry import Entry, manifest_table, read_entry
 from limslam_agent.arena.results import Row, Stamp, digest_of, plans_digest, read_rows, read_stamp
 from limslam_agent.arena.running import Job, results_of
 from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
-from limslam_agent.output.provenance import commit, version_changes
+from limslam_agent.output.provenance import changes, commit
 from limslam_agent.runs.results import versions
 
 BOUNDS = {
@@ -107,10 +107,7 @@ def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
 
 def other_versions(stamp: Stamp) -> str:
     """What is another version here than in a folder of results, in words. Empty if nothing is."""
-    changed = [version_changes(stamp.versions, versions())] if stamp.versions != versions() else []
-    if stamp.commit != commit():
-        changed.append(f"commit {stamp.commit}, now {commit()}")
-    return "; ".join(changed)
+    return changes(stamp, replace(stamp, versions=versions(), commit=commit()))
 
 
 def _equal(first: object, second: object, bound: float | None, is_process: bool) -> bool:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from limslam_agent.arena.processes import SECRET_SEED
-from limslam_agent.cli.progress import progress_bar
+from limslam_agent.cli.terminal import print_table, progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board
@@ -52,9 +52,7 @@ def run(
             keep=write_kept_run if keep else None, retry_failed=retry_failed,
             report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
         )  # fmt: skip
-    for row in rows:
-        if row.error is not None:
-            typer.echo(printable(f"limslam: warning: plan {row.plan} failed: {row.error}"), err=True)
+    warn(f"plan {row.plan} failed: {row.error}" for row in rows if row.error is not None)
     _print_board(board([out]))
     typer.echo(printable(f"results     {out}"))
 
@@ -77,7 +75,7 @@ def verify(
 
     found, stamp, track = again.opened(folder, entry, secret_seed)
     if changed := again.other_versions(stamp):
-        typer.echo(one_line(f"limslam: warning: the results are of other versions ({changed})"), err=True)
+        warn([f"the results are of other versions ({changed})"])
     checks = []
     for check in again.verify(folder, found, track, plans, jobs):
         checks.append(check)
@@ -100,10 +98,10 @@ def page(
     """Write the leaderboard as one page: open it in any browser."""
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.page import write_board
-    from limslam_agent.cli.inspect import check_page
+    from limslam_agent.output.atomic_write import check_target
     from limslam_env.messages import printable
 
-    check_page(out, force=force)
+    check_target(out, "a page", (".html", ".htm"), force=force)
     found = board(folders)
     size = write_board(out, found)
     _print_board(found)
@@ -133,9 +131,7 @@ def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
 
 def _print_board(found: "Board") -> None:
     from limslam_agent.arena.page import table_rows
-    from limslam_agent.cli.worlds import table
-    from limslam_env.messages import counted, printable
+    from limslam_env.messages import counted
 
     typer.echo(f"track       {found.track}, {counted(len(found.plans), 'plan')}")
-    for line in table(table_rows(found)).splitlines():
-        typer.echo(printable(line))
+    print_table(table_rows(found))

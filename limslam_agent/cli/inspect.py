@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.progress import progress_bar
 from limslam_agent.cli.replay import job_of
 from limslam_agent.cli.settings import FILE, Given, ReplayOptions, replay_agent, run_config, run_options
+from limslam_agent.cli.terminal import progress_bar
 
 if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun
@@ -30,12 +30,13 @@ def inspect(
 ) -> None:
     """Write a page that plays a run step by step: open it in any browser."""
     from limslam_agent.inspect.page import write_page
+    from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.finished_run import read_run
     from limslam_env.messages import printable
 
     run = read_run(source) if source.is_dir() or not source.exists() else None
     target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / NAME)
-    check_page(target, force=force)
+    check_target(target, "a page", (".html", ".htm"), force=force)
     title = source.name if run is None else run.title
     found = _of_log(source) if run is None else _of_folder(run)
     size = write_page(target, title, found.arrays, found.meta)
@@ -78,13 +79,3 @@ def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
 
 def _of_log(path: Path) -> "Inspection":
     return _of_replay(Given(None, {}, {"log": path}), None)
-
-
-def check_page(path: Path, *, force: bool) -> None:
-    """Refuse a target that is no HTML file, or that would be replaced by accident."""
-    if path.suffix.lower() not in {".html", ".htm"}:
-        raise ValueError(f"{path}: a page ends in .html")
-    if path.is_dir():
-        raise ValueError(f"{path}: is a folder")
-    if path.exists() and not force:
-        raise ValueError(f"{path}: already exists; --force replaces it")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.progress import progress_bar
 from limslam_agent.cli.settings import Given, LiveOptions, robot_named, write_live_settings
+from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
@@ -48,8 +48,7 @@ def live(
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
     agent = _agent_config(given, options)
-    for warning in given.warnings(options.preset):
-        _warn(warning)
+    warn(given.warnings(options.preset))
     with _wired(options, given.replay_robot(), ros_arguments) as wired:
         carry_out(options, agent, wired)
 
@@ -252,17 +251,11 @@ def _named(copy: Path) -> "Iterator[None]":
         yield
     except BaseException:
         if copy.is_file():
-            _warn(f"what the robot has sent is in {copy}: limslam replay draws the map")
+            warn([f"what the robot has sent is in {copy}: limslam replay draws the map"])
         raise
 
 
 def _warn_about(hello: "Hello") -> None:
     if hello.watchdog_ms < 2 * hello.period_ms:
-        periods = f"two periods of {hello.period_ms} ms"
-        _warn(
-            f"the robot's watchdog of {hello.watchdog_ms} ms is shorter than {periods}: one lost line stops the wheels"
-        )
-
-
-def _warn(words: str) -> None:
-    typer.echo(f"limslam: warning: {words}", err=True)
+        words = f"the robot's watchdog of {hello.watchdog_ms} ms is shorter than two periods of {hello.period_ms} ms"
+        warn([f"{words}: one lost line stops the wheels"])

@@ -56,10 +56,7 @@ Robot = Annotated[
 TrueOdometryNoise = Annotated[
     float | None,
     _option(
-        _FAULTS,
-        "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.",
-        "0.0045",
-        "--odometry-noise",
+        _FAULTS, "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.", "0.0045"
     ),
 ]
 WheelMismatch = Annotated[
@@ -83,9 +80,7 @@ Sharp = Annotated[
 ]
 PriorMap = Annotated[
     Path | None,
-    _option(
-        _AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known.", None, "--map"
-    ),
+    _option(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known."),
 ]
 KidnapAt = Annotated[
     float | None,
@@ -97,7 +92,6 @@ Calibration = Annotated[
         _AGENT,
         "Whether the filter estimates the sizes of wheels and axle where they differ from the robot's settings.",
         "calibration",
-        "--calibration/--no-calibration",
     ),
 ]
 Robots = Annotated[int | None, _option(_WORLD, "Number of robots that explore together, 1 to 8.", _RUN.robots)]
@@ -119,7 +113,7 @@ MaxTime = Annotated[
         f"{_RUN.max_time:g}",
     ),
 ]
-RunPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _RUN.preset, "--preset")]
+RunPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _RUN.preset)]
 Policy = Annotated[
     str | None,
     _option(
@@ -151,16 +145,13 @@ Ablation = Annotated[
         "none",
     ),
 ]
-Limit = Annotated[
-    bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).", None, "--limit/--no-limit")
-]
+Limit = Annotated[bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).")]
 FilmSpeed = Annotated[
     float | None,
     _option(
         _RESULTS,
         "How much faster the video is than the run, 1 to 100. Pauses for explanations make the video longer.",
         f"{_RUN.film_speed:g}",
-        "--film-speed",
     ),
 ]
 Watch = Annotated[
@@ -189,8 +180,6 @@ RecordingRobot = Annotated[
     _option(
         _TABLE,
         "Robot that recorded a table: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.",
-        None,
-        "--robot",
     ),
 ]
 MetresPerTick = Annotated[
@@ -198,12 +187,7 @@ MetresPerTick = Annotated[
 ]
 Accumulated = Annotated[
     bool | None,
-    _option(
-        _TABLE,
-        "The columns left and right count from the start, not from the row before.",
-        None,
-        "--accumulated/--no-accumulated",
-    ),
+    _option(_TABLE, "The columns left and right count from the start, not from the row before."),
 ]
 RangeUnit = Annotated[str | None, _option(_TABLE, "Unit of the ranges: m, cm or mm.", _REPLAY.range_unit)]
 TimeUnit = Annotated[str | None, _option(_TABLE, "Unit of the times: s, ms or us.", _REPLAY.time_unit)]
@@ -213,27 +197,16 @@ ZoneAxes = Annotated[
 ]
 ZeroIsNothing = Annotated[
     bool | None,
-    _option(
-        _TABLE,
-        "A range of 0 says that nothing was seen, not that something is too near.",
-        None,
-        "--zero-is-nothing/--no-zero-is-nothing",
-    ),
+    _option(_TABLE, "A range of 0 says that nothing was seen, not that something is too near."),
 ]
 ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
 RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
 OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]
-MaxSize = Annotated[
-    float | None, _option(_LOG, "Largest log that is read, unpacked, MB.", f"{_REPLAY.max_size:g}", "--max-size")
-]
-MaxEvents = Annotated[
-    int | None, _option(_LOG, "Most lines, steps or messages that are read.", _REPLAY.max_events, "--max-events")
-]
-MaxBeams = Annotated[int | None, _option(_LOG, "Most beams of a scan.", _REPLAY.max_beams, "--max-beams")]
-AssumedNoise = Annotated[
-    float | None, _option(_AGENT, "Assumed standard deviation of the ranges, m.", _REPLAY.noise, "--noise")
-]
-ReplayPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _REPLAY.preset, "--preset")]
+MaxSize = Annotated[float | None, _option(_LOG, "Largest log that is read, unpacked, MB.", f"{_REPLAY.max_size:g}")]
+MaxEvents = Annotated[int | None, _option(_LOG, "Most lines, steps or messages that are read.", _REPLAY.max_events)]
+MaxBeams = Annotated[int | None, _option(_LOG, "Most beams of a scan.", _REPLAY.max_beams)]
+AssumedNoise = Annotated[float | None, _option(_AGENT, "Assumed standard deviation of the ranges, m.", _REPLAY.noise)]
+ReplayPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _REPLAY.preset)]
 OdometryNoise = Annotated[
     str | None,
     _option(
@@ -253,7 +226,6 @@ SelfCalibrate = Annotated[
         _ODOMETRY,
         "Let the filter always, or never, estimate the constant errors of the odometry (presets graph and consistent).",
         "where needed",
-        "--self-calibrate/--no-self-calibrate",
     ),
 ]
 Calibrate = Annotated[Path | None, _option(_ODOMETRY, "File of known relative poses to estimate the bias from.")]
@@ -268,8 +240,6 @@ RelationsFile = Annotated[
     _option(
         _SCORE,
         "File of known relative poses to score the trajectory with. Of two logs: once for both, or once for each.",
-        None,
-        "--relations",
     ),
 ]
 
@@ -291,12 +261,11 @@ LiveRobot = Annotated[
         _CONNECTION,
         "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings. --ros2 needs it.",
         "what the robot calls itself",
-        "--robot",
     ),
 ]
 Patience = Annotated[
     float | None,
-    _option(_CONNECTION, "How long to wait for a robot that is silent, s.", f"{_LIVE.patience:g}", "--patience"),
+    _option(_CONNECTION, "How long to wait for a robot that is silent, s.", f"{_LIVE.patience:g}"),
 ]
 LivePolicy = Annotated[
     str | None,
@@ -305,10 +274,9 @@ LivePolicy = Annotated[
         "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
         "or FILE.py:CLASS for your own (a class or a function that makes a policy).",
         _LIVE.policy,
-        "--policy",
     ),
 ]
 LiveTime = Annotated[
     float | None,
-    _option(_CONNECTION, "Longest time of the session by the robot's clock, s.", f"{_LIVE.max_time:g}", "--max-time"),
+    _option(_CONNECTION, "Longest time of the session by the robot's clock, s.", f"{_LIVE.max_time:g}"),
 ]

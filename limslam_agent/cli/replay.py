@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.progress import progress_bar
 from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, write_replay_settings
+from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -55,8 +55,7 @@ def replay(
     given = Given.read(arguments.pop("config"), arguments)
     options = given.merged(ReplayOptions(), ("agent", "robot"))
     agent = replay_agent(given, options)
-    for warning in given.warnings(options.preset):
-        typer.echo(f"limslam: warning: {warning}", err=True)
+    warn(given.warnings(options.preset))
     if options.other_log is not None:
         from limslam_agent.cli.two_logs import carry_out_both
 
@@ -144,12 +143,6 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
         typer.echo(line)
     warn(map_warnings(result))
     typer.echo(printable(f"results     {folder.target}"))
-
-
-def warn(warnings: list[str]) -> None:
-    """Print warnings, one line each."""
-    for warning in warnings:
-        typer.echo(f"limslam: warning: {warning}", err=True)
 
 
 def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:

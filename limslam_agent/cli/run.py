@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.progress import Advance, progress_bar
 from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
+from limslam_agent.cli.terminal import Advance, progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.runs.episode import Episode, Watcher
@@ -73,8 +73,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
 
     config = run_config(given, options)
     options = replace(options, max_time=config.max_time)
-    for warning in [*given.warnings(options.preset), *config.warnings]:
-        typer.echo(f"limslam: warning: {warning}", err=True)
+    warn([*given.warnings(options.preset), *config.warnings])
     target = options.out or Path("runs") / _folder_name(config)
     task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
     with (

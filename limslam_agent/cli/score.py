@@ -52,13 +52,13 @@ def score(
 ) -> None:
     """Score the trajectory and the map of any SLAM system by the metrics of this project."""
     from limslam_agent.cli.settings import robot_named
-    from limslam_agent.output.atomic_write import atomic_write
+    from limslam_agent.output.atomic_write import atomic_write, check_target
     from limslam_agent.output.export import write_json
     from limslam_agent.runs.score_files import ScoredFiles
     from limslam_env.messages import printable
 
-    if out is not None and out.exists() and not force:
-        raise ValueError(f"{out}: already exists; --force replaces it")
+    if out is not None:
+        check_target(out, force=force)
     files = ScoredFiles(
         estimated, true, relations, covariances, align, max_difference, walls, world, robot_named(robot)
     )

@@ -29,13 +29,14 @@ def show(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Show a finished run: its metrics, its map, and its errors over time."""
+    from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.finished_run import PICTURE, read_run
     from limslam_agent.output.run_picture import SIZE, draw_run
     from limslam_agent.output.summary import record_summary, replay_summary, run_summary
     from limslam_env.messages import printable
 
     if out is not None:
-        check_target(out, force=force)
+        check_target(out, "a picture", SUFFIXES, force=force)
     run = read_run(folder)
     metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
     lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
@@ -116,22 +117,6 @@ def _numbers(run: "FinishedRun", part: str) -> dict[str, object]:
     return content
 
 
-def check_target(path: Path, *, force: bool) -> None:
-    """Refuse a file that is no picture, or that would be replaced by accident.
-
-    Raises
-    ------
-    ValueError
-        If the picture cannot be written there.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{path}: a picture ends in {', '.join(SUFFIXES)}")
-    if path.is_dir():
-        raise ValueError(f"{path}: is a folder")
-    if path.exists() and not force:
-        raise ValueError(f"{path}: already exists; --force replaces it")
-
-
 def compare(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR DIR...", help="The folders of finished runs.")],
     out: Annotated[
@@ -142,7 +127,8 @@ def compare(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Compare finished runs or replays: their metrics, their maps, and their errors over time."""
-    from limslam_agent.cli.worlds import table
+    from limslam_agent.cli.terminal import print_table
+    from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.comparison_picture import MOST_RUNS, draw_comparison, sheet_size, table_of
     from limslam_agent.output.finished_run import read_run
     from limslam_env.messages import printable
@@ -150,10 +136,9 @@ def compare(
     if not 2 <= len(folders) <= MOST_RUNS:
         raise ValueError(f"2 to {MOST_RUNS} folders can be compared, not {len(folders)}")
     if out is not None:
-        check_target(out, force=force)
+        check_target(out, "a picture", SUFFIXES, force=force)
     runs = [read_run(folder).with_one_time() for folder in folders]
-    for line in table(table_of(runs)).splitlines():
-        typer.echo(printable(line))
+    print_table(table_of(runs))
     edges = [true_edges(run) for run in runs]
     size = sheet_size(len(runs))
     if out is not None:

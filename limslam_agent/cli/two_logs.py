@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from limslam_agent.cli.progress import progress_bar
-from limslam_agent.cli.replay import Job, job_of, scores_of, warn
+from limslam_agent.cli.replay import Job, job_of, scores_of
 from limslam_agent.cli.settings import ReplayOptions, write_replay_settings
+from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -75,7 +75,7 @@ def _of_other(options: ReplayOptions) -> ReplayOptions:
 def _scores(joint: "JointReplay", jobs: tuple[Job, Job], *, is_shared: bool) -> dict[str, Any]:
     """Metrics of both logs together. Relations that both logs share may lie between the logs."""
     from limslam_agent.replay.two_logs_output import relation_scores
-    from limslam_agent.runs.results import mean_scores
+    from limslam_agent.runs.smoothing import mean_scores
     from limslam_env.metrics.metrics import trajectory_metrics
 
     one, other = (each.relations for each in jobs)

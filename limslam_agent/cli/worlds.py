@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.terminal import print_table, warn
+
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
 
@@ -31,7 +33,7 @@ def list_worlds(
 
     places = {name: load_world(name) for name in shipped_worlds()}
     ids = _gym_ids()
-    typer.echo(table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())]))
+    print_table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())])
     if thumbnails is not None:
         for name, place in places.items():
             _write_thumbnail(thumbnails / f"{name}.png", place)
@@ -68,7 +70,7 @@ def check(
         f"{counted(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
     if region.warning:
-        typer.echo(one_line(f"limslam: warning: {world}: {region.warning}"), err=True)
+        warn([one_line(f"{world}: {region.warning}")])
 
 
 @worlds.command()
@@ -79,14 +81,14 @@ def convert(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a world in another format."""
+    from limslam_agent.output.atomic_write import check_target
     from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.formats.writing import write_world
 
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
-    in_the_way = [file for file in files if file.exists()]
-    if in_the_way and not force:
-        raise ValueError(f"{in_the_way[0]}: already exists; --force replaces it")
+    for file in files:
+        check_target(file, force=force)
     write_world(load_world(source), target)
     typer.echo(printable(f"world       {target}"))
 
@@ -105,13 +107,6 @@ def _row(name: str, world: "World", gym_id: str) -> tuple[str, ...]:
     counts = (str(len(things)) for things in (world.walls, world.obstacles, world.doors, world.starts))
     loop = "yes" if len(world.loop) else "no"
     return (name, f"{world.size[0]:g} x {world.size[1]:g}", *counts, loop, gym_id)
-
-
-def table(rows: list[tuple[str, ...]]) -> str:
-    """Rows as aligned columns; plain, so that other programs can read it too."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)
 
 
 def _write_thumbnail(path: Path, world: "World") -> None:

@@ -81,8 +81,14 @@ def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) ->
     return _made(type(settings), {name: getattr(settings, name) for name in _hints(type(settings))} | changes, where)
 
 
-def _built(kind: type[T], table: Any, where: str) -> T:
-    """A dataclass from a table that has at least the values without defaults."""
+def built(kind: type[T], table: Any, where: str) -> T:
+    """A dataclass from a table that has at least the values without defaults.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
+    """
     values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
     missing = [field.name for field in _fields(kind) if _is_required(field) and field.name not in values]
     if missing:
@@ -112,7 +118,7 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
     if is_dataclass(current):
         return updated(current, value, where)
     if is_dataclass(hint) and isinstance(hint, type):
-        return _built(hint, value, where)
+        return built(hint, value, where)
     if get_origin(hint) in {Union, types.UnionType}:
         return _converted_union(hint, value, where)
     if get_origin(hint) is tuple:

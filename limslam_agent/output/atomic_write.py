@@ -4,11 +4,11 @@ Results of many runs are lines of a file that is only appended to: a kill at any
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from limslam_agent.output.claims import claimed, hidden, sync_file, sync_folder
+from limslam_agent.output.claims import OutputError, claimed, hidden, sync_file, sync_folder
 
 
 @contextmanager
@@ -41,6 +41,22 @@ def atomic_write(path: Path) -> Iterator[Path]:
             sync_folder(path.parent)
         finally:
             beside.unlink(missing_ok=True)
+
+
+def check_target(path: Path, kind: str = "a file", endings: Collection[str] = (), *, force: bool) -> None:
+    """Refuse a file of another kind than its ending says, and one that would be replaced by accident.
+
+    Raises
+    ------
+    OutputError
+        If the path ends in none of the endings, is a folder, or is a file that only ``force`` may replace.
+    """
+    if endings and path.suffix.lower() not in endings:
+        raise OutputError(f"{path}: {kind} ends in {', '.join(endings)}")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder")
+    if path.exists() and not force:
+        raise OutputError(f"{path}: already exists; --force replaces it")
 
 
 def append_line(path: Path, line: bytes) -> None:

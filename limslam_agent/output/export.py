@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,6 +27,14 @@ def write_covariances(path: Path, estimated: FloatArray, smoothed: FloatArray | 
 def write_json(path: Path, content: Any) -> None:
     """Write readable JSON. NaN and infinity are errors. Values that do not apply are ``null``."""
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values that JSON can hold: plain numbers and texts, and None for numbers that are not finite."""
+    items = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in items.items()
+    }
 
 
 def finite(scores: dict[str, float | None]) -> dict[str, float | None]:

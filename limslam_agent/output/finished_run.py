@@ -1,6 +1,7 @@
 """Reads the folder of a finished run or replay."""
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -88,13 +89,13 @@ class FinishedRun:
     @property
     def config(self) -> dict[str, Any]:
         """The settings of the run."""
-        return dict(_part(self.result, "config"))
+        return dict(part_of(self.result, "config"))
 
     @property
     def title(self) -> str:
         """The settings of the run in a few words."""
         config = self.config
-        agent = _part(config, "agent")
+        agent = part_of(config, "agent")
         preset = config.get("preset") or agent.get("preset", "")
         if self.is_replay:
             return ", ".join(filter(None, (str(config["log"]), str(preset))))
@@ -133,7 +134,7 @@ def read_run(folder: Path) -> FinishedRun:
     if not tables["est"]:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
     time = tables["est"][0][:, 0]
-    times = [table[:, 0] for table in tables["est"]] if "logs" in _part(result, "config") else []
+    times = [table[:, 0] for table in tables["est"]] if "logs" in part_of(result, "config") else []
     counts = [len(each) for each in times] if times else [len(time)] * len(tables["est"])
     for kind, found in tables.items():
         if found and [len(table) for table in found] != counts:
@@ -202,7 +203,8 @@ def _read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _part(content: dict[str, Any], name: str) -> dict[str, Any]:
+def part_of(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """A table of a ``result.json``. Empty if there is none."""
     part = content.get(name)
     return part if isinstance(part, dict) else {}
 
@@ -263,7 +265,7 @@ def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray],
 
 def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatArray]) -> list[FloatArray]:
     """Poses (n, 3) of each robot by wheel travel alone, from the first of its ``poses``."""
-    axle = _part(_part(result, "config"), "robot").get("axle")
+    axle = part_of(part_of(result, "config"), "robot").get("axle")
     if not isinstance(axle, int | float) or not axle > 0.0:
         return []
     try:

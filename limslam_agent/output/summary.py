@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.output.finished_run import part_of
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted
 
@@ -47,10 +48,10 @@ def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list
 
 def record_summary(result: Mapping[str, Any]) -> list[str]:
     """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
-    config, record = _part(result, "config"), _part(result, "record")
-    agent = _part(config, "agent")
-    preset, beams = config.get("preset") or agent.get("preset"), _part(config, "robot").get("beams")
-    noise = _part(agent, "noise").get("range_std")
+    config, record = part_of(result, "config"), part_of(result, "record")
+    agent = part_of(config, "agent")
+    preset, beams = config.get("preset") or agent.get("preset"), part_of(config, "robot").get("beams")
+    noise = part_of(agent, "noise").get("range_std")
     method = [
         " ".join(str(each) for each in (preset, config.get("ablation")) if each),
         f"{len(beams)} beams" if isinstance(beams, list | tuple) else "",
@@ -111,11 +112,6 @@ def _numbers(pose: Any) -> list[float] | None:
     """A pose as three numbers; None if it is something else."""
     is_pose = isinstance(pose, list) and len(pose) == 3 and all(isinstance(value, int | float) for value in pose)
     return pose if is_pose else None
-
-
-def _part(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    part = content.get(name)
-    return part if isinstance(part, dict) else {}
 
 
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.messages import described
 
 NO_PLAN = no_rows(2)
 """The plan of a policy that plans no path. The array is read-only."""
@@ -109,5 +110,4 @@ def _numbers(value: Any) -> FloatArray | None:
 
 
 def _refusal(policy: Policy, rule: str, value: Any) -> ValueError:
-    text = " ".join(repr(value).split())
-    return ValueError(f"{type(policy).__name__}: {rule}, not {text if len(text) <= 60 else f'{text[:57]}...'}")
+    return ValueError(f"{type(policy).__name__}: {rule}, not {described(value)}")

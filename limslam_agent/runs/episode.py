@@ -30,7 +30,7 @@ from limslam_agent.status.status import LEVELS
 from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, turned
 from limslam_env.interface import Observation
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
@@ -300,11 +300,9 @@ def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, place
     if prior_frame is None:
         return columns
     own = slice(places.records[0]["step"])
-    turn = np.eye(3)
-    turn[:2, :2] = [[np.cos(prior_frame[2]), -np.sin(prior_frame[2])], [np.sin(prior_frame[2]), np.cos(prior_frame[2])]]
     for name in ("estimated", "odometry"):
         columns[name][own] = compose(prior_frame, columns[name][own])
-    columns["covariances"][own] = turn @ columns["covariances"][own] @ turn.T
+    columns["covariances"][own] = turned(columns["covariances"][own], prior_frame[2])
     return columns
 
 

@@ -21,7 +21,7 @@ from limslam_agent.runs.episode import Episode
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.runs.smoothing import FinalMap, final_status, online_map, smoothed_scores
+from limslam_agent.runs.smoothing import FinalMap, final_status, mean_scores, online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
@@ -178,17 +178,6 @@ def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, flo
     errors = np.linalg.norm(limit.poses[..., :2] - true[..., :2], axis=-1)
     best = float(np.sqrt(np.mean(errors**2, axis=0)).mean())
     return {"limit_ate_m": best, "ate_over_limit": ate / best if ate is not None and best > 0.0 else None}
-
-
-def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
-    """Means of several robots' scores. A mean is None if one robot has no value."""
-    columns = {name: [scores[name] for scores in each] for name in each[0]}
-    return {
-        name: None
-        if any(value is None for value in values)
-        else float(np.mean([value for value in values if value is not None]))
-        for name, values in columns.items()
-    }
 
 
 def cost(episode: Episode) -> dict[str, float]:

@@ -12,7 +12,7 @@ from limslam_agent.output.finished_run import read_walls
 from limslam_agent.output.tum import TrajectoryError, read_rows, read_tum
 from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_env.geometry.se2 import compose, inverse, transform_points, turned
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
 from limslam_env.worlds.formats.loading import load_world
@@ -140,8 +140,7 @@ class Pairs:
 
     def moved(self, motion: FloatArray) -> "Pairs":
         """The same with the frame of the estimate moved by a rigid motion (3,)."""
-        turn = _rotation(motion[2])
-        covariances = None if self.covariances is None else turn @ self.covariances @ turn.T
+        covariances = None if self.covariances is None else turned(self.covariances, motion[2])
         return replace(self, estimated=compose(motion, self.estimated), covariances=covariances)
 
 
@@ -233,11 +232,6 @@ def map_scores(
     if pairs is None:
         scores = {name: value for name, value in scores.items() if "aligned" not in name}
     return {**scores, "doors_open": metrics.doors_open(world.doors, segments), "landmarks": len(segments)}
-
-
-def _rotation(turn: float) -> FloatArray:
-    cosine, sine = np.cos(turn), np.sin(turn)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _stored(path: Path, trajectory: Path) -> FloatArray:

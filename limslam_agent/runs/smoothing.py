@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.joining import NOT_YET_CONFIRMED
+from limslam_agent.output.export import finite
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
@@ -131,23 +132,28 @@ def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float 
         _path_scores(*(rows[:, number] for rows in (episode.true, smoothed.poses, smoothed.covariances)))
         for number in range(episode.config.robots)
     ]
-    names = ("ate_smoothed_m", "heading_smoothed_rmse_deg", "anees_smoothed")
-    scores = {name: _mean([row[index] for row in each]) for index, name in enumerate(names)}
+    scores = mean_scores(each)
     if episode.config.limit:
         ate = scores["ate_smoothed_m"]
         scores["smoothed_over_limit"] = ate / limit if ate is not None and limit else None
     return scores
 
 
-def _path_scores(true: FloatArray, smoothed: FloatArray, covariances: FloatArray) -> list[float | None]:
+def _path_scores(true: FloatArray, smoothed: FloatArray, covariances: FloatArray) -> dict[str, float | None]:
     errors = metrics.trajectory_metrics(true, smoothed)
-    return [
-        errors["ate_m"],
-        errors["heading_rmse_deg"],
-        metrics.consistency_metrics(true, smoothed, covariances)["anees"],
-    ]
+    found: dict[str, float | None] = {
+        "ate_smoothed_m": errors["ate_m"], "heading_smoothed_rmse_deg": errors["heading_rmse_deg"],
+        "anees_smoothed": metrics.consistency_metrics(true, smoothed, covariances)["anees"],
+    }  # fmt: skip
+    return finite(found)
 
 
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.mean(known)) if len(known) == len(values) else None
+def mean_scores(each: list[dict[str, float | None]]) -> dict[str, float | None]:
+    """Means of several robots' scores. A mean is None if one robot has no value."""
+    columns = {name: [scores[name] for scores in each] for name in each[0]}
+    return {
+        name: None
+        if any(value is None for value in values)
+        else float(np.mean([value for value in values if value is not None]))
+        for name, values in columns.items()
+    }

@@ -11,6 +11,7 @@ from limslam_env.config import NoiseConfig, Setting
 from limslam_env.envs.adapter import PlaceSource, is_random
 from limslam_env.envs.argument_types import check_noise
 from limslam_env.geometry import FloatArray
+from limslam_env.messages import described
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 from limslam_env.worlds.world import World
@@ -38,14 +39,8 @@ def whole(name: str, value: Any, otherwise: str = "") -> int:
     """
     number = _index(value)
     if number is None or number < 1:
-        raise ValueError(f"{name} must be a whole number, 1 or more{otherwise}, not {one_line(value)}")
+        raise ValueError(f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}")
     return number
-
-
-def one_line(value: Any) -> str:
-    """What a value looks like, for a message."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | FloorPlanConfig:
@@ -81,7 +76,7 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
     """
     if plans is None:
         return None
-    if not (isinstance(source, FloorPlanConfig) or (isinstance(source, str) and source == "random")):
+    if not (isinstance(source, FloorPlanConfig) or is_random(source)):
         raise ValueError("plans are for worlds that are drawn")
     number = _index(plans)
     seeds: list[int | None] = []
@@ -91,7 +86,7 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
         seeds = [_index(seed) for seed in plans]  # type: ignore[union-attr]
     found = [seed for seed in seeds if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):
-        raise ValueError(f"plans must be 1 or more, or seeds of 0 and more, whole numbers, not {one_line(plans)}")
+        raise ValueError(f"plans must be 1 or more, or seeds of 0 and more, whole numbers, not {described(plans)}")
     return found
 
 
@@ -149,5 +144,5 @@ def _setting(value: Any) -> Setting:
     except ValueError:
         numbers = np.zeros(0)
     if numbers.shape not in {(), (2,)} or numbers.dtype.kind not in "iuf":
-        raise ValueError(f"sensor_noise must be a number or a range (low, high), not {one_line(value)}")
+        raise ValueError(f"sensor_noise must be a number or a range (low, high), not {described(value)}")
     return float(numbers) if numbers.ndim == 0 else (float(numbers[0]), float(numbers[1]))

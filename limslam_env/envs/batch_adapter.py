@@ -17,13 +17,13 @@ from limslam_env.envs.arguments import (
     Plans,
     SensorNoise,
     noise_of_each,
-    one_line,
     seeds_of,
     whole,
     worlds_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
+from limslam_env.messages import described
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
 """The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
@@ -138,7 +138,7 @@ class Batched:
     def _asked(self, options: dict[str, Any] | None) -> tuple[BoolArray, FloatArray | None]:
         """Which environments a reset is for (n,), and where robots are to start (n, s, 3)."""
         if not (options is None or isinstance(options, dict)):
-            raise ValueError(f"reset options are a dictionary, not {one_line(options)}")
+            raise ValueError(f"reset options are a dictionary, not {described(options)}")
         options = options or {}
         unknown = [name for name in options if name not in OPTIONS]
         if unknown:
@@ -169,7 +169,7 @@ class Batched:
         if not is_fitting or not 1 <= start.shape[1] <= self._num_robots:
             raise ValueError(
                 "the start is a pose (x, y, theta) for all environments, or an array of poses "
-                f"({self.num_envs}, {self._num_robots}, 3), not {one_line(option)}"
+                f"({self.num_envs}, {self._num_robots}, 3), not {described(option)}"
             )
         return np.broadcast_to(start, (self.num_envs, *start.shape[1:]))
 

@@ -19,7 +19,6 @@ from limslam_env.envs.adapter import (
 )
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
-from limslam_env.simulation.reward import is_done, reward
 
 
 class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]]):
@@ -154,6 +153,6 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
         """
         readings, truth = self._episode.step((wheel_speeds(action),))
         self._painter.follow(self._episode.simulation, readings, truth)
-        value = reward(self.task.reward, truth.new_area[0], truth.contact[0])
-        is_over = is_done(self.task, truth.coverage)
+        value = self.task.reward.of_step(truth.new_area[0], contact=truth.contact[0])
+        is_over = self.task.is_over(truth.coverage)
         return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)

@@ -24,7 +24,6 @@ from limslam_env.envs.adapter import (
 )
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
-from limslam_env.simulation.reward import is_done, reward
 
 
 class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
@@ -152,7 +151,7 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         readings, truth = self._episode.step([wheel_speeds(actions[name]) for name in self.agents])
         self._painter.follow(self._episode.simulation, readings, truth)
         self._cycles += 1
-        is_over = is_done(self.task, truth.coverage)
+        is_over = self.task.is_over(truth.coverage)
         is_late = self._max_cycles is not None and self._cycles >= self._max_cycles
         robots = list(enumerate(self.agents))
         if is_over or is_late:
@@ -166,7 +165,9 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         )
 
     def _rewards(self, new_area: list[float], contact: list[bool]) -> list[float]:
-        each = [reward(self.task.reward, area, touches) for area, touches in zip(new_area, contact, strict=True)]
+        each = [
+            self.task.reward.of_step(area, contact=touches) for area, touches in zip(new_area, contact, strict=True)
+        ]
         return [sum(each) / len(each)] * len(each) if self._shares_reward else each
 
 

@@ -79,6 +79,13 @@ def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(points @ rotation + pose[:2])
 
 
+def turned(covariances: FloatArray, heading: float) -> FloatArray:
+    """Covariances (..., 3, 3) of poses, as they are in a frame from which their own frame is turned by a heading."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turn @ covariances @ turn.T)
+
+
 def arc(distance: float, turn: float) -> FloatArray:
     """The pose reached from the origin along a circular arc.
 

@@ -85,7 +85,7 @@ def hand_out(
     """Set the results of an environment in which each robot saw ``scratch.new_cells`` (m,) first.
 
     ``does`` is what the environment does, and ``task`` what is asked of the robots.
-    Rewards and ends are those of :mod:`limslam_env.simulation.reward`.
+    Rewards and ends are those of :mod:`limslam_env.config`.
     """
     world, step = episodes.world_of[env], episodes.steps[env]
     area = worlds.areas[world, 2] * worlds.areas[world, 2]

@@ -131,20 +131,6 @@ def test_deciding_leaves_the_map_as_it_is(drive):
     np.testing.assert_array_equal(after.segments, before.segments)
 
 
-def test_finish_uses_the_buffered_readings(drive):
-    start, steps = first_robot(drive)
-    mapper = mapped(start, steps[:150])
-    for observations in steps[150:]:
-        mapper.step(*observations)
-        if sum(len(side.points) for side in mapper.slam.pending_points) > 24:
-            break
-    associations = []
-    mapper.slam.on_association = associations.append
-    mapper.finish()
-    assert associations
-    assert all(len(side.points) == 0 for side in mapper.slam.pending_points)
-
-
 def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
     starts, observations, _ = drive
     start, steps = first_robot(drive)

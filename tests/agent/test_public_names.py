@@ -6,7 +6,6 @@ import sys
 import pytest
 
 import limslam_agent
-from limslam_agent import Mapper
 
 
 @pytest.mark.parametrize("name", limslam_agent.__all__)
@@ -21,12 +20,6 @@ def test_dir_lists_the_public_names():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'mind'"):
         _ = limslam_agent.mind
-
-
-def test_the_public_mapper_is_the_one_of_its_module():
-    from limslam_agent import mapper
-
-    assert Mapper is mapper.Mapper
 
 
 def test_running_the_package_says_what_it_is_and_names_the_command():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.presets import AgentConfig, TeamConfig, preset
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.slam.core.ekf import LineEKF
@@ -177,21 +176,6 @@ def test_there_must_be_one_observation_for_each_robot():
         slam.step({"wheels": np.zeros(2)})
 
 
-def test_a_team_of_one_does_what_an_agent_does():
-    env = LimSlamParallelEnv("env1", num_robots=1, sensor_noise=0.02)
-    told, infos = env.reset(seed=3)
-    config = preset("paper", NominalNoise(0.02))
-    team, agent = LimSlamTeam(ROBOT, config, 1), LimSlamAgent(ROBOT, config)
-    team.reset(infos["robot_0"]["pose"][None])
-    agent.reset(infos["robot_0"]["pose"])
-    for _ in range(150):
-        actions = team.act(told)
-        np.testing.assert_array_equal(actions["robot_0"], agent.act(told["robot_0"]))
-        told, *_ = env.step(actions)
-    np.testing.assert_array_equal(team.slam.pose, agent.slam.pose)
-    assert len(team.snapshot().landmarks) == len(agent.snapshot().landmarks)
-
-
 @pytest.mark.parametrize("count", [2, 4])
 def test_a_team_explores_together_without_touching(count):
     env = LimSlamParallelEnv("env1", num_robots=count, sensor_noise=0.02, coverage_goal=None, max_cycles=None)
@@ -253,3 +237,20 @@ def test_who_had_nothing_left_to_do_looks_again_once_for_each_piece_of_news():
 def test_a_team_needs_a_start_for_each():
     with pytest.raises(ValueError, match=r"2 robots need start poses \(2, 3\)"):
         LimSlamTeam(ROBOT).reset(np.zeros((3, 3)))
+
+
+def policies_after(team: LimSlamTeam, frame: int, map_number: int) -> list[object]:
+    team.mapper.frame, team.mapper.map_number = frame, map_number
+    team._renew_in_another_frame()
+    return list(team.policies)
+
+
+def test_only_a_new_map_has_new_policies() -> None:
+    team = LimSlamTeam(ROBOT, num_robots=1)
+    (first,) = team.policies
+    assert policies_after(team, 1, 0) == [first], "a renewal has moved the map"
+    (local,) = policies_after(team, 2, 1)
+    assert local is not first, "the robot is lost, and has a local map"
+    assert policies_after(team, 3, 0) == [first], "it has found its place in the map that it was lost from"
+    team.reset(np.zeros((1, 3)))
+    assert policies_after(team, 1, 0) != [first]

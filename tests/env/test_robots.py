@@ -10,8 +10,7 @@ import pytest
 
 from limslam_env import robots
 from limslam_env.envs.env import LimSlamEnv
-from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim, side_of
+from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 from limslam_env.robots import ROBOTS
 
 NUM_BEAMS = {"paper": 6, "e-puck": 8, "four-beam-drone": 4, "ring": 36}
@@ -104,28 +103,10 @@ def test_a_reach_that_cannot_be_is_refused(make, reach):
         make(reach)
 
 
-@pytest.mark.parametrize("name", NUM_BEAMS)
-def test_beams_fill_the_buffer_of_the_side_they_look_to(name):
-    for beam in ROBOTS[name]().beams:
-        assert beam.side == side_of(beam.angle)
-        if abs(math.sin(beam.angle)) > 0.5:
-            assert beam.side == ("left" if math.sin(beam.angle) > 0.0 else "right")
-        if abs(math.sin(beam.angle)) < 0.3:
-            assert beam.side == "none"
-
-
 @pytest.mark.parametrize("robot", [*(make() for make in ROBOTS.values()), robots.ring(7), robots.ring(360)])
 def test_a_robot_that_is_the_same_left_and_right_has_as_many_beams_for_both_buffers(robot):
     sides = Counter(beam.side for beam in robot.beams)
     assert sides["left"] == sides["right"] > 0
-
-
-@pytest.mark.parametrize("degrees", [20.0, 160.0, 45.0])
-@pytest.mark.parametrize("turns", [-1, 0, 1])
-def test_a_mirrored_beam_fills_the_mirrored_buffer(degrees, turns):
-    mirrored = {"left": "right", "right": "left", "none": "none"}
-    angle = math.radians(degrees)
-    assert side_of(-angle + turns * 2.0 * math.pi) == mirrored[side_of(angle)]
 
 
 @pytest.mark.parametrize("clone", [copy.copy, copy.deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])  # noqa: S301 (our own bytes)
@@ -151,8 +132,3 @@ def test_a_copy_of_a_robot_is_equal_and_its_arrays_are_read_only(clone, is_used)
 def test_a_shipped_robot_survives_a_file(name):
     robot = ROBOTS[name]()
     assert RobotSpec.from_json(robot.to_json()) == robot
-
-
-def test_beams_angles_may_be_given_beyond_half_a_turn():
-    for angle in (-math.pi, 0.0, 3.0, 7.0, -9.0):
-        assert SensorSpec(0.0, 0.0, angle).side == side_of(float(wrap_angle(angle)))

@@ -7,7 +7,11 @@ from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
+
+import typer
+from typer.testing import CliRunner
 
 
 @dataclass(frozen=True)
@@ -36,3 +40,14 @@ def call(main: Callable[[], None], *arguments: object, cwd: Path | None = None) 
             code = ended.code
     assert isinstance(code, int), f"the command ended with {code!r} instead of an exit code"
     return Finished(code, out.getvalue(), err.getvalue())
+
+
+def invoke(command: Callable[..., Any], *arguments: object) -> str:
+    """Call one command; what it prints. Its errors are raised."""
+    app = typer.Typer()
+    app.command()(command)
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.stdout

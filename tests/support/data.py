@@ -1,6 +1,7 @@
 """What tests of recorded logs share: where the recordings lie, which are no part of the project, and a refusal."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,10 +20,10 @@ def data_folder() -> Path:
     return folder
 
 
-def refusal(path: Path, *arguments: object, **options: object) -> str:
-    """Why a log is refused: one line that begins with its name."""
+def refusal(path: Path, *arguments: object, read: Callable[..., object] = read_log, **options: object) -> str:
+    """Why a file is refused: one line that begins with its name."""
     with pytest.raises(LogError) as caught:
-        read_log(path, *arguments, **options)
+        read(path, *arguments, **options)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert "\n" not in message

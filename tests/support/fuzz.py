@@ -50,6 +50,7 @@ MOST_BYTES = 500_000_000
 EXTREMES = (
     "0", "-0.0", "-1", "1e308", "-1e308", "1e-320", "nan", "inf", "-inf", "1e400", "9" * 400, "2.5", "true", "null",
     '""', "[]", "{}", "[[]]", '"\\u001b[2J"', '"\\ud800"', "-9223372036854775809", "4294967296", "x" * 3000,
+    "9" * 5000, "1979-05-27", "{ a = 1 }", "[", "]", "=", ",", "'", '"', "0x", "\0", "#", "[[walls]]", "1_0", "\\u0000",
 )  # fmt: skip
 LIMITS = Limits()
 
@@ -147,7 +148,9 @@ def _set_up_replay(path: Path) -> None:
 
 
 def _checked(path: Path) -> None:
-    load_world(path).check(0.1)
+    world = load_world(path)
+    assert np.isfinite(world.edges).all()
+    world.check(0.1)
 
 
 def _series(path: Path) -> None:
@@ -211,11 +214,13 @@ def targets() -> list[Target]:
 
 
 def _map(path: Path) -> None:
-    load_world(path.parent / "m.yaml").check(0.1)
+    _checked(path.parent / "m.yaml")
 
 
 def _log(path: Path) -> None:
-    read_log(path, limits=LIMITS)
+    log = read_log(path, limits=LIMITS)
+    assert not np.isinf(log.ranges).any()
+    assert np.isfinite(log.wheels if log.odometry is None else log.odometry).all()
 
 
 def _bags() -> list[Target]:

@@ -1,18 +1,61 @@
-"""Worlds as JSON: what the two formats, wall lists and HouseExpo, have in common."""
+"""Worlds as JSON, lengths in metres: wall lists, houses of HouseExpo, and the keys of a world in TOML.
+
+A wall list is ``{"id": ..., "walls": [[x1, y1, x2, y2], ...]}``. A house is its outline, ``{"id": ..., "verts":
+[[x, y], ...]}`` (Li et al., "HouseExpo: a large-scale 2D indoor layout dataset", 2019).
+"""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import lengths
+from limslam_env.geometry.segment import lengths, polygon_edges
 from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, number_array, read_text
-from limslam_env.worlds.world import MAX_SIDE, SHORTEST_EDGE, World, WorldError
+from limslam_env.worlds.formats.toml import keyed_world
+from limslam_env.worlds.world import MAX_SIDE, SHORTEST_EDGE, World, WorldError, named
 
 
-def read_table(path: Path) -> dict[str, Any]:
+def read_json(path: str | os.PathLike[str]) -> World:
+    """The world in a JSON file.
+
+    It is HouseExpo's if it has the key ``verts``, and a wall list if it has ``walls`` and ``id``. Otherwise it has the
+    keys of a world in TOML.
+
+    Raises
+    ------
+    WorldError
+        If the file is none of them, or cannot be used; the message names file and reason.
+    """
+    with named(path):
+        table = _read_table(Path(path))
+        if "verts" in table:
+            return _house(table)
+        if "walls" in table:
+            return _wall_list(table) if "id" in table else keyed_world(table)
+        raise WorldError("holds neither 'walls', as a world or a wall list, nor 'verts', as a house of HouseExpo")
+
+
+def _house(table: dict[str, Any]) -> World:
+    """The world inside of an outline; a WorldError where the outline cannot be used."""
+    walls = polygon_edges(_length_rows(table, "verts", 2))
+    # A file may repeat the first corner at the end; the outline is closed either way.
+    if np.count_nonzero(lengths(walls) >= SHORTEST_EDGE) < 3:
+        raise WorldError("verts has fewer than three corners")
+    return _world_of_walls(table, walls)
+
+
+def _wall_list(table: dict[str, Any]) -> World:
+    """The world of a wall list; a WorldError where it cannot be used.
+
+    Walls without length are left out, as is whatever else the file says: here walls have no thickness.
+    """
+    return _world_of_walls(table, _length_rows(table, "walls", 4))
+
+
+def _read_table(path: Path) -> dict[str, Any]:
     """The object in a JSON file; a WorldError where the file holds something else."""
     # Windows' editors put a mark in front of the text, which JSON does not know.
     text = read_text(path, MAX_FILE_BYTES).removeprefix("\ufeff")
@@ -25,7 +68,7 @@ def read_table(path: Path) -> dict[str, Any]:
     return table
 
 
-def length_rows(table: dict[str, Any], key: str, width: int) -> FloatArray:
+def _length_rows(table: dict[str, Any], key: str, width: int) -> FloatArray:
     """The rows (n, width) of lengths, m, under a key of a file; a WorldError where there are none."""
     rows: FloatArray = number_array(table[key], key, 2)
     if not rows.size:
@@ -38,7 +81,7 @@ def length_rows(table: dict[str, Any], key: str, width: int) -> FloatArray:
     return rows
 
 
-def world_of_walls(table: dict[str, Any], walls: FloatArray) -> World:
+def _world_of_walls(table: dict[str, Any], walls: FloatArray) -> World:
     """The world with the name in a file's key ``id`` and with walls (n, 4), m; walls without length are left out."""
     if not isinstance(table.get("id"), str):
         raise WorldError("the key 'id' is missing" if "id" not in table else "id must be a text")

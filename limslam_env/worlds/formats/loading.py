@@ -9,12 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from limslam_env.worlds.formats.house_expo import house_world
-from limslam_env.worlds.formats.json_files import read_table
-from limslam_env.worlds.formats.keyed import keyed_world
+from limslam_env.worlds.formats.json_files import read_json
 from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, read_text
 from limslam_env.worlds.formats.toml import parse_world
-from limslam_env.worlds.formats.wall_list import wall_list_world
 from limslam_env.worlds.world import World, WorldError, named
 
 RANDOM = "random:"
@@ -95,26 +92,6 @@ def _load_file(path: Path) -> World:
 
         return read_map_server(path)
     raise WorldError(f"{path}: not a world file that can be read (.toml, .yaml, .json)")
-
-
-def read_json(path: str | os.PathLike[str]) -> World:
-    """The world in a JSON file.
-
-    It is HouseExpo's if it has the key ``verts``, and a wall list if it has ``walls`` and ``id``. Otherwise it has the
-    keys of a world in TOML.
-
-    Raises
-    ------
-    WorldError
-        If the file is none of them, or cannot be used; the message names file and reason.
-    """
-    with named(path):
-        table = read_table(Path(path))
-        if "verts" in table:
-            return house_world(table)
-        if "walls" in table:
-            return wall_list_world(table) if "id" in table else keyed_world(table)
-        raise WorldError("holds neither 'walls', as a world or a wall list, nor 'verts', as a house of HouseExpo")
 
 
 def shipped_worlds() -> list[str]:

@@ -1,23 +1,23 @@
-"""What the tests of the command line share."""
-
-import signal
-import sys
+"""What tests of the command line share."""
 
 import pytest
+from support.command_line import call
 
-from limslam_agent.cli import main as cli
+from limslam_agent.cli.main import main
 
 
 @pytest.fixture
-def limslam(monkeypatch, capsys):
+def limslam():
     """The command line in this process: its exit code, and what it says."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
 
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["limslam", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        said = capsys.readouterr()
-        return end.value.code, said.out, said.err
+    def called(*arguments):
+        finished = call(main, *arguments)
+        return finished.returncode, finished.stdout, finished.stderr
 
-    return call
+    return called
+
+
+@pytest.fixture
+def no_display(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-import typer
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
-from typer.testing import CliRunner
+from support.command_line import invoke
 
 from limslam_agent.cli.show import compare
 from limslam_agent.output.comparison_picture import COLOURS, MOST_RUNS, draw_comparison, names_of, sheet_size, table_of
@@ -13,8 +12,7 @@ from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.tum import write_tum
 
-app = typer.Typer()
-app.command()(compare)
+pytestmark = pytest.mark.usefixtures("no_display")
 
 
 def write_folder(folder, *, noise=0.02, offset=0.1, truth=True, robots=1, metrics=None):
@@ -33,22 +31,9 @@ def write_folder(folder, *, noise=0.02, offset=0.1, truth=True, robots=1, metric
     return folder
 
 
-def run_compare(*arguments):
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.stdout
-
-
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
-
-
 def test_metrics_stand_side_by_side_under_what_differs(tmp_path):
     folders = [write_folder(tmp_path / "a", noise=0.0, offset=0.05), write_folder(tmp_path / "b", noise=0.04)]
-    told = run_compare(*folders, "--out", tmp_path / "both.png").splitlines()
+    told = invoke(compare, *folders, "--out", tmp_path / "both.png").splitlines()
     assert told[0].split("  ")[-1] == "range noise 4 cm"
     assert told[1].split()[-2:] == ["0.05", "0.1"]
     with Pictures.open(tmp_path / "both.png") as picture:
@@ -85,16 +70,16 @@ def test_each_run_has_a_map_and_errors_are_drawn_where_the_truth_is_known(tmp_pa
 
 def test_without_a_display_the_way_to_a_picture_is_told(tmp_path):
     folders = [write_folder(tmp_path / name) for name in ("a", "b")]
-    assert "--out FILE.png" in run_compare(*folders)
+    assert "--out FILE.png" in invoke(compare, *folders)
 
 
 def test_refusals(tmp_path):
     folder = write_folder(tmp_path / "a")
     with pytest.raises(ValueError, match="2 to 8 folders"):
-        run_compare(folder)
+        invoke(compare, folder)
     with pytest.raises(ValueError, match=f"not {MOST_RUNS + 1}"):
-        run_compare(*[folder] * (MOST_RUNS + 1))
+        invoke(compare, *[folder] * (MOST_RUNS + 1))
     with pytest.raises(ValueError, match="a picture ends in"):
-        run_compare(folder, folder, "--out", tmp_path / "a.txt")
+        invoke(compare, folder, folder, "--out", tmp_path / "a.txt")
     with pytest.raises(ValueError, match="no such folder"):
-        run_compare(folder, tmp_path / "none")
+        invoke(compare, folder, tmp_path / "none")

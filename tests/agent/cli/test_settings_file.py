@@ -302,15 +302,6 @@ def test_a_file_that_cannot_be_used_is_refused_by_file_and_key(text, words, tmp_
     assert "\n" not in str(error.value)
 
 
-def test_a_refusal_is_one_line_with_exit_code_2(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text("warp = 9")
-    for name in ("run", "replay"):
-        result = command(name, "--config", path)
-        assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-        assert result.stderr.startswith(f"limslam: {path}: warp: there is no such setting")
-
-
 def test_the_version_is_that_of_the_package():
     from importlib.metadata import version
 
@@ -402,15 +393,6 @@ def test_an_option_of_the_simulated_robot_that_cannot_be_is_refused_by_its_name(
     assert str(error.value).startswith(words)
 
 
-def test_a_robots_file_that_cannot_be_used_is_refused_by_option_file_and_key(tmp_path):
-    path = tmp_path / "robot.toml"
-    path.write_text("axel = 0.2\n")
-    with pytest.raises(
-        ValueError, match=r"^--robot: .*robot\.toml: axel: there is no such setting; there are radius.* beams_deg"
-    ):
-        config_of(given(tmp_path, robot=str(path)))
-
-
 def test_a_run_with_uneven_wheels_says_what_it_found_and_its_file_repeats_it(tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     shown = limslam("run", "--wheel-mismatch", "0.02", "--noise", "0.02", "--max-time", "25", "--out", first)
@@ -441,3 +423,11 @@ def test_a_file_of_another_command_is_recognised(tmp_path, text, defaults, other
         given(tmp_path, text).of_file(defaults, ("agent",))
     with pytest.raises(SettingsError, match="unheard: there is no such setting; there are"):
         given(tmp_path, "unheard = 1").of_file(defaults, ("agent",))
+
+
+def test_a_whole_number_that_is_no_float_is_refused_with_its_key(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(f"noise = {'9' * 400}\n")
+    with pytest.raises(ValueError, match=r"run\.toml: noise: is too large for a number") as caught:
+        Given.read(path, {}).merged(RunOptions(), ())
+    assert len(str(caught.value)) <= 500

@@ -6,10 +6,9 @@ import shutil
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image as Pictures
-from typer.testing import CliRunner
+from support.command_line import invoke
 
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
@@ -26,8 +25,7 @@ from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.writing import write_world
 
-app = typer.Typer()
-app.command()(show)
+pytestmark = pytest.mark.usefixtures("no_display")
 
 WALLS = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]]
 METRICS = {
@@ -60,24 +58,10 @@ def write_folder(folder, *, robots=1, truth=True, config=None, metrics=None, log
     return folder
 
 
-def run_show(*arguments):
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
 def assert_picture(path):
     with Pictures.open(path) as picture:
         picture.load()
         assert picture.size == (1800, 1020)
-
-
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +122,7 @@ def test_the_true_walls_of_a_world_that_does_not_ship_are_drawn(world, tmp_path,
 
 
 def test_a_real_run_is_told_and_drawn(real_run, tmp_path):
-    told = run_show(real_run, "--out", tmp_path / "deep" / "show.png")
+    told = invoke(show, real_run, "--out", tmp_path / "deep" / "show.png")
     assert "stopped     time" in told
     assert "rms; by odometry alone" in told
     assert_picture(tmp_path / "deep" / "show.png")
@@ -148,7 +132,7 @@ def test_a_real_run_is_told_and_drawn(real_run, tmp_path):
 def test_without_a_display_it_says_where_the_picture_is(tmp_path):
     folder = write_folder(tmp_path / "run")
     before = sorted(path.name for path in folder.iterdir())
-    told = run_show(folder)
+    told = invoke(show, folder)
     assert str(folder / "map.png") in told
     assert "--out" in told
     assert sorted(path.name for path in folder.iterdir()) == before
@@ -158,7 +142,7 @@ def test_with_a_display_but_no_toolkit_it_says_so_too(tmp_path, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(plt, "show", lambda: pytest.fail("there is nothing to show it on"))
     plt.switch_backend("agg")
-    assert "--out" in run_show(write_folder(tmp_path / "run"))
+    assert "--out" in invoke(show, write_folder(tmp_path / "run"))
     assert plt.get_fignums() == []
 
 
@@ -168,7 +152,7 @@ def test_with_a_display_a_window_opens(tmp_path, monkeypatch):
     monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "something")
     shown = []
     monkeypatch.setattr(plt, "show", lambda: shown.append([len(plt.figure(n).axes) for n in plt.get_fignums()]))
-    assert "--out" not in run_show(write_folder(tmp_path / "run"))
+    assert "--out" not in invoke(show, write_folder(tmp_path / "run"))
     assert shown == [[4]]
     assert plt.get_fignums() == []
 
@@ -184,7 +168,7 @@ def test_with_a_display_a_window_opens(tmp_path, monkeypatch):
 )
 def test_replays_and_several_robots_are_drawn(tmp_path, config, robots, truth, log):
     folder = write_folder(tmp_path / "run", robots=robots, truth=truth, config=config, log=log)
-    run_show(folder, "--out", tmp_path / "show.png")
+    invoke(show, folder, "--out", tmp_path / "show.png")
     assert_picture(tmp_path / "show.png")
     run = read_run(folder)
     assert len(run.estimated) == robots
@@ -304,7 +288,7 @@ def test_what_is_missing_or_damaged_is_said_in_one_line(tmp_path, spoil, words):
     folder = write_folder(tmp_path / "run")
     spoil(folder)
     with pytest.raises(ValueError, match=words) as refused:
-        run_show(folder)
+        invoke(show, folder)
     assert str(folder) in str(refused.value)
     assert isinstance(refused.value, FolderError)
 
@@ -342,25 +326,25 @@ def test_a_log_of_pickled_objects_is_not_opened(tmp_path):
 
 def test_a_folder_must_be_one(tmp_path):
     with pytest.raises(FolderError, match="no such folder"):
-        run_show(tmp_path / "nowhere")
+        invoke(show, tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     with pytest.raises(FolderError, match="is not a folder"):
-        run_show(tmp_path / "file")
+        invoke(show, tmp_path / "file")
 
 
 def test_a_picture_is_only_replaced_by_force_and_must_be_of_a_known_kind(tmp_path):
     folder, out = write_folder(tmp_path / "run"), tmp_path / "show.svg"
     out.write_text("mine")
     with pytest.raises(ValueError, match="--force"):
-        run_show(folder, "--out", out)
+        invoke(show, folder, "--out", out)
     assert out.read_text() == "mine"
-    run_show(folder, "--out", out, "--force")
+    invoke(show, folder, "--out", out, "--force")
     assert "<svg" in out.read_text()
     with pytest.raises(ValueError, match=r"\.png, \.pdf, \.svg"):
-        run_show(folder, "--out", tmp_path / "show.docx")
+        invoke(show, folder, "--out", tmp_path / "show.docx")
     shutil.copytree(folder, tmp_path / "copy.png")
     with pytest.raises(ValueError, match="is a folder"):
-        run_show(folder, "--out", tmp_path / "copy.png")
+        invoke(show, folder, "--out", tmp_path / "copy.png")
 
 
 def test_numbers_of_another_version_do_no_harm(tmp_path):
@@ -369,7 +353,7 @@ def test_numbers_of_another_version_do_no_harm(tmp_path):
     for config in ("none", {"noise": 10**400}):
         content["seed"], content["config"] = None, config
         write_json(folder / "result.json", content)
-        assert "stopped" in run_show(folder)
+        assert "stopped" in invoke(show, folder)
 
 
 def test_a_folder_with_the_map_of_a_live_robot_names_its_picture(limslam, tmp_path):

@@ -217,3 +217,9 @@ def test_a_large_world_has_more_time_unless_it_is_told(table, told, seconds):
     assert run_config(given, run_options(given)).max_time == seconds
     given = Given(None, table, {**told, "max_time": 50.0})
     assert run_config(given, run_options(given)).max_time == 50.0
+
+
+def test_a_very_long_name_of_a_preset_is_cut():
+    with pytest.raises(ValueError, match="no preset is called 'xxx") as caught:
+        preset("x" * 10_000)
+    assert len(str(caught.value)) < 400

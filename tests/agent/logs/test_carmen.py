@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.data import data_folder
+from support.data import refusal as refused
 from support.work import count_calls
 
 from limslam_agent.logs.carmen import MIN_RANGE, beam_angles_deg, read_carmen
@@ -57,13 +58,11 @@ def write(tmp_path: Path) -> Any:
 
 
 def refusal(path: Path, beams: tuple[float, ...] = SIX, max_range: float = 3.0) -> str:
-    """The message with which a log is refused: one line that begins with the file."""
-    with pytest.raises(LogError) as caught:
-        read_carmen(path, beams, max_range)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
+    return refused(path, beams, max_range, read=read_carmen)
+
+
+def npz_refusal(path: Path) -> str:
+    return refused(path, read=read_npz)
 
 
 # What is read
@@ -374,15 +373,6 @@ def own_log(count: int = 4) -> dict[str, Any]:
     }
 
 
-def npz_refusal(path: Path) -> str:
-    with pytest.raises(LogError) as caught:
-        read_npz(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
-
-
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_our_own_log_comes_back_as_it_was(tmp_path: Path, save: Any) -> None:
     arrays = own_log()
@@ -443,30 +433,6 @@ def test_our_own_log_with_something_wrong_in_it_is_refused(tmp_path: Path, name:
     arrays[name] = change(arrays[name])
     np.savez(tmp_path / "log.npz", **arrays)
     assert words in npz_refusal(tmp_path / "log.npz")
-
-
-def test_our_own_log_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.npz"
-    np.savez_compressed(path, **own_log())
-    whole = path.read_bytes()
-    for kept in range(0, len(whole), 97):
-        path.write_bytes(whole[:kept])
-        assert "cut short or damaged" in (message := npz_refusal(path)) or "is not an .npz file" in message
-
-
-def test_our_own_log_with_a_wrong_byte_is_refused_or_reads_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "log.npz"
-    np.savez_compressed(path, **own_log())
-    whole, expected = path.read_bytes(), read_npz(path)
-    for position in range(0, len(whole), 13):
-        damaged = bytearray(whole)
-        damaged[position] ^= 0xA5
-        path.write_bytes(damaged)
-        try:
-            log = read_npz(path)
-        except LogError:
-            continue
-        np.testing.assert_array_equal(log.ranges, expected.ranges)
 
 
 def test_what_is_no_npz_is_refused(tmp_path: Path) -> None:

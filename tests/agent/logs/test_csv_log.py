@@ -5,11 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from support.data import data_folder, refusal
 
-from limslam_agent.logs.csv_log import is_csv, read_csv
+from limslam_agent.logs.csv_log import is_csv
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import LogError
 
@@ -228,35 +226,6 @@ def test_other_texts_are_no_tables(write):
     for text in ("ODOM 1 2 3\n", "# t x y\nODOM 1\n", "FLASER 180\n", "", "t x y yaw\n"):
         assert is_csv(write(text, "other.log")) == (text == "t x y yaw\n")
     assert "has no odometry: there is no ODOM or FLASER line" in refusal(write("# a note\n", "carmen.log"))
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_no_damage_leads_to_anything_but_a_refusal(tmp_path, data):
-    whole = f"{HEAD}0.0,0,0,0,1,,nan\n0.1,0.1,0,0.2,-\n0.2,0.2,0,0.2,2.5,1e2,0.3\n".encode()
-    content = bytearray(whole)
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path / "damaged.csv"
-    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
-    try:
-        log = read_log(path)
-    except LogError:
-        refusal(path)
-    else:
-        assert not np.isinf(log.ranges).any()
-        assert np.isfinite(log.odometry).all()
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.text(max_size=200))
-def test_no_text_leads_to_anything_but_a_refusal(tmp_path, text):
-    path = tmp_path / "any.csv"
-    path.write_bytes(text.encode("utf-8", "replace"))
-    try:
-        read_csv(path, None, 3.0)
-    except LogError:
-        refusal(path)
 
 
 # Real logs

@@ -2,33 +2,26 @@
 
 import gzip
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.data import data_folder
+from support.data import refusal as refused
 
 from limslam_agent.logs.carmen import read_carmen
-from limslam_agent.logs.recorded_log import LogError
 from limslam_agent.logs.relations import RelationErrors, Relations, read_relations, relation_errors, summary
 from limslam_env.geometry import FloatArray, se2
 
 HALF = math.pi / 2
+refusal = partial(refused, read=read_relations)
 
 
 def relations(*rows: tuple[float, float, float, float, float]) -> Relations:
     """Relations from rows t1, t2, x, y, yaw."""
     table = np.array(rows)
     return Relations(table[:, 0], table[:, 1], table[:, 2:])
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(LogError) as caught:
-        read_relations(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message
 
 
 # Files

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import bags
 from support.bags import KINDS, Message, distance, fixed, odometry, scan, storage_of, write_bag
@@ -15,7 +15,6 @@ from support.data import data_folder, refusal
 
 from limslam_agent.logs.directions import direction_of, is_vertical
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.recorded_log import LogError
 from limslam_agent.logs.ros_messages import rotation_of, yaw_of
 from limslam_agent.logs.ros_topics import Topics
 
@@ -31,15 +30,6 @@ def drive(scans=10, **changes):
 
 def four_ranges(at, values=(0.5, 1.0, 1.5, 2.0), names=("front", "left", "back", "right")):
     return [distance(at, value, f"/range/{name}") for value, name in zip(values, names, strict=True)]
-
-
-def read_or_refuse(path):
-    """The log, or None where it is refused as it should be."""
-    try:
-        return read_log(path)
-    except LogError:
-        refusal(path)
-        return None
 
 
 def degrees(log):
@@ -365,37 +355,6 @@ def test_a_file_that_may_not_be_read_is_refused(tmp_path, monkeypatch):
 
     monkeypatch.setattr("rosbags.highlevel.AnyReader.open", deny)
     assert "cannot be read: Permission denied" in refusal(path)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_cut_anywhere_is_refused_or_reads_in_part(tmp_path, kind):
-    bag = write_bag(tmp_path, drive(4), kind)
-    file = bag if kind == "ros1" else storage_of(bag)
-    whole = file.read_bytes()
-    for share in np.linspace(0.0, 0.97, 30):
-        file.write_bytes(whole[: int(share * len(whole))])
-        log = read_or_refuse(bag)
-        assert log is None or len(log) <= 4
-
-
-@pytest.fixture(scope="module")
-def whole_bags(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole")
-    return {kind: write_bag(folder, drive(4), kind, kind) for kind in KINDS}
-
-
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_damage_leads_to_anything_but_a_refusal(tmp_path, whole_bags, kind, data):
-    source = whole_bags[kind] if kind == "ros1" else storage_of(whole_bags[kind])
-    content = bytearray(source.read_bytes())
-    for _ in range(data.draw(st.integers(1, 6))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path / f"damaged{source.suffix}"
-    path.write_bytes(content)
-    log = read_or_refuse(path)
-    assert log is None or np.isfinite(log.ranges).all()
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path):

@@ -6,8 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
+from support.command_line import invoke
 
 from limslam_agent import read_log
 from limslam_agent.cli.export import export
@@ -18,16 +17,10 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 
-app = typer.Typer()
-app.command()(export)
-
 
 def run_export(*arguments):
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return [line.split(maxsplit=1)[1] for line in result.stdout.splitlines()]
+    """The files that the command says it has written."""
+    return [line.split(maxsplit=1)[1] for line in invoke(export, *arguments).splitlines()]
 
 
 @pytest.fixture(scope="module")

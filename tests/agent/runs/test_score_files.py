@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
-import typer
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
+from support.command_line import invoke
 
 from limslam_agent.cli.score import score
 from limslam_agent.output.tum import TrajectoryError, read_tum, write_tum
@@ -16,18 +15,7 @@ from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.score_files import matched, read_pairs, trajectory_scores
 from limslam_env.geometry.se2 import compose
 
-app = typer.Typer()
-app.command()(score)
-
 MOVE = np.array([3.0, -2.0, 1.1])
-
-
-def run_score(*arguments):
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.stdout
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +38,7 @@ class TestScores:
     def test_files_of_a_run_have_the_scores_of_the_run(self, finished, tmp_path, path, suffix):
         folder, result = finished
         of_map = "map.json" if suffix else "map_online.json"
-        run_score(
+        invoke(score,
             "--true", folder / "trajectory_true.tum", "--est", folder / path,
             "--covariances", folder / "covariance_est.npz", "--map", folder / of_map, "--world", folder / "world.toml",
             "--out", tmp_path / "scores.json",
@@ -115,7 +103,7 @@ class TestScores:
         assert ours["poses_unmatched"] == 0
 
     def written(self, folder):
-        run_score("--true", folder / "true.tum", "--est", folder / "est.tum", "--out", folder / "scores.json")
+        invoke(score, "--true", folder / "true.tum", "--est", folder / "est.tum", "--out", folder / "scores.json")
         return (folder / "scores.json").read_text()
 
     def test_relations_are_scored_without_a_true_trajectory(self, tmp_path):
@@ -124,7 +112,7 @@ class TestScores:
         (tmp_path / "relations").write_text("0.0 0.1 0.06 0 0 0 0 0\n")
         lines = dict(
             line.split()
-            for line in run_score("--est", tmp_path / "est.tum", "--relations", tmp_path / "relations").splitlines()
+            for line in invoke(score, "--est", tmp_path / "est.tum", "--relations", tmp_path / "relations").splitlines()
         )
         motion = np.hypot(*true[1, :2] - [0.06, 0.0])
         assert float(lines["relation_error_m"]) == pytest.approx(motion, rel=0.2)
@@ -192,7 +180,7 @@ class TestRefusals:
         (tmp_path / "one.txt").write_text("0 1 0 0 1 0 1\n")
         (tmp_path / "bad.txt").write_text("0 1 0 0\n")
         with pytest.raises(ValueError, match=reason) as refused:
-            run_score(*options)
+            invoke(score, *options)
         assert "\n" not in str(refused.value)
 
     def test_a_file_is_not_replaced_by_accident(self, tmp_path):
@@ -202,7 +190,7 @@ class TestRefusals:
         (tmp_path / "scores.json").write_text("mine")
         command = ("--true", tmp_path / "true.tum", "--est", tmp_path / "est.tum", "--out", tmp_path / "scores.json")
         with pytest.raises(ValueError, match="already exists"):
-            run_score(*command)
+            invoke(score, *command)
         assert (tmp_path / "scores.json").read_text() == "mine"
-        run_score(*command, "--force")
+        invoke(score, *command, "--force")
         assert json.loads((tmp_path / "scores.json").read_text())["poses"] == 5

@@ -241,3 +241,11 @@ def test_a_dry_run_lists_the_jobs_and_runs_none(tmp_path):
     assert lines[0] == load_suite("smoke").jobs[0].title
     assert lines[-1] == f"smoke: {len(lines) - 1} jobs"
     assert not out.exists()
+
+
+def test_a_suite_with_very_many_seeds_is_refused_before_they_are_listed(tmp_path):
+    path = tmp_path / "some.toml"
+    seeds = "seeds = { first = 0, count = 9000000000000 }"
+    path.write_text(f'name = "some"\ndescription = "x"\n[[grid]]\nworlds = ["square"]\nnoises = [0.0]\n{seeds}\n')
+    with pytest.raises(ValueError, match="a grid has up to 100000 seeds"):
+        load_suite(str(path))

@@ -141,18 +141,6 @@ def test_the_world_id_takes_a_name_a_path_or_a_world(tmp_path):
         assert env.world.name == name
 
 
-def test_observations_are_what_the_contract_says():
-    env = gym.make(ID, sensor_noise=0.04)
-    observation, _ = env.reset(seed=0)
-    for action in random_actions(50):
-        assert list(observation) == ["ranges", "wheels"]
-        assert observation["ranges"].shape == (6,)
-        assert observation["wheels"].shape == (2,)
-        assert observation["ranges"].dtype == observation["wheels"].dtype == np.float32
-        assert env.observation_space.contains(observation)
-        observation = env.step(action)[0]
-
-
 def test_info_is_what_the_contract_says():
     env = gym.make(ID)
     _, info = env.reset(seed=0)
@@ -172,25 +160,6 @@ def test_info_is_what_the_contract_says():
         assert (info["wall_seen"] < 16).all()
         info = env.step(AHEAD)[4]
         assert info["time"] == pytest.approx(0.1 * step)
-
-
-def test_every_array_is_fresh():
-    env = gym.make(ID)
-    results = [env.reset(seed=0), *((result[0], result[4]) for result in (env.step(AHEAD) for _ in range(3)))]
-    arrays = [
-        array for observation, info in results for array in (*observation.values(), info["pose"], info["wall_seen"])
-    ]
-    for number, array in enumerate(arrays):
-        assert not any(np.shares_memory(array, other) for other in arrays[:number])
-    # What a caller does to an answer must not reach the next one.
-    expected = follow(gym.make(ID), [AHEAD] * 5, seed=1)
-    env.reset(seed=1)
-    for row in expected[1:]:
-        observation, _, _, _, info = env.step(AHEAD)
-        np.testing.assert_array_equal(observation["ranges"], row[:6])
-        np.testing.assert_array_equal(info["pose"], row[8:11])
-        for array in (*observation.values(), info["pose"], info["wall_seen"]):
-            array[:] = 0
 
 
 def test_wall_seen_names_the_wall_that_the_range_ends_on():
@@ -257,27 +226,6 @@ def small_room():
     return type(load_world("env1"))("small", (0.8, 0.8), walls, starts=np.array([[0.4, 0.4, 0.0]]))
 
 
-@pytest.mark.parametrize("goal", [0.0, -0.1, 1.1, float("nan")])
-def test_a_goal_that_cannot_be_is_refused(goal):
-    with pytest.raises(ValueError, match="coverage_goal"):
-        LimSlamEnv("env1", coverage_goal=goal)
-
-
-def test_the_reward_is_the_sum_of_its_pieces():
-    rewards = RewardConfig(new_area=2.0, step=-0.5, collision=-10.0)
-    env = LimSlamEnv("env1", rewards=rewards)
-    _, info = env.reset(seed=0, options={"start": (1.0, 3.0, np.pi)})
-    before, collisions = info["coverage"], set()
-    for _ in range(60):
-        _, reward, _, _, info = env.step(AHEAD)
-        assert type(reward) is float
-        new_area = (info["coverage"] - before) * 4500 * 0.01
-        assert reward == pytest.approx(2.0 * new_area - 0.5 - 10.0 * info["collision"], abs=1e-9)
-        before = info["coverage"]
-        collisions.add(info["collision"])
-    assert collisions == {True, False}
-
-
 def test_reset_takes_a_start():
     env = gym.make(ID)
     _, info = env.reset(seed=0, options={"start": (5.0, 1.9, -2.0)})
@@ -340,12 +288,6 @@ def test_the_random_id_draws_another_plan_at_each_reset():
         assert again.world == plan
 
 
-def test_a_random_plan_is_driven_through_the_same_way_with_the_same_seed():
-    runs = [follow(gym.make("LimSlam-Random-v0", noise=EVERYTHING), holding_actions(200), seed) for seed in (3, 3, 4)]
-    np.testing.assert_array_equal(runs[0], runs[1])
-    assert not np.array_equal(runs[0][0], runs[2][0])
-
-
 def test_a_plan_does_not_depend_on_the_noise_nor_on_what_was_before():
     quiet, loud = LimSlamEnv("random"), LimSlamEnv("random", noise=EVERYTHING)
     quiet.reset(seed=1)
@@ -399,30 +341,15 @@ def test_plans_too_narrow_for_the_robot_are_refused_at_once():
         ({"start": (float("nan"), 3.0, 0.0)}, WorldError, "finite"),
         ({"start": (20.0, 20.0, 0.0)}, WorldError, "outside|closed"),
         ({"world": "nowhere"}, WorldError, "no world is called"),
+        ({"world": "square", "start": (3.5, 3.5, 0.0)}, WorldError, None),
     ],
 )
-def test_a_reset_option_that_cannot_be_is_refused(options, error, reason):
-    env = LimSlamEnv("env1")
-    with pytest.raises(error, match=reason):
-        env.reset(seed=0, options=options)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"world": "square", "start": (3.5, 3.5, 0.0)},
-        {"world": "nowhere"},
-        {"start": (3.5, 3.5, 0.0)},
-        {"start": (1.0, 1.0)},
-        {"begin": 0},
-    ],
-)
-def test_a_refused_reset_leaves_the_episode_as_it_was(options):
+def test_a_refused_reset_leaves_the_episode_as_it_was(options, error, reason):
     refused, plain = (LimSlamEnv("env1", noise=EVERYTHING) for _ in range(2))
     for env in (refused, plain):
         env.reset(seed=0)
         env.step(AHEAD)
-    with pytest.raises(ValueError):
+    with pytest.raises(error, match=reason):
         refused.reset(options=options)
     for action in random_actions(10):
         assert bits(refused.step(action)) == bits(plain.step(action))
@@ -438,13 +365,17 @@ def test_a_first_reset_that_is_refused_is_no_reset():
 
 @pytest.mark.parametrize(
     "action",
-    [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go", [[0.0], [0.0, 1.0]]],
+    [
+        *([np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go", [[0.0], [0.0, 1.0]]),
+        *([10**400, 0], [10**6000, 0], ["x" * 10_000, 0], {}, [0.1] * 5000),
+    ],
 )
 def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
     env = LimSlamEnv("env1")
     env.reset(seed=0)
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="two finite numbers") as caught:
         env.step(action)
+    assert len(str(caught.value)) < 300
     # A refusal moves nothing.
     assert env.step(AHEAD)[4]["time"] == pytest.approx(0.1)
 
@@ -472,18 +403,6 @@ def test_actions_may_be_of_any_kind_of_number(kind):
     np.testing.assert_array_equal(
         follow(LimSlamEnv("env1"), actions.astype(kind), 3), follow(LimSlamEnv("env1"), actions.astype(float), 3)
     )
-
-
-def test_actions_may_be_plain_lists():
-    lists, arrays = (
-        follow(LimSlamEnv("env1"), actions, 3) for actions in ([[0.5, 1.0]] * 5, np.tile([0.5, 1.0], (5, 1)))
-    )
-    np.testing.assert_array_equal(lists, arrays)
-
-
-def test_a_step_before_reset_is_refused():
-    with pytest.raises(gym.error.ResetNeeded):
-        LimSlamEnv("env1").step(AHEAD)
 
 
 def test_close_may_be_called_twice_and_before_reset():
@@ -590,15 +509,6 @@ def test_noise_given_as_ranges_is_another_in_each_episode():
     assert env.unwrapped._episode.simulation._noise.sensor_noise == drawn[0][0]
 
 
-def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
-    runs = []
-    for _ in range(2):
-        env = LimSlamEnv("env1", sensor_noise=0.04)
-        runs.append([env.reset(seed=1)[0]["ranges"], env.reset()[0]["ranges"], env.reset()[0]["ranges"]])
-    np.testing.assert_array_equal(*runs)
-    assert (runs[0][1] != runs[0][2]).any()
-
-
 def test_the_world_must_be_named():
     with pytest.raises(TypeError, match="world"):
         LimSlamEnv(sensor_noise=0.02)
@@ -611,23 +521,11 @@ def test_sensor_noise_overrides_that_of_noise_and_nothing_else():
     assert LimSlamEnv("env1", sensor_noise=(0.0, 0.04)).noise.sensor_noise == (0.0, 0.04)
 
 
-@pytest.mark.parametrize("noise", [-0.01, float("nan"), float("inf"), (0.04, 0.02), (-0.1, 0.1)])
-def test_a_noise_that_cannot_be_is_refused(noise):
-    with pytest.raises(ValueError, match="sensor_noise"):
-        LimSlamEnv("env1", sensor_noise=noise)
-
-
 @pytest.mark.parametrize("mode", ["ansi", "", "RGB_array", "rgb_array_list"])
 @pytest.mark.parametrize("make", [LimSlamEnv, LimSlamParallelEnv])
 def test_an_unknown_render_mode_is_refused(make, mode):
     with pytest.raises(ValueError, match="render_mode must be one of rgb_array, human or None"):
         make("env1", render_mode=mode)
-
-
-def test_without_a_render_mode_there_is_no_picture():
-    env = LimSlamEnv("env1")
-    env.reset(seed=0)
-    assert env.render() is None
 
 
 def test_the_human_mode_shows_a_window_and_returns_no_picture(display):

@@ -8,7 +8,6 @@ import pickle
 import subprocess
 import sys
 import warnings
-from itertools import pairwise
 from pathlib import Path
 
 import gymnasium as gym
@@ -23,7 +22,6 @@ from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.rendering.overlay import Overlay
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 from limslam_env.worlds.world import World, WorldError
@@ -439,15 +437,6 @@ def test_the_order_of_actions_does_not_matter():
         assert bits(env.step(actions)) == bits(other.step(dict(reversed(actions.items()))))
 
 
-def test_actions_out_of_range_are_clipped():
-    wild, tame = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
-    wild.reset(seed=0)
-    tame.reset(seed=0)
-    for actions in random_actions(2, 60):
-        clipped = {name: np.clip(4.0 * action, -1.0, 1.0) for name, action in actions.items()}
-        assert bits(wild.step({name: 4.0 * action for name, action in actions.items()})) == bits(tame.step(clipped))
-
-
 def test_a_step_before_reset_and_after_the_end_is_refused():
     env = LimSlamParallelEnv("env1", max_cycles=2)
     actions = dict.fromkeys(env.possible_agents, AHEAD)
@@ -537,12 +526,6 @@ def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
         LimSlamParallelEnv("env1", max_cycles=cycles)
 
 
-@pytest.mark.parametrize("arguments", [{"coverage_goal": 0.0}, {"sensor_noise": -1.0}, {"render_mode": "ansi"}])
-def test_other_arguments_that_cannot_be_are_refused(arguments):
-    with pytest.raises(ValueError, match=next(iter(arguments))):
-        LimSlamParallelEnv("env1", **arguments)
-
-
 def test_a_picture_shows_every_robot():
     starts = [(1.0, 3.5, 0.0), (6.0, 3.5, 0.0), (3.5, 6.0, 0.0)]
     env = LimSlamParallelEnv("env1", num_robots=3, render_mode="rgb_array")
@@ -562,20 +545,6 @@ def test_a_picture_shows_every_robot():
         height, width = picture.shape[0] - 60, picture.shape[1]
         assert abs(columns.mean() / width - (0.05 + 0.9 * x / 7.0)) < 0.12
         assert abs(rows.mean() / height - (0.95 - 0.9 * y / 7.0)) < 0.15
-
-
-def test_overlays_are_drawn_over_later_pictures():
-    env = LimSlamParallelEnv("env1", render_mode="rgb_array")
-    env.reset(seed=0)
-    plain = env.render()
-    beliefs = [Overlay(pose=np.array([5.0, 6.0, 0.3])), Overlay(pose=np.array([2.0, 6.0, 0.3]))]
-    pictures = [plain]
-    for some in (beliefs[:1], beliefs):
-        env.overlay = some
-        pictures.append(env.render())
-    assert all((one != other).any() for one, other in pairwise(pictures))
-    env.overlay = ()
-    np.testing.assert_array_equal(env.render(), plain)
 
 
 def test_without_a_render_mode_there_is_no_picture_and_closing_is_free():

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -129,14 +128,6 @@ def test_without_a_render_mode_there_is_no_picture():
     env = LimSlamEnv("env1")
     env.reset(seed=0)
     assert env.render() is None
-
-
-def test_gymnasium_hands_the_picture_through():
-    env = gym.make("LimSlam-Env1-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    env.step(AHEAD.astype(np.float32))
-    assert env.render().dtype == np.uint8
-    env.close()
 
 
 # What follows draws states made by hand, in a hall of 6 x 4 m whose lower left corner is not the origin.

@@ -116,18 +116,6 @@ def test_rays_agree_with_pymunk(name):
     assert 1000 < is_hit.sum() < 9000, "both hits and misses are tried"
 
 
-def test_rays_agree_with_pymunk_in_a_dense_scene():
-    generator = np.random.default_rng(3)
-    middle, along = generator.uniform(0.0, 5.0, (400, 2)), unit(generator.uniform(0.0, math.pi, 400))
-    half = generator.uniform(0.01, 0.4, (400, 1))
-    edges = np.hstack((middle - half * along, middle + half * along))
-    rays = random_rays(edges, 10_000, seed=4)
-    found, hits = build_wall_index(edges).cast(*rays)
-    distance, is_hit = pymunk_answers(edges, *rays)
-    np.testing.assert_allclose(found, distance, atol=1e-5)
-    np.testing.assert_array_equal(hits >= 0, is_hit)
-
-
 @pytest.mark.parametrize("name", [*shipped_worlds(), "random walls"])
 def test_rays_agree_with_every_ray_against_every_wall(name):
     edges = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 4)) if name == "random walls" else load_world(name).edges

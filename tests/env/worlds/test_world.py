@@ -2,13 +2,10 @@
 
 import math
 import re
-import tomllib
 from importlib import resources
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances, inside_polygon, polygon_edges, sample
@@ -333,48 +330,3 @@ def test_an_unknown_name_is_refused_with_those_that_there_are():
 def test_a_name_that_no_file_can_have_is_refused(name):
     with pytest.raises(WorldError):
         load_world(name)
-
-
-FRAGMENTS = st.sampled_from(
-    [
-        *("nan", "inf", "-", "true", '"', "'", "1979-05-27", "{ a = 1 }", "[", "]", "[]", ",", "\n", "=", "1e999"),
-        *("9" * 400, "9" * 5000, "0x", "\0", "#", "[[walls]]", "starts = 0\n", "\ud800", "é", "0", "1_0", "\\u0000"),
-    ]
-)
-
-
-@st.composite
-def mutated_worlds(draw) -> str:
-    """env1's text with a few pieces cut out, doubled, or replaced."""
-    text = draw(st.sampled_from([ENV1, GOOD]))
-    for _ in range(draw(st.integers(1, 4))):
-        first = draw(st.integers(0, len(text)))
-        last = min(first + draw(st.integers(0, 30)), len(text))
-        piece = draw(st.one_of(FRAGMENTS, st.text(max_size=5), st.just(text[first:last] * 2)))
-        text = text[:first] + piece + text[last:]
-    return text
-
-
-def outcome(text: str) -> None:
-    """Parse; a world or a WorldError, anything else is passed on and fails the test."""
-    try:
-        world = parse_world(text, "fuzz")
-    except WorldError as error:
-        assert str(error).startswith("fuzz: ")  # noqa: PT017 - a world is as good an outcome
-        return
-    assert isinstance(world, World)
-    assert np.isfinite(world.edges).all()
-    tomllib.loads(text)
-
-
-@given(mutated_worlds())
-@settings(deadline=None, max_examples=400)
-def test_a_damaged_world_is_a_world_or_a_world_error(text):
-    outcome(text)
-
-
-@given(st.binary(max_size=200))
-@settings(deadline=None, max_examples=200)
-def test_any_bytes_are_a_world_or_a_world_error(content):
-    outcome(content.decode("utf-8", "replace"))
-    outcome(content.decode("latin-1"))

@@ -1,7 +1,11 @@
-"""The progress bar."""
+"""What commands show on a terminal: warnings, tables, and a progress bar."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+
+import typer
+
+from limslam_env.messages import printable
 
 Advance = Callable[[float, str], None]
 """Told how much is done, and the state in words."""
@@ -19,3 +23,17 @@ def progress_bar(task: str, total: float) -> Iterator[Advance]:
     with Progress(*columns, console=console, transient=True, refresh_per_second=5, disable=quiet) as progress:
         bar = progress.add_task(task, total=total, state="")
         yield lambda done, state: progress.update(bar, completed=done, state=state)
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings on standard error, one line each."""
+    for warning in warnings:
+        typer.echo(printable(f"limslam: warning: {warning}"), err=True)
+
+
+def print_table(rows: list[tuple[str, ...]]) -> None:
+    """Print rows as aligned columns; plain, so that other programs can read them too."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        typer.echo(printable(line.rstrip()))
