@@ -211,7 +211,7 @@ def outcome(path: str, known: str, how: Variation) -> Outcome:
     config = GraphConfig()
     begin = time.process_time()
     directed = with_reversing(data, config)
-    found, _, signals = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
+    found, _, signals, _ = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
     return Outcome(found, signals, errors, seconds)

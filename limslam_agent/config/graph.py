@@ -250,8 +250,6 @@ class RoundConfig(Bounded):
         Number of rounds with a wide search. Some places can be found only after other places have been found.
     orientations
         First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
-    search_all_if_doubtful
-        Whether the frames that were left out are searched, too, if the result is doubtful.
     tried, trial
         Number of searches with the highest scores after the first round that are continued, up to round ``trial``.
     finished, hopeless
@@ -275,7 +273,6 @@ class RoundConfig(Bounded):
     iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
     wide_search: Count = 10
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
-    search_all_if_doubtful: bool = True
     tried: Count = 3
     finished: Count = 2
     trial: Count = 2

@@ -219,8 +219,8 @@ class AgreementConfig(Bounded):
     strain
         By how much a mean chi-square of 1 between hops and local smoothing, after the kernel, lowers the score.
     doubtful_share
-        If other visits contradict a larger share of the points that they confirm or contradict, the result is doubtful.
-        A group of loops is refused if it adds contradictions with a larger share, and much more than is usual.
+        A group of loops is refused if other visits contradict a larger share of the points that they confirm or
+        contradict because of it, and much more than is usual.
     """
 
     min_travel: NonNegative = 13.5

@@ -35,7 +35,7 @@ from limslam_agent.logs.pose_log import (
     pose_log,
 )
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
-from limslam_agent.logs.table_options import TableOptions, check_travel
+from limslam_agent.logs.table_options import TableOptions, check_counters, check_travel
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
@@ -199,6 +199,8 @@ class _Rows:
     def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
         wheels = self.options.wheel_travel(moves[:, 1:])
+        if self.options.accumulated:
+            check_counters(self.options.metres_per_tick * moves[:, 1:], wheels, moves[:, 0], robot)
         check_travel(wheels, moves[:, 0], robot)
         return RecordedLog(
             robot=robot,

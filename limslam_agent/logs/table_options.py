@@ -20,6 +20,9 @@ LARGEST_OFF_AXIS_DEG = 45.0
 COUNTER_SPAN = 65536
 """A counter of 16 bits begins again after so many ticks, as the type ``int`` of many microcontrollers does."""
 
+RESTARTED = 2.0
+"""Counters near 0 have begun again if a wheel travelled more than this many times what its largest speed allows."""
+
 TOO_FAST = 10.0
 """A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
 
@@ -119,6 +122,29 @@ class TableOptions:
             half = COUNTER_SPAN // 2
             travel = np.where(np.abs(travel) > half, travel - np.sign(travel) * COUNTER_SPAN, travel)
         return travel * self.metres_per_tick
+
+
+def check_counters(counts: FloatArray, wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None:
+    """Refuse counters (n, 2), m, of a robot that was switched on again: both begin again at 0.
+
+    A counter that begins again because it has 16 bits only has travelled no farther than usual.
+
+    Raises
+    ------
+    ValueError
+        If both counters are near 0, and a wheel travels (``wheels`` (n, 2), m) farther to there than the robot can
+        drive between two rows with the times (n,), s.
+    """
+    lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
+    # A robot often takes seconds to begin, and then stands.
+    lasted[(counts == 0.0).all(axis=1)] = robot.control_period
+    farthest = (RESTARTED * robot.max_wheel_speed * lasted)[:, None]
+    begins = (np.abs(counts) <= farthest).all(axis=1) & (np.abs(wheels) > farthest).any(axis=1)
+    if begins.any():
+        raise ValueError(
+            f"both wheel counters begin again near 0 at time {time[int(np.argmax(begins))]:g} s: was the robot "
+            "switched on again? Its travel until then is unknown. Two tables, of before and after, can be joined"
+        )
 
 
 def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None:

@@ -84,7 +84,8 @@ def _about_zeros(log: RecordedLog) -> list[str]:
     if share <= SUDDENLY_NEAR:
         return []
     text = f"{share:.1%} of the readings jump from more than {SUDDEN_STEP:g} m to the beam's shortest range or to 0"
-    return [f"{text}: if the sensors report 0 where they see nothing, --zero-is-nothing reads the 0 in a table as that"]
+    remedy = "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be changed"
+    return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
 
 def _about_odometry(log: RecordedLog) -> list[str]:

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -34,7 +33,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
-from limslam_agent.slam.graph.smooth import GraphResult, smooth_log, without_loops
+from limslam_agent.slam.graph.smooth import GraphResult, saying, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
 from limslam_agent.status.smoothed_status import smoothed_status, unplaced_status
@@ -69,6 +68,8 @@ class Smoothed:
         Whether the smoothed path and map can be trusted. None from the graph of local maps.
     basis
         What two logs are joined from: the graph of local maps, or the run of the line smoother.
+    data
+        What the graph of local maps has used of the log. None from the line smoother.
     graph
         For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
         smoother.
@@ -81,6 +82,7 @@ class Smoothed:
     covariances: FloatArray | None = None
     status: Status | None = None
     basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
+    data: LogData | None = field(default=None, repr=False)
     graph: dict[str, list[float]] | None = None
 
 
@@ -93,59 +95,60 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     begin = time.process_time()
     recorded = log_data(log, replay.odometry, replay.config.range_std)
     data = with_reversing(recorded, config)
-    found, landmarks, signals = trusted_path(data, log.start_pose, config, report)
-    reach = math.inf if signals.reach is None else signals.reach
+    found, landmarks, signals, used = trusted_path(data, log.start_pose, config, report)
     seconds = time.process_time() - begin
     figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
     graph = _graph(found, log)
-    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found)
-    grid = draw_grid(replay, found.poses, reach)
+    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found, data=used)
+    grid = draw_grid(replace(replay, log=log.within(used.max_range)), found.poses)
     return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
 
 
-_Judged = tuple[GraphResult, list[Landmark], PathSignals]
+_Judged = tuple[GraphResult, list[Landmark], PathSignals, LogData]
 
 
 def trusted_path(
     data: LogData, start: FloatArray, config: GraphConfig, report: Callable[[str], None] | None = None
 ) -> _Judged:
-    """The smoothed log with its walls and signals, or odometry alone if its signals are clearly better."""
+    """The smoothed log with its walls, signals and data, or odometry alone if its signals are clearly better."""
     report = report or (lambda _: None)
-    # Frames that are only searched for a doubtful result can wait until it is known what is wrong with the log.
-    patient = replace(config, rounds=replace(config.rounds, search_all_if_doubtful=False))
-    judged = _judged(smooth_log(data, start, patient, report), config, data)
+    judged = _judged(smooth_log(data, start, config, report), config, data)
     if judged[2].contradicts_itself:
-        judged = _second_look(data, start, config, judged, report)
-    found, _, signals = judged
+        judged = _second_look(start, config, judged, report)
+    found, _, signals, used = judged
     if signals.status.level == "ok":
         return judged
-    odometry, landmarks, of_odometry = _judged(without_loops(found, start), config, data)
-    plain = odometry, landmarks, replace(of_odometry, reach=signals.reach)
+    odometry, landmarks, of_odometry, _ = _judged(without_loops(found, start), config, data)
+    plain = odometry, landmarks, replace(of_odometry, reach=signals.reach), used
     return plain if signals.is_worse_than(of_odometry) else judged
 
 
-def _second_look(
-    data: LogData, start: FloatArray, config: GraphConfig, first: _Judged, report: Callable[[str], None]
-) -> _Judged:
+def _second_look(start: FloatArray, config: GraphConfig, first: _Judged, report: Callable[[str], None]) -> _Judged:
     """A log whose visits contradict each other, smoothed again.
 
     If they agree up to some range, only readings up to that range are used, with the noise of odometry that the first
     result shows. Otherwise, or if the visits then do not agree better, all frames are searched.
     """
-    found, _, signals = first
+    found, _, signals, data = first
     reach = reach_of_agreement(found.keys, found.trajectory, config, data.max_range)
     if reach < data.max_range:
         noise = odometry_variances(data, found.keys, found.trajectory, config)
         limited = replace(data, hit=data.hit & (data.ranges < reach), max_range=reach, variances=noise)
-        say = partial(_say, report, f"ranges up to {reach:g} m")
-        graph, landmarks, better = _judged(smooth_log(limited, start, config, say), config, limited)
+        say = saying(f"ranges up to {reach:g} m", report)
+        graph, landmarks, better, _ = _in_all_frames(
+            _judged(smooth_log(limited, start, config, say), config, limited), config
+        )
         if better.contradicted_share < signals.contradicted_share and not better.is_worse_than(signals):
-            return graph, landmarks, replace(better, reach=reach)
-    return _judged(smooth_log(data, start, config, report), config, data)
+            return graph, landmarks, replace(better, reach=reach), limited
+    return _in_all_frames(first, config)
 
 
-def _say(report: Callable[[str], None], where: str, what: str) -> None:
-    report(f"{where}, {what}")
+def _in_all_frames(judged: _Judged, config: GraphConfig) -> _Judged:
+    """A path whose visits contradict each other, after a search of the frames that were left out."""
+    found, _, signals, data = judged
+    if found.further is None or not signals.contradicts_itself:
+        return judged
+    return _judged(found.further(), config, data)
 
 
 def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
@@ -162,7 +165,7 @@ def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     signals = PathSignals(
         driven, tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()), tuple(doubtful.tolist())
     )
-    return found, landmarks, signals
+    return found, landmarks, signals, data
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:
@@ -267,15 +270,12 @@ def smoothed_by_lines(
     )
 
 
-def draw_grid(replay: Replay, poses: FloatArray, reach: float = math.inf) -> GridView:
-    """The occupancy grid of a log's first readings, those beyond ``reach`` (m) as free, from their poses (n, 3)."""
+def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
+    """The occupancy grid of a log's first readings from their poses (n, 3)."""
     log = replay.log
-    beams = tuple(replace(each, max_range=min(each.max_range, reach)) for each in log.robot.beams)
     rows = np.flatnonzero(log.has_scan[: len(poses)])
-    ranges = np.minimum(log.ranges[rows, None].astype(np.float64), reach)
-    return drawn_grid(
-        replay.config.grid, replace(log.robot, beams=beams), poses[rows, None], ranges, np.isfinite(ranges)
-    )
+    ranges = log.ranges[rows, None].astype(np.float64)
+    return drawn_grid(replay.config.grid, log.robot, poses[rows, None], ranges, np.isfinite(ranges))
 
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,12 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import Unplaced
 from limslam_agent.replay.joined_lines import NotJoined, grid_of, joined_by_lines
 from limslam_agent.replay.replay import Replay, replay_log
-from limslam_agent.replay.reversing import with_reversing
-from limslam_agent.replay.smoothing import draw_walls, ends_of, log_data
+from limslam_agent.replay.smoothing import draw_walls, ends_of
 from limslam_agent.replay.trust import MOST_BENT, MOST_CONTRADICTED, PathSignals, crossings
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.point_links import point_cloud
-from limslam_agent.slam.graph.smooth import GraphResult
+from limslam_agent.slam.graph.smooth import GraphResult, saying
 from limslam_agent.slam.merging.chains import Chain, divided
 from limslam_agent.slam.merging.joint_graph import JointMap
 from limslam_agent.slam.merging.merge import merge
@@ -137,20 +135,12 @@ def replay_logs(
     """
     check_logs(logs, config)
     report = report or (lambda _: None)
-    first = replay_log(logs[0], config, progress, partial(_say, report, "log 1"))
-    after = None if progress is None else partial(_count_on, progress, len(logs[0]))
-    second = replay_log(logs[1], config, after, partial(_say, report, "log 2"))
+    first = replay_log(logs[0], config, progress, saying("log 1", report))
+    after = None if progress is None else lambda done: progress(len(logs[0]) + done)
+    second = replay_log(logs[1], config, after, saying("log 2", report))
     begin = time.process_time()
     joint = joined((first, second), report)
     return replace(joint, seconds=time.process_time() - begin)
-
-
-def _say(report: Callable[[str], None], which: str, stage: str) -> None:
-    report(f"{which}, {stage}")
-
-
-def _count_on(progress: Callable[[int], None], before: int, done: int) -> None:
-    progress(before + done)
 
 
 def joined(both: tuple[Replay, Replay], report: Callable[[str], None]) -> JointReplay:
@@ -188,11 +178,15 @@ def _joined_by_graph(replays: tuple[Replay, Replay], config: GraphConfig, report
     if joint is None:
         return _apart(replays, found.record)
     poses = divided(joint.trajectory, joint.first, joint.second)
+    used = [
+        replace(each, log=each.log.within(chain.data.max_range))
+        for each, chain in zip(replays, (first, second), strict=True)
+    ]
     landmarks, signals = _signals(joint, replays, config)
     frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
     figures = {"smoothed_score": joint.score, **signals.figures}
     return JointReplay(
-        replays, found.record, poses, frame, landmarks, ends_of(landmarks), grid_of(replays, poses),
+        replays, found.record, poses, frame, landmarks, ends_of(landmarks), grid_of(used, poses),
         signals.status, figures, _loops(joint, replays),
     )  # fmt: skip
 
@@ -200,9 +194,8 @@ def _joined_by_graph(replays: tuple[Replay, Replay], config: GraphConfig, report
 def _chain(replay: Replay, config: GraphConfig) -> Chain:
     smoothed = replay.smoothed
     assert smoothed is not None  # noqa: S101 (the caller has looked)
-    assert isinstance(smoothed.basis, GraphResult)  # noqa: S101
-    data = with_reversing(log_data(replay.log, replay.odometry, replay.config.range_std), config)
-    return Chain.of(data, smoothed.basis, config)
+    assert isinstance(smoothed.basis, GraphResult) and smoothed.data is not None  # noqa: PT018, S101
+    return Chain.of(smoothed.data, smoothed.basis, config)
 
 
 def _signals(
@@ -211,9 +204,10 @@ def _signals(
     """The walls of both logs, and what speaks for or against their paths."""
     std = max(each.config.range_std for each in replays)
     landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, config.links, std), std)
-    reach = max(float(each.log.robot.max_ranges.max()) for each in replays)
+    reach = max(joint.first.data.max_range, joint.second.data.max_range)
     visits = visit_counts(joint.keys, joint.trajectory, config, reach)
-    bent, doubtful = joint.hop_keys[joint.hop_errors > MOST_BENT], visits.doubtful(MOST_CONTRADICTED)
+    bent = joint.hop_keys[joint.hop_errors > MOST_BENT]
+    doubtful = visits.doubtful(MOST_CONTRADICTED, len(joint.first.keys))
     times, bends, doubts, driven, first_key = list[float](), list[float](), list[float](), 0.0, 0
     for chain in (joint.first, joint.second):
         keys = slice(first_key, first_key := first_key + len(chain.keys))
@@ -224,7 +218,10 @@ def _signals(
         doubts += (when[doubtful[(doubtful >= keys.start) & (doubtful < keys.stop)] - keys.start] - when[0]).tolist()
         driven += float(chain.keys.travel[-1])
     loops = sum(each.kept for each in joint.verdicts)
-    return landmarks, PathSignals(driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts))
+    is_limited = reach < max(float(each.log.robot.max_ranges.max()) for each in replays)
+    return landmarks, PathSignals(
+        driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts), reach if is_limited else None
+    )
 
 
 def _loops(joint: JointMap, replays: tuple[Replay, Replay]) -> list[dict[str, Any]]:

@@ -174,16 +174,6 @@ class MapScore:
         return agreed if self.strain is None else agreed - self.strain(poses)
 
 
-def agreement_of_visits(
-    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float
-) -> tuple[float, float]:
-    """Shares of the points of a trajectory that other visits confirm and contradict.
-
-    The chunks of the comparison have middles that are ``config.maps.half`` apart.
-    """
-    return visit_counts(keys, trajectory, config, max_range).shares
-
-
 @dataclass(frozen=True, eq=False)
 class VisitCounts:
     """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
@@ -199,16 +189,18 @@ class VisitCounts:
         total = max(1, int(self.points.sum()))
         return float(self.confirmed.sum() / total), float(self.contradicted.sum() / total)
 
-    def doubtful(self, least: float) -> IntArray:
+    def doubtful(self, least: float, seam: int = 0) -> IntArray:
         """Middles of the chunks around which points are contradicted much more often than in the rest of the log.
 
         There, a larger share than ``least`` of the points that other visits have seen is contradicted. In a cluttered
         building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor, visits
-        contradict each other there only.
+        contradict each other there only. A second log begins at the key pose ``seam``: its chunks are not around those
+        of the first log.
         """
-        around = np.ones(2 * _STRETCH + 1)
-        contradicted = np.convolve(self.contradicted, around)[_STRETCH:-_STRETCH]
-        judged = contradicted + np.convolve(self.confirmed, around)[_STRETCH:-_STRETCH]
+        log = self.middles >= seam
+        around = (np.abs(np.subtract.outer(places := np.arange(len(log)), places)) <= _STRETCH) & (log[:, None] == log)
+        contradicted = around @ self.contradicted
+        judged = contradicted + around @ self.confirmed
         share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
         return self.middles[share > _largest_usual(float(np.quantile(share, _USUAL)), least)]
 

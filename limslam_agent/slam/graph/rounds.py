@@ -17,10 +17,10 @@ from limslam_agent.slam.graph.agreement import (
     LoopVerdict,
     MapScore,
     accept_groups,
-    agreement_of_visits,
     plausible_groups,
     prune_groups,
     supported,
+    visit_counts,
 )
 from limslam_agent.slam.graph.bundle import bundle
 from limslam_agent.slam.graph.chunk_graph import (
@@ -107,7 +107,7 @@ class LogProblem:
 
     def score(self, trajectory: Trajectory) -> float:
         """G of a trajectory's map, less the strain of its path."""
-        confirmed, contradicted = agreement_of_visits(self.keys, trajectory, self.config, self.data.max_range)
+        confirmed, contradicted = visit_counts(self.keys, trajectory, self.config, self.data.max_range).shares
         return confirmed - contradicted - self.strain(0)(trajectory.poses[self.middles(0)])
 
     def strain(self, number: int) -> Strain:

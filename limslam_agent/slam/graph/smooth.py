@@ -19,7 +19,6 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import (
     NOT_ADDED,
     LoopVerdict,
-    agreement_of_visits,
     distances_after_alignment,
 )
 from limslam_agent.slam.graph.key_poses import (
@@ -68,6 +67,9 @@ class GraphResult:
     hop_events, hop_errors
         First events (h,) of the hops between chunks, and how far each hop is from the local smoothing, as a chi-square
         (h,).
+    further
+        Searches the frames that were left out as well, and returns the best result of all frames. None if all frames
+        were searched.
     """
 
     poses: FloatArray
@@ -83,10 +85,16 @@ class GraphResult:
     trajectory: Trajectory = field(repr=False)
     hop_events: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False)
     hop_errors: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    further: "Callable[[], GraphResult] | None" = field(default=None, repr=False)
 
 
 Report = Callable[[str], None]
 """Called with the stage that begins, in words."""
+
+
+def saying(where: str, report: Report) -> Report:
+    """A report that names the place before each stage."""
+    return lambda stage: report(f"{where}, {stage}")
 
 
 def smooth_log(
@@ -115,11 +123,21 @@ def smooth_log(
             break
         # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
         data = corrected(data, found)
-        again = _smoothed(data, start, config, partial(_say, report, "odometry corrected"))
+        again = _smoothed(data, start, config, saying("odometry corrected", report))
         if again.score <= best.score:
             break
         best, known = again, joined_bias(known, found)
-    return replace(best, errors=joined_bias(known, best.trajectory.bias))
+    return _with_errors(best, known)
+
+
+def _with_errors(found: GraphResult, known: FloatArray) -> GraphResult:
+    """The result of a log whose odometry was corrected for the errors ``known`` (5,), with the errors of the log."""
+    further = found.further
+    return replace(
+        found,
+        errors=joined_bias(known, found.trajectory.bias),
+        further=None if further is None else lambda: _with_errors(further(), known),
+    )
 
 
 def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArray]:
@@ -146,20 +164,35 @@ def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Rep
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
         return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
-    searches = _all_searches(keys, data, config, report)
+    turns = config.rounds.orientations
+    frames = [
+        partial(_begun, keys, data, config, turn, saying(f"frame {number} of {len(turns)}", report))
+        for number, turn in enumerate(turns, start=1)
+    ]
+    return _best_result([], frames, start)
+
+
+def _best_result(
+    searches: list["_Search"], frames: Sequence[Callable[[], list["_Search"]]], start: FloatArray
+) -> GraphResult:
+    """The best result of the completed searches and of those in further frames, as many as are needed."""
+    begun = _frames(frames)
+    searches, rest = searches + _searched(begun), frames[len(begun) // len(STARTS) :]
     best = max(searches, key=_score)
-    found = _placed_at(_best(best.rounds, config.rounds.tie), start, best.turn)
+    log = best.log
+    found = _placed_at(_best(best.rounds, log.config.rounds.tie), start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
-    begins, errors = best.log.bends(found.trajectory)
-    return replace(_result(keys, best.name, found, scores), hop_events=keys.first_event[begins], hop_errors=errors)
+    begins, errors = log.bends(found.trajectory)
+    return replace(
+        _result(log.keys, best.name, found, scores),
+        hop_events=log.keys.first_event[begins],
+        hop_errors=errors,
+        further=partial(_best_result, searches, rest, start) if rest else None,
+    )
 
 
 def _silent(_: str) -> None:
     """Report nothing."""
-
-
-def _say(report: Report, where: str, what: str) -> None:
-    report(f"{where}, {what}")
 
 
 def _local(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> Trajectory:
@@ -209,28 +242,6 @@ class _Search:
     def advanced(self, end: int) -> "_Search":
         """The search after ``end`` rounds."""
         return replace(self, rounds=_rounds(self, end))
-
-
-def _all_searches(keys: KeyPoses, data: LogData, config: GraphConfig, report: Report) -> list[_Search]:
-    """The searches in as many frames as are needed; in all frames if visits contradict each other in the result."""
-    turns = config.rounds.orientations
-    frames = [
-        partial(_begun, keys, data, config, turn, partial(_say, report, f"frame {number} of {len(turns)}"))
-        for number, turn in enumerate(turns, start=1)
-    ]
-    searches = _searched(_frames(frames))
-    rest = frames[len(searches) // len(STARTS) :]
-    if not rest or not config.rounds.search_all_if_doubtful or not _doubtful(searches):
-        return searches
-    return searches + _searched(_frames(rest))
-
-
-def _doubtful(searches: list[_Search]) -> bool:
-    """Whether other visits contradict too many of the points that they see, in the best result so far."""
-    log, best = searches[0].log, max(searches, key=_score)
-    trajectory = _best(best.rounds, log.config.rounds.tie).trajectory
-    confirmed, contradicted = agreement_of_visits(log.keys, trajectory, log.config, log.data.max_range)
-    return contradicted > log.config.agreement.doubtful_share * (confirmed + contradicted)
 
 
 def _frames(frames: Sequence[Callable[[], list[_Search]]]) -> list[_Search]:

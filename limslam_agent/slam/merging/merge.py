@@ -8,7 +8,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.merging import MapMergingConfig
-from limslam_agent.slam.graph.agreement import agreement_of_visits
+from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.key_poses import Trajectory
 from limslam_agent.slam.merging.chains import Chain
 from limslam_agent.slam.merging.joint_graph import JointMap, joint_map
@@ -145,5 +145,5 @@ def _smoothed_chains(joint: JointMap) -> tuple[Chain, Chain]:
 
 def _own_score(chain: Chain, graph: GraphConfig) -> float:
     """G of one log alone."""
-    confirmed, contradicted = agreement_of_visits(chain.keys, chain.smoothed, graph, chain.data.max_range)
+    confirmed, contradicted = visit_counts(chain.keys, chain.smoothed, graph, chain.data.max_range).shares
     return confirmed - contradicted

@@ -104,6 +104,31 @@ def test_a_counter_of_16_bits_is_continued_where_it_begins_again(write, low):
     np.testing.assert_allclose(log.wheels[1:], [[0.02, -0.02]] * 399)
 
 
+def test_both_counters_may_begin_again_in_the_same_row(write):
+    counts = np.arange(0, 400 * 200, 200) % 65536
+    rows = "".join(f"{0.1 * row:.1f},{count},{count},1,1,1\n" for row, count in enumerate(counts))
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-4, accumulated=True))
+    np.testing.assert_allclose(log.wheels[1:], 0.02)
+
+
+@pytest.mark.parametrize(("gap", "first"), [(0.1, 0), (0.1, 7), (2.0, 30), (30.0, 0)])
+@pytest.mark.parametrize("before", [3000, 40000])
+def test_counters_of_a_robot_that_was_switched_on_again_are_refused_in_one_line(write, gap, first, before):
+    counts = [(0.1 * row, before + 20 * row) for row in range(5)]
+    counts += [(0.4 + gap + 0.1 * row, first + 20 * row) for row in range(5)]
+    rows = "".join(f"{time:.1f},{count},{count + 1000 * (count >= before)},1,1,1\n" for time, count in counts)
+    text = refusal(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
+    assert f"both wheel counters begin again near 0 at time {0.4 + gap:g} s" in text
+
+
+def test_counters_that_pass_0_in_a_gap_are_read(write):
+    rows = "".join(
+        f"{time:.1f},{count},{count},1,1,1\n" for time, count in ((0, -60), (0.1, -40), (0.2, -20), (0.5, 40))
+    )
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
+    np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 0.02, 0.06])
+
+
 def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
     path = write(HEAD + "0,0,0,0,1,0\n0.1,0.01,0.01,1,0.0,inf\n")
     near = read_log(path, table=TableOptions(ROBOT))

@@ -92,8 +92,11 @@ def test_a_log_whose_far_readings_contradict_each_other_is_smoothed_again_withou
     monkeypatch.setattr("limslam_agent.replay.trust.MOST_CONTRADICTED", 0.025)
     data, truth = floor_log()
     stages: list[str] = []
-    found, _, judged = trusted_path(data, truth[0], BRIEF, stages.append)
+    found, _, judged, used = trusted_path(data, truth[0], BRIEF, stages.append)
     assert judged.reach == judged.figures["smoothed_reach_m"] == 2.0
+    assert used.max_range == 2.0
+    assert not (used.hit & (used.ranges >= 2.0)).any()
+    assert used.variances is not None
     assert any(stage.startswith("ranges up to 2 m, ") for stage in stages)
     assert judged.status.level == "ok"
     (line,) = (line for line in replay_summary(judged.figures) if "left out" in line)
@@ -103,19 +106,18 @@ def test_a_log_whose_far_readings_contradict_each_other_is_smoothed_again_withou
 
 
 def test_the_first_look_only_puts_off_the_search_of_all_frames(monkeypatch):
-    """Groups of loops are refused by the limits of the settings then, too."""
-    asked = []
-
-    def stopped(_data, _start, config, _report):
-        asked.append(config)
-        raise StopIteration
-
-    monkeypatch.setattr("limslam_agent.replay.smoothing.smooth_log", stopped)
-    with pytest.raises(StopIteration):
-        trusted_path(floor_log()[0], np.zeros(3), GraphConfig())
-    (config,) = asked
-    assert config.agreement == GraphConfig().agreement
-    assert not config.rounds.search_all_if_doubtful
+    """No search of the first look is repeated, and groups of loops are refused by the limits of the settings."""
+    monkeypatch.setattr("limslam_agent.replay.trust.MOST_CONTRADICTED", -1.0)
+    config = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(3, 3), orientations=(0.0, 0.3, 0.6)))
+    data, truth = corridor_log(laps=1, bias=0.0)
+    stages: list[str] = []
+    found, _, judged, used = trusted_path(data, truth[0], config, stages.append)
+    assert judged.contradicts_itself
+    assert used is data
+    begins = [stage for stage in stages if "local smoothing" in stage]
+    assert begins == [f"frame {number} of 3, local smoothing" for number in (1, 2, 3)]
+    assert len(found.scores) == 6
+    assert found.further is None
 
 
 def test_a_range_that_rounding_has_made_too_long_is_counted():

@@ -1,12 +1,13 @@
 """Two logs of wheel travel: joined if one map fits in the other, otherwise two maps, and one folder for both."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from support.command_line import call
-from support.corridors import corridor_log, later_part, plain_walls, uneven_walls
+from support.corridors import SIX_BEAMS, corridor_log, later_part, plain_walls, uneven_walls
 from support.drives import ROBOT, along, drive
 
 from limslam_agent import preset
@@ -18,6 +19,7 @@ from limslam_agent.replay.joined_lines import joined_run
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.replay.two_logs import check_logs, joined
 from limslam_agent.replay.two_logs_output import LOG_FOLDERS, relation_scores
+from limslam_agent.slam.merging.merge import Merging
 from limslam_env.geometry import se2
 from limslam_env.interface import NominalNoise
 
@@ -114,13 +116,35 @@ def test_relations_between_the_logs_are_scored_if_the_times_are_apart(replays, b
     assert len(later) == len(other.log)
 
 
+def pose_log(data):
+    return RecordedLog(
+        robot=SIX_BEAMS, time=data.time, ranges=data.ranges.astype(np.float32), start_pose=np.zeros(3),
+        has_scan=np.ones(len(data.time), dtype=bool), odometry=data.odometry,
+    )  # fmt: skip
+
+
+def test_logs_are_joined_with_what_each_of_them_has_found_about_its_sensor(monkeypatch):
+    data, _ = corridor_log(laps=1)
+    replay = replay_log(pose_log(later_part(data, len(data.time) - 40)), CONFIG)
+    used, variances = replay.smoothed.data, np.full((40, 3), 1e-4)
+    limited = replace(used, hit=used.hit & (used.ranges < 2.0), max_range=2.0, variances=variances)
+    chains = []
+
+    def not_merged(first, second, *_args, **_kwargs):
+        chains.extend((first, second))
+        return Merging(None, "no", {"event": "not joined", "reason": "no"})
+
+    monkeypatch.setattr("limslam_agent.replay.two_logs.merge", not_merged)
+    joined((replace(replay, smoothed=replace(replay.smoothed, data=limited)), replay), silent)
+    assert [each.data.max_range for each in chains] == [2.0, SIX_BEAMS.max_ranges.max()]
+    assert len(chains[0].keys.point_event) < len(chains[1].keys.point_event)
+    np.testing.assert_array_equal(chains[0].data.variances, variances)
+
+
 def test_logs_that_cannot_be_joined_are_refused(replays):
     one = replays[0][0].log
-    data, truth = corridor_log(laps=1)
-    poses = RecordedLog(
-        robot=ROBOT, time=data.time, ranges=data.ranges.astype(np.float32), has_scan=np.ones(len(truth), dtype=bool),
-        start_pose=np.zeros(3), odometry=data.odometry,
-    )  # fmt: skip
+    data, _ = corridor_log(laps=1)
+    poses = pose_log(data)
     with pytest.raises(ValueError, match="3 logs"):
         check_logs([one, one, one], CONFIG)
     with pytest.raises(ValueError, match="must have the same"):

@@ -29,6 +29,12 @@ def test_clutter_and_single_chunks_are_not_doubtful(contradicted):
     assert len(counts(contradicted).doubtful(0.12)) == 0
 
 
+def test_a_stretch_of_one_log_does_not_count_around_chunks_of_the_next_log():
+    visits = counts([2] * 20 + [60, 60] + [2] * 20)
+    assert visits.doubtful(0.12).tolist() == [57, 60, 63, 66]
+    assert visits.doubtful(0.12, seam=63).tolist() == []
+
+
 def test_chunks_that_no_other_visit_has_seen_are_not_doubtful():
     unseen = np.zeros(9, dtype=np.int64)
     assert len(VisitCounts(np.arange(9), np.full(9, 200), unseen, unseen).doubtful(0.12)) == 0
