@@ -1,4 +1,4 @@
-"""``python -m benchmarks run``, ``train``, ``baselines``, ``dataset``, ``peers``; ``table``, ``plot``, ``report``.
+"""``python -m benchmarks``: suites of runs (``run``), their tables and figures, training, datasets and made-up logs.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -190,6 +190,24 @@ def peers(
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+@app.command("made-up-logs")
+def made_up_logs(
+    out: Annotated[Path, typer.Argument(help="Folder for the logs.")],
+    seeds: Annotated[str, typer.Option(help="Seeds of the logs: 7, or 0..15 for all from 0 to 15.")] = "0..15",
+    variations: Annotated[
+        list[str] | None,
+        typer.Option("--variation", help="As log_variations takes it; may be repeated.", show_default="none"),
+    ] = None,
+    length: Annotated[float | None, typer.Option(min=10.0, help="Driven, m.", show_default="100 to 220")] = None,
+) -> None:
+    """Make up CARMEN logs with relations, smooth them with six beams, and print their errors."""
+    from benchmarks.made_up_logs import smoothing_table
+
+    first, _, last = seeds.partition("..")
+    for line in smoothing_table(range(int(first), int(last or first) + 1), variations or [""], out, length):
+        typer.echo(line)
 
 
 @app.command()

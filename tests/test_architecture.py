@@ -140,7 +140,7 @@ COMPOSITION = {
     "limslam_agent.live.emulator",
 }
 # Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis <- training, and
-# suite <- dataset; speed beside.
+# suite <- dataset; log_variations, suite <- made_up_logs; speed beside.
 BENCHMARKS = {
     "benchmarks": set(),
     "benchmarks.suite": set(),
@@ -151,6 +151,7 @@ BENCHMARKS = {
     "benchmarks.speed": set(),
     "benchmarks.right_angles": set(),
     "benchmarks.log_variations": set(),
+    "benchmarks.made_up_logs": {"benchmarks.log_variations", "benchmarks.suite"},
     "benchmarks.revisits": set(),
     "benchmarks.__main__": {
         "benchmarks.suite",
@@ -158,6 +159,7 @@ BENCHMARKS = {
         "benchmarks.training",
         "benchmarks.dataset",
         "benchmarks.peers",
+        "benchmarks.made_up_logs",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -1,0 +1,283 @@
+"""CARMEN logs of drives that were made up, and how well they are smoothed.
+
+A robot with a laser scanner of 180 degrees drives through a building that was not used for development. Its odometry
+has errors of several kinds, its ranges are older than its odometry, and people walk past. ``python -m benchmarks
+made-up-logs OUT`` writes logs with their relations, and prints the errors of the smoothed paths.
+"""
+
+import gzip
+import math
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.log_variations import outcome, variation
+from benchmarks.suite.work import data_folder
+from limslam_agent.logs.relations import read_relations, relation_errors
+from limslam_env.bounds.roadmap import Roadmap
+from limslam_env.bounds.tours import Speeds, poses_along
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+from limslam_env.interface import RobotSpec
+from limslam_env.simulation.sensors import build_wall_index
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+from limslam_env.worlds.regions import starting_cells
+from limslam_env.worlds.world import World, WorldError
+
+_ROBOT = RobotSpec(radius=0.25)
+_BEAMS = np.radians(np.arange(180.0) - 90.0)
+_REACH = 81.91  # m; what the scanner reads where it sees nothing
+_CELL = 0.1  # m; of the floors that rings and halls are cut from
+_RECESSES = 0.4  # share of recesses among the details of walls; the others are boxes
+_LEAST_SIDE, _LARGEST_SIDE = 10.0, 60.0  # m; of real plans
+_LOOP_AFTER, _LOOP_WITHIN = 60.0, 1.5  # s and m between the ends of a relation that is a loop
+_RELATIONS = 300  # of each kind
+_BEGIN = 1000.0  # s
+
+# Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are drawn; standard
+# deviations of the heading after one metre (deg) and after one radian (rad); and the number of slips.
+ODOMETRY = {
+    "good": (0.005, 0.005, 0.02, 0.3, 0.01, 0),
+    "medium": (0.03, 0.05, 0.2, 1.0, 0.03, 1),
+    "uneven": (0.01, 0.02, 2.2, 0.8, 0.02, 0),
+    "bad": (0.04, 0.07, 1.0, 1.5, 0.05, 3),
+}
+_SLIP = 0.3, 0.05, math.radians(15.0)  # standard deviations of a slip: ahead and aside, m, and turned, rad
+
+
+def walls_of(floor: BoolArray) -> FloatArray:
+    """The borders (k, 4), m, of a floor of cells (columns, rows)."""
+    walls = list[FloatArray]()
+    for cells, order in ((floor, [0, 1, 2, 3]), (floor.T, [1, 0, 3, 2])):
+        for line, changed in enumerate(np.diff(np.pad(cells, 1).astype(np.int8), axis=0)):
+            # A wall goes on as long as the floor stays on the same side.
+            for low, high in pairwise(np.flatnonzero(np.diff(changed, prepend=0, append=0))):
+                if changed[low]:
+                    walls.append(np.array([line, low - 1, line, high - 1])[order])
+    return _CELL * np.array(walls)
+
+
+def _cut_world(name: str, rectangles: FloatArray, details: float, generator: np.random.Generator) -> World:
+    """A world whose floor is cut from solid ground: rectangles (k, 5) of x, y, width, height, m, and free or not.
+
+    Boxes and recesses of up to 0.5 m stand at its walls, ``details`` of them a metre. The start is in the first one.
+    """
+    width, height = (rectangles[:, :2] + rectangles[:, 2:4]).max(axis=0) + 1.0
+    floor = np.zeros((math.ceil(width / _CELL), math.ceil(height / _CELL)), dtype=np.bool_)
+    for *corners, free in rectangles:
+        i, j, m, n = (round(each / _CELL) for each in corners)
+        floor[i : i + m, j : j + n] = free
+    borders = np.concatenate([np.argwhere(np.diff(floor, axis=axis)) for axis in (0, 1)])
+    for i, j in generator.choice(borders, int(details * _CELL * len(borders))):
+        m, n = generator.integers(1, 6, 2)
+        floor[i - m : i + m, j - n : j + n] = generator.random() < _RECESSES
+    start = np.array([[*rectangles[0, :2] + 0.9, 0.0]])
+    return World(name, (width, height), walls_of(floor), starts=start)
+
+
+def _ring(generator: np.random.Generator) -> World:
+    """Corridors around one to three blocks that cannot be entered."""
+    width, height, wide = generator.uniform((20.0, 14.0, 1.8), (42.0, 28.0, 2.8))
+    blocks = generator.integers(1, 4)
+    step = (height - wide) / blocks
+    rows = [[1.0 + wide, 1.0 + wide + row * step, width - 2.0 * wide, step - wide, False] for row in range(blocks)]
+    return _cut_world(
+        "ring", np.array([[1.0, 1.0, width, height, True], *rows]), generator.uniform(0.02, 0.2), generator
+    )
+
+
+def _halls(generator: np.random.Generator) -> World:
+    """Two to four halls in a row, joined by corridors."""
+    x, wide, rectangles = 1.0, generator.uniform(1.8, 2.8), list[list[float]]()
+    for width, height, gap, y in generator.uniform((8, 8, 2, 1), (15, 15, 8, 5), (generator.integers(2, 5), 4)):
+        rectangles += [[x, 1.0, width, height, True], [x + width - 0.1, y, gap + 0.2, wide, True]]
+        x += width + gap
+    return _cut_world("halls", np.array(rectangles[:-1]), generator.uniform(0.05, 0.2), generator)
+
+
+def _rooms(generator: np.random.Generator) -> World:
+    """A random plan of rooms and corridors."""
+    config = FloorPlanConfig(
+        width=(14.0, 32.0), height=(10.0, 22.0), min_room=2.6, corridor=1.0, corridor_width=(1.5, 2.4),
+        door_width=(0.9, 1.3), obstacles=generator.uniform(0.1, 1.5),
+    )  # fmt: skip
+    return floor_plan(config, generator, _ROBOT.radius + 0.1)
+
+
+def _real(generator: np.random.Generator) -> World:
+    """A floor plan of the recorded data, of a closed building of a usual size."""
+    files = sorted((data_folder() / "kth").glob("*.json"))
+    for number in generator.permutation(len(files)):
+        world = load_world(files[number])
+        sides = np.ptp(world.edges.reshape(-1, 2), axis=0)
+        with suppress(WorldError):
+            if sides.min() >= _LEAST_SIDE and sides.max() <= _LARGEST_SIDE:
+                world.check(_ROBOT.radius)
+                return world
+    raise ValueError("there is no floor plan that a robot can drive in")
+
+
+WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
+    "rooms": _rooms, "ring": _ring, "halls": _halls, "real": _real
+}  # fmt: skip
+
+
+def driven_path(world: World, length: float, generator: np.random.Generator) -> FloatArray:
+    """Poses (n, 3) in each control period of a drive of at least ``length`` m from place to place, with stops there.
+
+    Mostly the robot goes to the one of a few places that is farthest from all where it has been, and otherwise to a
+    place that it may have seen before. Headings are not wrapped.
+    """
+    space = world.free_space(_ROBOT.radius)
+    centres = space.centres(starting_cells(world, space))
+    roads = Roadmap(world, _ROBOT.radius, centres[generator.integers(len(centres))])
+    speeds = Speeds(generator.uniform(0.3, 0.7), generator.uniform(0.5, 1.2))
+    at, been, driven = roads.places[0], [roads.places[0]], 0.0
+    parts = [np.array([[*at, 0.0]])]
+    while driven < length:
+        some = generator.choice(roads.places, 8)
+        apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
+        goal = some[np.argmax(apart)] if generator.random() < 0.6 else some[0]
+        way = roads.way(at, goal)
+        if way is None or np.hypot(*(goal - at)) < 1.0:
+            continue
+        leg = poses_along(parts[-1][-1], way, _ROBOT, speeds)
+        parts += [leg[1:], np.tile(leg[-1], (generator.integers(1, 30), 1))]
+        driven += float(np.hypot(*np.diff(leg[:, :2], axis=0).T).sum())
+        at, been = goal, [*been, *way]
+    return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class MadeUpLog:
+    """A drive.
+
+    Attributes
+    ----------
+    name, errors
+        Kind of the building with the seed; and the kind of odometry, a key of ``ODOMETRY``.
+    time, truth, odometry, ranges
+        Of the scans: times (n,), s; true poses and odometry (n, 3); ranges (n, 180), m.
+    """
+
+    name: str
+    errors: str
+    time: FloatArray
+    truth: FloatArray
+    odometry: FloatArray
+    ranges: FloatArray
+
+
+def made_up_log(seed: int, length: float | None = None) -> MadeUpLog:
+    """The log of a seed; the kinds of buildings take turns. ``length`` is the distance driven, m; None to draw it."""
+    generator = np.random.default_rng(seed)
+    kind = list(WORLDS)[seed % len(WORLDS)]
+    world = WORLDS[kind](generator)
+    path = driven_path(world, length or generator.uniform(100.0, 220.0), generator)
+    period, delay = _ROBOT.control_period, generator.uniform(0.0, 0.15)
+    time = np.arange(0.0, period * (len(path) - 1) - delay, generator.uniform(0.15, 0.4))
+    truth, later = (
+        np.column_stack([np.interp(when, period * np.arange(len(path)), each) for each in path.T])
+        for when in (time, time + delay)
+    )
+    errors = str(generator.choice(list(ODOMETRY)))
+    odometry = _odometry(later, errors, generator)
+    return MadeUpLog(f"{kind}{seed}", errors, time, truth, odometry, _ranges(world, time, truth, generator))
+
+
+def _odometry(truth: FloatArray, errors: str, generator: np.random.Generator) -> FloatArray:
+    """Poses (n, 3) by odometry with a kind of errors, along a path (n, 3) of true poses."""
+    scale, gain, turn, per_metre, per_radian, slips = ODOMETRY[errors]
+    signs = generator.choice((-1.0, 1.0), 3)
+    moves = se2.between(truth[:-1], truth[1:])
+    driven, turned = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
+    stds = np.radians(per_metre) * np.sqrt(driven) + per_radian * np.sqrt(turned)
+    moves[:, 2] += signs[1] * gain * moves[:, 2] + signs[2] * np.radians(turn) * driven
+    moves[:, 2] += stds * generator.standard_normal(len(moves))
+    moves[:, :2] *= 1.0 + signs[0] * scale + 0.05 * generator.standard_normal((len(moves), 1))
+    for place in generator.choice(len(moves), slips, replace=False):
+        moves[place] += generator.normal(0.0, _SLIP)
+    poses = np.zeros_like(truth)
+    for number, move in enumerate(moves):
+        poses[number + 1] = se2.compose(poses[number], move)
+    return poses
+
+
+def _ranges(world: World, time: FloatArray, truth: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Ranges (n, 180), m, with noise, lost readings, walls of glass that are not seen, and people who walk past."""
+    edges = world.edges[generator.random(len(world.edges)) >= generator.choice((0.0, 0.05))]
+    angles = truth[:, 2:] + _BEAMS
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1).reshape(-1, 2)
+    origins = np.repeat(truth[:, :2], len(_BEAMS), axis=0)
+    ranges = build_wall_index(edges).cast(origins, directions, np.full(angles.size, _REACH))[0].reshape(angles.shape)
+    for begin in np.cumsum(generator.exponential(generator.uniform(8.0, 60.0), int(time[-1] / 8.0))):
+        lasts, (bearing, distance) = generator.uniform(1.0, 5.0), generator.uniform((-1.5, 0.5), (1.5, 4.0), (2, 2)).T
+        rows = np.flatnonzero((time >= begin) & (time < begin + lasts))
+        share = ((time[rows] - begin) / lasts)[:, None]
+        away = distance[0] + share * (distance[1] - distance[0])
+        covered = np.abs(_BEAMS - bearing[0] - share * (bearing[1] - bearing[0])) < 0.2 / away
+        ranges[rows] = np.where(covered, np.minimum(ranges[rows], away), ranges[rows])
+    seen = (ranges < _REACH) & (generator.random(ranges.shape) >= generator.choice((0.0, 0.01, 0.08)))
+    noisy = ranges + generator.choice((0.01, 0.03)) * generator.standard_normal(ranges.shape)
+    return np.where(seen, np.maximum(noisy, 0.02), _REACH)
+
+
+def write_log(log: MadeUpLog, folder: Path) -> tuple[Path, Path]:
+    """Write a log and its relations; returns the two files. Times begin at 1000 s."""
+    files = folder / f"{log.name}.clf.gz", folder / f"{log.name}.relations.gz"
+    folder.mkdir(parents=True, exist_ok=True)
+    with gzip.open(files[0], "wt", compresslevel=1) as text:
+        for number, (time, pose, ranges) in enumerate(zip(log.time, log.odometry, log.ranges, strict=True)):
+            where = " ".join(f"{each:.6f}" for each in pose)
+            when = f"{_BEGIN + time:.6f} nohost {_BEGIN + time:.6f}"
+            if number % 10 == 0:
+                text.write(f"ODOM {where} 0 0 0 {when}\n")
+            text.write(f"FLASER {len(ranges)} {' '.join(f'{each:.2f}' for each in ranges)} {where} {where} {when}\n")
+    pairs = _pairs(log)
+    known = se2.between(*log.truth[pairs.T])
+    with gzip.open(files[1], "wt") as text:
+        for (begin, end), (x, y, turn) in zip(_BEGIN + log.time[pairs], known, strict=True):
+            text.write(f"{begin:.6f} {end:.6f} {x:.6f} {y:.6f} 0 0 0 {turn:.6f}\n")
+    return files
+
+
+def _pairs(log: MadeUpLog) -> IntArray:
+    """Scans (k, 2) of the relations: pairs about a second apart, and as many loops where there are any."""
+    generator, count = np.random.default_rng(len(log.time)), len(log.time)
+    firsts = generator.choice(count - 1, min(_RELATIONS, count - 1), replace=False)
+    near = np.column_stack((firsts, np.minimum(np.searchsorted(log.time, log.time[firsts] + 1.0), count - 1)))
+    some = generator.integers(count, size=(200 * _RELATIONS, 2))
+    apart = np.hypot(*(log.truth[some[:, 0], :2] - log.truth[some[:, 1], :2]).T)
+    loops = some[(apart < _LOOP_WITHIN) & (log.time[some[:, 1]] - log.time[some[:, 0]] > _LOOP_AFTER)]
+    return np.concatenate((near, loops[:_RELATIONS]))
+
+
+def smoothing_table(
+    seeds: Iterable[int], variations: Sequence[str], folder: Path, length: float | None
+) -> Iterable[str]:
+    """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations."""
+    yield "| log | driven, m | odometry | its error, m | variation | smoothed, m / deg | loops, m | status | s |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for seed in seeds:
+        log = made_up_log(seed, length)
+        path, relations = write_log(log, folder)
+        driven = np.hypot(*np.diff(log.truth[:, :2], axis=0).T).sum()
+        error = relation_errors(read_relations(relations), log.time + _BEGIN, log.odometry).translation.mean()
+        for text in variations:
+            found = _cells(path, relations, text)
+            yield f"| {log.name} | {driven:.0f} | {log.errors} | {error:.2f} | {text or 'none'} | {found} |"
+
+
+def _cells(path: Path, relations: Path, text: str) -> str:
+    """The last cells of a row: errors of the smoothed path in a variation of a log, status, and processor time."""
+    try:
+        found = outcome(str(path), str(relations), variation(text))
+    except (ValueError, ArithmeticError, LookupError) as error:
+        return f"failed: {type(error).__name__}: {error} | | |"
+    names = "relation_error_m", "relation_error_deg", "loop_relation_error_m"
+    metres, degrees, loops = (math.nan if found.errors[name] is None else found.errors[name] for name in names)
+    return f"{metres:.3f} / {degrees:.2f} | {loops:.3f} | {found.signals.status.level} | {found.seconds:.0f}"
