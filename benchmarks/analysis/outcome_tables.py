@@ -11,6 +11,9 @@ from benchmarks.analysis.sheets import MISSING, Column, Sheet, counted, median_c
 NOTICED_WITHIN, PLACED_WITHIN = 10.0, 30.0
 """Times after a fault within which it should be noticed, and a kidnapped robot be placed, s."""
 
+TOLERATED_ATE = 0.5
+"""Root mean square error of a smoothed path above which the status should not be ok, m."""
+
 Cell = Callable[[Group], str]
 
 _ALL = "all"
@@ -59,6 +62,8 @@ def fault_sheet(faulty: Sequence[Group]) -> Sheet | None:
         "at a wrong place": _share("fault_wrong_place_s", lambda value: value > 0.0),
         "of these ok": _share("fault_wrong_place_ok_s", lambda value: value > 0.0),
         "not ok before": _share("fault_alarms_before_s", lambda value: value > 0.0),
+        "smoothed ATE m": Column("smoothed ATE m", metric("ate_smoothed_m"), 3),
+        "ok at the end though it is above 0.5 m": _ended_wrongly,
     }
     note = (
         "Numbers of runs, and medians with 95 % bootstrap intervals over those that were noticed or placed. A right "
@@ -103,6 +108,13 @@ def _share(name: str, holds: Callable[[float], bool]) -> Cell:
         return f"{sum(holds(each) for each in part.values(value))} of {len(part.rows) - part.failed}"
 
     return cell
+
+
+def _ended_wrongly(part: Group) -> str:
+    """So many runs ended with the status ok and a smoothed path that is not."""
+    ate = metric("ate_smoothed_m")
+    wrong = [row for row in part.rows if row.metrics.get("status") == "ok" and (ate(row) or 0.0) > TOLERATED_ATE]
+    return f"{len(wrong)} of {len(part.rows) - part.failed}"
 
 
 def _of(statistic: Callable[..., float], name: str, decimals: int) -> Cell:

@@ -115,7 +115,7 @@ def test_faults_have_a_table_and_are_no_explorations():
         return row(
             world, seed=seed, preset="graph", policy=policy, fault_doubted_s=0.5, fault_lost_s=9.0 + 2.0 * seed,
             fault_placed_s=placed, fault_wrong_place_s=wrong, fault_wrong_place_ok_s=0.0, fault_unnoticed_s=float(seed),
-            fault_alarms_before_s=0.0,
+            fault_alarms_before_s=0.0, ate_smoothed_m=0.1 + wrong, status="ok",
         )  # fmt: skip
 
     rows = [robot("env2", 0), robot("env2", 1, placed=31.0), robot("random:7", 0, placed=None, wrong=2.0)]
@@ -124,6 +124,7 @@ def test_faults_have_a_table_and_are_no_explorations():
     assert column(rows, "Faults", "placed within 30 s") == ["1 of 2", "0 of 1", "1 of 3"]
     assert column(rows, "Faults", "at a wrong place") == ["0 of 2", "1 of 1", "1 of 3"]
     assert column(rows, "Faults", "ok though wrong, at most s") == ["1.0", "0.0", "1.0"]
+    assert column(rows, "Faults", "ok at the end though it is above 0.5 m") == ["0 of 2", "1 of 1", "1 of 3"]
     assert sheet(rows, "Exploration") is None
     assert "placed after s" not in sheet([robot("env2", 0, "jump", placed=None)], "Faults").header
 
