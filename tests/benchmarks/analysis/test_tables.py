@@ -98,11 +98,12 @@ def test_outcomes_show_the_worst_runs_and_failures():
     ends = [(0.01, 200.0, 0.0, 0), (0.02, None, 3.0, 1), (0.14, 210.0, 0.0, 0)]
     rows = [
         row(world, seed=seed, preset="graph", ate_smoothed_m=ate, anees_smoothed=10 * ate, exploration_time_s=time,
-            lost_s=lost, collisions=touched, wall_f1_aligned_5cm=1.0 - ate)
+            lost_s=lost, status="lost" if lost else "ok", collisions=touched, wall_f1_aligned_5cm=1.0 - ate)
         for world in ("env1", "env2") for seed, (ate, time, lost, touched) in enumerate(ends)
     ]  # fmt: skip
     title = "Outcomes of explorations"
     assert column(rows, title, "ended by itself") == ["2 of 3", "2 of 3", "4 of 6"]
+    assert column(rows, title, "ok at the end") == ["2 of 3", "2 of 3", "4 of 6"]
     assert column(rows, title, "lost at some time") == ["1 of 3", "1 of 3", "2 of 6"]
     assert column(rows, title, "worst smoothed ATE m") == ["0.140"] * 3
     assert column(rows, title, "mean smoothed ANEES") == ["0.6"] * 3
