@@ -44,6 +44,9 @@ def run(
     workers: Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/suite-NAME")] = None,
     timeout: Annotated[float, typer.Option(help="Wall-clock time after which a job has failed, s.")] = 3600.0,
+    first_seed: Annotated[
+        int | None, typer.Option(min=0, help="Lowest seed of each grid.", show_default="the suite's")
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the jobs, run none.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
 ) -> int:
@@ -55,7 +58,7 @@ def run(
         raise ValueError(f"--timeout: a time above 0 s is needed, not {timeout:g}")
     if address is not None and engine is not EngineName.RAY:
         raise ValueError("--address goes with --engine ray")
-    chosen = load_suite(suite)
+    chosen = load_suite(suite, first_seed)
     if dry_run:
         for job in chosen.jobs:
             typer.echo(job.title)

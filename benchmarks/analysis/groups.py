@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.suite.jobs import LAPS_POLICY, LOG_POLICY, RANDOM
+from benchmarks.suite.jobs import FAULTS, LAPS_POLICY, LOG_POLICY, RANDOM
 from benchmarks.suite.store import Row
 from limslam_env.geometry import FloatArray
 
@@ -151,13 +151,18 @@ def centimetres(noise: float) -> str:
 
 
 def is_exploration(setting: Setting) -> bool:
-    """Whether robots explored, with any policy."""
-    return setting.policy not in {LAPS_POLICY, TOUR, LOG_POLICY}
+    """Whether healthy robots explored, with any policy."""
+    return setting.policy not in {LAPS_POLICY, TOUR, LOG_POLICY, *FAULTS}
 
 
 def is_drive(setting: Setting) -> bool:
     """Whether robots drove a known path, without exploration."""
     return setting.policy in {LAPS_POLICY, TOUR}
+
+
+def is_faulty(setting: Setting) -> bool:
+    """Whether a fault began in the middle of an exploration."""
+    return setting.policy in FAULTS
 
 
 def is_log(setting: Setting) -> bool:

@@ -12,6 +12,7 @@ from benchmarks.analysis.claims import Verdict, claims
 from benchmarks.analysis.comparison_tables import ablation_sheet, limit_sheet, team_sheet
 from benchmarks.analysis.groups import (
     FRONTIER,
+    PUBLISHED,
     Group,
     Setting,
     centimetres,
@@ -19,11 +20,13 @@ from benchmarks.analysis.groups import (
     groups,
     is_drive,
     is_exploration,
+    is_faulty,
     is_log,
     merged,
     metric,
     ratio,
 )
+from benchmarks.analysis.outcome_tables import fault_sheet, outcome_sheet
 from benchmarks.analysis.sheets import MISSING, Column, Sheet, counted, median_cells, render, written
 from benchmarks.analysis.statistics import interquartile_means, medians
 from benchmarks.suite.jobs import PLAN
@@ -120,7 +123,8 @@ def sheets(rows: Sequence[Row], folder: Path | None = None) -> list[Sheet]:
     """All tables of the given rows; parameters and errors as for :func:`table`."""
     found = number_sheets(rows)
     failures = failure_sheet(rows)
-    return [*found, *([] if failures is None else [failures]), claim_sheet(claims(rows, folder))]
+    verdicts = [claim_sheet(claims(rows, folder))] if any(row.preset == PUBLISHED for row in rows) else []
+    return [*found, *([] if failures is None else [failures]), *verdicts]
 
 
 def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
@@ -140,6 +144,7 @@ def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
     found = [
         _scores("Exploration", own, _GRID),
         _overall(own),
+        outcome_sheet(by_frontier),
         team_sheet(by_frontier),
         _scores("Driven paths", [part for part in parts if is_drive(part.setting)], _DRIVE),
         ablation_sheet(parts),
@@ -148,6 +153,7 @@ def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
         _scores("Random floor plans", [part for part in by_frontier if part.setting.world == _ROOMS], _GRID),
         _worst([row for part in by_frontier if part.setting.world == _ROOMS for row in part.rows]),
         _scores("Floor plans", [part for part in by_frontier if part.setting.world.startswith(PLAN)], _GRID),
+        fault_sheet([part for part in parts if is_faulty(part.setting)]),
         _scores("Recorded logs", [part for part in parts if is_log(part.setting)], _LOGS),
     ]
     return [sheet for sheet in found if sheet is not None]

@@ -9,7 +9,12 @@ from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted
 
 LOG_POLICY, LAPS_POLICY = "replay", "laps"
+KIDNAPPED = "kidnapped"
+FAULTS = (KIDNAPPED, "reversed", "swapped", "delayed", "jump")
+"""The faults of :mod:`benchmarks.suite.faults`. In results, they take the place of the policy."""
 RANDOM, PLAN, LOG = "random:", "plan:", "log:"
+OWN_PLAN = f"{RANDOM}seed"
+"""The floor plan of the job's own seed."""
 
 Metric: TypeAlias = float | int | str | None
 
@@ -48,11 +53,17 @@ class Job:
     ----------
     world
         Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
-        in the data folder). The world of a log is ``log:NAME``.
+        in the data folder). ``random:seed`` becomes the floor plan of the job's seed. The world of a log is
+        ``log:NAME``.
     noise
         Standard deviation of the ranges, m; for a log, the assumed standard deviation.
-    robots, preset, policy, ablation, laps, seed, max_time, limit
+    robots, preset, policy, ablation, laps, seed, max_time, limit, until
         As in ``limslam_agent.runs.run_config.RunConfig``.
+    fault
+        A fault of :mod:`benchmarks.suite.faults` that begins in the middle of the run; None for a healthy robot.
+    fault_time, after_fault
+        The earliest and the latest time at which the fault begins, s (the seed chooses), and how long the robot drives
+        after that, s, in place of ``max_time``.
     log
         The recorded log that is replayed instead of a simulation; None for a simulated run.
     """
@@ -67,7 +78,14 @@ class Job:
     seed: int = 0
     max_time: float = 1800.0
     limit: bool = False
+    until: str = "seen"
+    fault: str | None = None
+    fault_time: tuple[float, float] = (80.0, 120.0)
+    after_fault: float = 40.0
     log: LogSource | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "world", self.world.replace(OWN_PLAN, f"{RANDOM}{self.seed}"))
 
     @property
     def key(self) -> str:
@@ -78,7 +96,7 @@ class Job:
     def identity(self) -> dict[str, Any]:
         """The fields that identify the job in a line of results."""
         names = ("world", "noise", "robots", "preset", "policy", "ablation", "laps", "seed")
-        policy = LAPS_POLICY if self.laps and self.policy == "frontier" else self.policy
+        policy = LAPS_POLICY if self.laps and self.policy == "frontier" else self.fault or self.policy
         return {**{name: getattr(self, name) for name in names}, "policy": policy, "key": self.key}
 
     @property

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +68,12 @@ _AXES: dict[str, tuple[str, _Kind, list[Any] | None]] = {
     "policies": ("policy", _TEXT, ["frontier"]),
     "ablations": ("ablation", _TEXT, [NO_ABLATION]),
     "laps": ("laps", _WHOLE, [0]),
+    "faults": ("fault", _TEXT, [None]),
 }
 """For each list of a grid: the field of the job, the kind of values, and the default (None: the list is required)."""
 
+_FAULT_KEYS = ("fault_time", "after_fault")
+_SHARED = (*_FAULT_KEYS, "until", "max_time", "limit")
 _LOG_AXES = ("noises", "presets", "ablations")
 
 
@@ -78,8 +82,10 @@ def shipped_suites() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
-def load_suite(source: str) -> Suite:
+def load_suite(source: str, first_seed: int | None = None) -> Suite:
     """A suite by the name of a shipped suite, or by the path of a TOML file.
+
+    With ``first_seed``, the seeds of each grid are moved so that this is the lowest one.
 
     Raises
     ------
@@ -95,11 +101,13 @@ def load_suite(source: str) -> Suite:
         text = read_limited(path, MAX_SUITE_BYTES).decode("utf-8").replace("\r\n", "\n")
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    return parse_suite(text, path.name if path.parent == FOLDER else str(path))
+    return parse_suite(text, path.name if path.parent == FOLDER else str(path), first_seed)
 
 
-def parse_suite(text: str, label: str) -> Suite:
+def parse_suite(text: str, label: str, first_seed: int | None = None) -> Suite:
     """A suite from the text of a TOML file; ``label`` is the name of the file in error messages.
+
+    With ``first_seed``, the seeds of each grid are moved so that this is the lowest one.
 
     Raises
     ------
@@ -115,7 +123,7 @@ def parse_suite(text: str, label: str) -> Suite:
         name, description = (_one(table, key, _TEXT) for key in ("name", "description"))
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
             raise ValueError(f"name: {name!r} must be made of letters, digits, - and _")
-        jobs = [*_jobs(table, "grid", _grid), *_jobs(table, "log", _log)]
+        jobs = [*_jobs(table, "grid", partial(_grid, first_seed=first_seed)), *_jobs(table, "log", _log)]
         if not jobs:
             raise ValueError("holds no jobs: [[grid]] or [[log]] makes them")
         for title, count in Counter(job.title for job in jobs).items():
@@ -143,12 +151,16 @@ def _train(table: dict[str, Any], jobs: list[Job]) -> TrainConfig | None:
     return config
 
 
-def _grid(table: dict[str, Any]) -> list[Job]:
+def _grid(table: dict[str, Any], first_seed: int | None) -> list[Job]:
     needed = {key for key, (_, _, default) in _AXES.items() if default is None} | {"seeds"}
-    _check_keys(table, "a grid", needed, {*_AXES, "max_time", "limit"} - needed)
+    _check_keys(table, "a grid", needed, {*_AXES, *_SHARED} - needed)
     axes = _axes(table, _AXES)
     axes["seed"] = _seeds(table["seeds"])
-    shared: dict[str, Any] = {}
+    if first_seed is not None:
+        axes["seed"] = [first_seed + seed - min(axes["seed"]) for seed in axes["seed"]]
+    shared = _fault_keys(table)
+    if "until" in table:
+        shared["until"] = _one(table, "until", _TEXT)
     if "max_time" in table:
         shared["max_time"] = float(_one(table, "max_time", _NUMBER))
         with _named("max_time"):
@@ -160,6 +172,18 @@ def _grid(table: dict[str, Any]) -> list[Job]:
         with _named(job.world):
             run_config(job)
     return jobs
+
+
+def _fault_keys(table: dict[str, Any]) -> dict[str, Any]:
+    """When the faults of a grid begin, and how long the robots drive after that."""
+    shared: dict[str, Any] = {}
+    if unused := [key for key in _FAULT_KEYS if key in table and "faults" not in table]:
+        raise ValueError(f"{unused[0]}: goes with faults")
+    if "fault_time" in table:
+        shared["fault_time"] = tuple(float(value) for value in _values(table, "fault_time", _NUMBER))
+    if "after_fault" in table:
+        shared["after_fault"] = float(_one(table, "after_fault", _NUMBER))
+    return shared
 
 
 def _combination(job: Job) -> Job:

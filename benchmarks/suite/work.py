@@ -11,7 +11,12 @@ from typing import Any
 
 import numpy as np
 
+<<<<<<< HEAD
 from benchmarks.suite.jobs import PLAN, RANDOM, Job, LogSource, Outcome, digest
+=======
+from benchmarks.suite.faults import Fault, fault_begins, fault_scores
+from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, LogSource, Metric, Outcome, digest
+>>>>>>> bench
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import OdometryConfig, preset
 from limslam_agent.output.export import plain
@@ -114,9 +119,12 @@ def run_config(job: Job) -> RunConfig:
     ValueError
         If the job cannot be run.
     """
+    begin = fault_begins(job)
     return RunConfig(
-        world_source(job.world), job.noise, job.preset, job.seed, job.max_time, job.laps,
-        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit, until="seen",
+        world_source(job.world), job.noise, job.preset, job.seed,
+        job.max_time if begin is None else begin + job.after_fault, job.laps,
+        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit, until=job.until,
+        kidnap_at=begin if job.fault == KIDNAPPED else None,
     )  # fmt: skip
 
 
@@ -129,14 +137,28 @@ def run_job(job: Job) -> Outcome:
         If the job cannot be run.
     """
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    outcome = simulated(run_config(job)) if job.log is None else _replayed(job, job.log)
+    outcome = _explored(job) if job.log is None else _replayed(job, job.log)
     spent = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
     return replace(outcome, cost={**outcome.cost, **spent})
 
 
 def simulated(config: RunConfig) -> Outcome:
     """Run the simulator by a configuration, and score the run. The cost of the whole job is left out."""
-    episode = run_episode(config)
+    return _scored(run_episode(config))
+
+
+def _explored(job: Job) -> Outcome:
+    begin = fault_begins(job)
+    if job.fault is None or begin is None:
+        return simulated(run_config(job))
+    episode = run_episode(run_config(job), alter=Fault(job.fault, begin, job.seed).altered)
+    scores = fault_scores(episode, begin)
+    outcome = _scored(episode)
+    return replace(outcome, metrics={**outcome.metrics, **scores})
+
+
+def _scored(episode: Episode) -> Outcome:
+    config = episode.config
     made_from = {"agent": asdict(config.agent), "robot": asdict(config.robot), "world": episode.world.digest}
     return Outcome(plain(score(episode)), cost(episode), _series(episode), digest(made_from))
 

@@ -172,6 +172,7 @@ def run_episode(
     on_association: Callable[[AssociationRecord], None] | None = None,
     render_mode: str | None = None,
     policies: Sequence[Policy] | None = None,
+    alter: Callable[[Observation, float], Observation] | None = None,
 ) -> Episode:
     """Run the robots and record what happens.
 
@@ -187,6 +188,8 @@ def run_episode(
         Render mode of the environment, for pictures of the truth.
     policies
         A policy for each robot, in place of those that ``config.policy`` names.
+    alter
+        Makes of each observation and its time (s) the observation that the agent gets and that is recorded: a fault.
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
@@ -204,7 +207,7 @@ def run_episode(
 
     team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     with naming_lines_of(config.policy):
-        rows = _drive(config, env, team, note_association, watch)
+        rows = _drive(config, env, team, note_association, watch, alter)
     joined, parted = (
         (team.mapper.joined, team.mapper.parted) if isinstance(team.mapper, JoiningMapper) else (None, None)
     )
@@ -322,6 +325,7 @@ def _drive(
     team: LimSlamTeam,
     on_association: Callable[[AssociationRecord], None],
     watch: Watcher | None,
+    alter: Callable[[Observation, float], Observation] | None,
 ) -> list[_Row]:
     """Step the robots until the team is done or the time is over."""
     observed, infos = env.reset(seed=config.seed)
@@ -335,7 +339,10 @@ def _drive(
     max_steps = round(config.max_time / config.robot.control_period)
     kidnapped_at = None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
     while True:
-        row = _decide(env, team, [observed[name] for name in team.names], [infos[name] for name in team.names])
+        told = [observed[name] for name in team.names]
+        if alter is not None:
+            told = [alter(each, infos[team.names[0]]["time"]) for each in told]
+        row = _decide(env, team, told, [infos[name] for name in team.names])
         rows.append(row)
         if watch is not None:
             watch(team, env, row.time, row.coverage)

@@ -94,6 +94,42 @@ def test_laps_show_odometry_beside_the_filter():
     assert sheet(rows, "Exploration") is None
 
 
+def test_outcomes_show_the_worst_runs_and_failures():
+    ends = [(0.01, 200.0, 0.0, 0), (0.02, None, 3.0, 1), (0.14, 210.0, 0.0, 0)]
+    rows = [
+        row(world, seed=seed, preset="graph", ate_smoothed_m=ate, anees_smoothed=10 * ate, exploration_time_s=time,
+            lost_s=lost, status="lost" if lost else "ok", collisions=touched, wall_f1_aligned_5cm=1.0 - ate)
+        for world in ("env1", "env2") for seed, (ate, time, lost, touched) in enumerate(ends)
+    ]  # fmt: skip
+    title = "Outcomes of explorations"
+    assert column(rows, title, "ended by itself") == ["2 of 3", "2 of 3", "4 of 6"]
+    assert column(rows, title, "ok at the end") == ["2 of 3", "2 of 3", "4 of 6"]
+    assert column(rows, title, "lost at some time") == ["1 of 3", "1 of 3", "2 of 6"]
+    assert column(rows, title, "worst smoothed ATE m") == ["0.140"] * 3
+    assert column(rows, title, "mean smoothed ANEES") == ["0.6"] * 3
+    assert column(rows, title, "worst F1 aligned 5 cm") == ["0.86"] * 3
+    assert sheet(grid(), title) is None
+
+
+def test_faults_have_a_table_and_are_no_explorations():
+    def robot(world, seed, policy="kidnapped", placed=12.0, wrong=0.0):
+        return row(
+            world, seed=seed, preset="graph", policy=policy, fault_doubted_s=0.5, fault_lost_s=9.0 + 2.0 * seed,
+            fault_placed_s=placed, fault_wrong_place_s=wrong, fault_wrong_place_ok_s=0.0, fault_unnoticed_s=float(seed),
+            fault_alarms_before_s=0.0, ate_smoothed_m=0.1 + wrong, status="ok",
+        )  # fmt: skip
+
+    rows = [robot("env2", 0), robot("env2", 1, placed=31.0), robot("random:7", 0, placed=None, wrong=2.0)]
+    assert column(rows, "Faults", "world") == ["env2", "random plans", "all"]
+    assert column(rows, "Faults", "lost within 10 s") == ["1 of 2", "1 of 1", "2 of 3"]
+    assert column(rows, "Faults", "placed within 30 s") == ["1 of 2", "0 of 1", "1 of 3"]
+    assert column(rows, "Faults", "at a wrong place") == ["0 of 2", "1 of 1", "1 of 3"]
+    assert column(rows, "Faults", "ok though wrong, at most s") == ["1.0", "0.0", "1.0"]
+    assert column(rows, "Faults", "ok at the end though it is above 0.5 m") == ["0 of 2", "1 of 1", "1 of 3"]
+    assert sheet(rows, "Exploration") is None
+    assert "placed after s" not in sheet([robot("env2", 0, "jump", placed=None)], "Faults").header
+
+
 def test_ablations_are_compared_pair_by_pair():
     base = [row(noise=0.02, seed=seed, ate_m=1.0 + seed) for seed in range(4)]
     cut = [row(noise=0.02, seed=seed, ate_m=2.0 + 2 * seed, ablation="no-ekf") for seed in range(3)]

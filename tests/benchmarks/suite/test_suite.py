@@ -1,5 +1,7 @@
 """Suite files: which jobs they make, and what is refused."""
 
+from collections import Counter
+
 import pytest
 from support.command_line import call
 from support.data import data_folder
@@ -7,6 +9,7 @@ from support.data import data_folder
 from benchmarks.__main__ import main
 from benchmarks.suite.jobs import LogSource
 from benchmarks.suite.suite import load_suite, parse_suite, shipped_suites
+from benchmarks.suite.work import run_config
 from limslam_agent.config.ablations import ABLATIONS
 
 HEAD = 'name = "tiny"\ndescription = "A few."\n'
@@ -57,6 +60,23 @@ def test_laps_are_called_laps_in_the_results():
     assert (job.identity["policy"], job.identity["laps"]) == ("laps", 4)
 
 
+def test_each_grid_begins_with_the_seed_that_is_asked_for():
+    text = GRID.replace("[0]", "[3, 5]") + GRID.removeprefix(HEAD).replace("env1", "random:seed:18x12")
+    jobs = parse_suite(text, "my.toml", first_seed=1000).jobs
+    assert [(job.world, job.seed) for job in jobs] == [("env1", 1000), ("env1", 1002), ("random:1000:18x12", 1000)]
+    assert [job.world for job in parse_suite(text, "my.toml").jobs] == ["env1", "env1", "random:0:18x12"]
+
+
+def test_faults_begin_when_the_seed_says():
+    jobs = parse_suite(GRID.replace("[0]", "[0, 1]") + "faults = ['kidnapped', 'jump']\nuntil = 'walls'\n", "a").jobs
+    assert [job.identity["policy"] for job in jobs] == ["kidnapped"] * 2 + ["jump"] * 2
+    carried, again, jump, _ = (run_config(job) for job in jobs)
+    assert 80.0 <= carried.kidnap_at <= 120.0
+    assert carried.max_time == jump.max_time == carried.kidnap_at + 40.0
+    assert (again.kidnap_at != carried.kidnap_at, jump.kidnap_at) == (True, None)
+    assert carried.agent.policy.until == "walls"
+
+
 def test_floor_plans_by_seed():
     jobs = parse_suite(GRID.replace("env1", "random:8..11"), "my.toml").jobs
     assert [job.world for job in jobs] == ["random:8", "random:9", "random:10", "random:11"]
@@ -97,6 +117,16 @@ def test_floor_plans_by_seed():
         (GRID.replace("env1", "random:1") + "laps = [2]\n", "[[grid]] 1: random:1: world"),
         (GRID + "max_time = 0\n", "[[grid]] 1: max_time: the longest time must be above 0 s"),
         (GRID + "max_time = '9'\n", "[[grid]] 1: max_time: must be number"),
+        (GRID + "until = 'tired'\n", "[[grid]] 1: env1: "),
+        (
+            GRID + "faults = ['drunk']\n",
+            "[[grid]] 1: faults: no fault is called 'drunk'; there are kidnapped, reversed",
+        ),
+        (GRID + "fault_time = [9, 10]\n", "[[grid]] 1: fault_time: goes with faults"),
+        (GRID + "faults = ['jump']\nfault_time = [10, 9]\n", "[[grid]] 1: env1: fault_time: must be two times"),
+        (GRID + "faults = ['jump']\nfault_time = [9]\n", "[[grid]] 1: env1: fault_time: must be two times"),
+        (GRID + "faults = ['jump']\nafter_fault = 0\n", "[[grid]] 1: env1: after_fault: must be above 0 s"),
+        (GRID + "faults = ['jump']\nrobots = [2]\n", "[[grid]] 1: env1: faults are for one robot that explores"),
         (GRID + "limit = 1\n", "[[grid]] 1: limit: must be true or false"),
         (GRID.replace("[0]", "[-1]"), "[[grid]] 1: seeds: a seed is 0 or more, not -1"),
         (GRID.replace("[0]", "{first = 0, count = 0}"), "[[grid]] 1: seeds: first must be 0 or more, and count 1"),
@@ -144,7 +174,7 @@ def test_two_logs_of_one_name_are_refused():
     assert "2 jobs are the same to the tables: log:fr079" in refusal(HEAD + LOG + LOG + "max_range = 5\n")
 
 
-@pytest.mark.parametrize("suite", ["plans", "real"])
+@pytest.mark.parametrize("suite", ["plans", "real", "large"])
 def test_without_the_data_folder_one_line_says_so(suite, monkeypatch, tmp_path):
     monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(ValueError, match=rf"{suite}.toml: .*recorded data not found in .*nowhere: set LIMSLAM_DATA"):
@@ -166,17 +196,21 @@ def test_the_digest_knows_jobs_and_the_contents_of_worlds(tmp_path):
 def test_the_shipped_suites():
     assert set(shipped_suites()) == {
         "smoke", "paper", "consistent", "ablations", "limits", "noise", "random", "plans", "real", "explore",
+        "explorations", "kidnapped", "faults", "large",
     }  # fmt: skip
-    for name in {*shipped_suites()} - {"plans", "real"}:
+    for name in {*shipped_suites()} - {"plans", "real", "large"}:
         suite = load_suite(name)
         assert suite.name == name
         assert suite.description
     assert len(load_suite("smoke").jobs) >= 12
+    counts = Counter(job.fault for name in ("kidnapped", "faults") for job in load_suite(name).jobs)
+    assert counts == {"kidnapped": 20, "reversed": 5, "jump": 5, "delayed": 10}
 
 
 def test_the_suites_on_recorded_data():
     data_folder()
     assert {job.world.partition(":")[0] for job in load_suite("plans").jobs} == {"plan"}
+    assert {job.until for job in load_suite("large").jobs} == {"walls"}
     assert {job.world for job in load_suite("real").jobs} >= {"log:fr079", "log:csail"}
 
 
@@ -216,6 +250,7 @@ def test_no_such_suite(tmp_path):
         (["--suite", "smoke", "--timeout", "0"], "--timeout: a time above 0 s"),
         (["--suite", "smoke", "--engine", "carrier-pigeon"], "carrier-pigeon"),
         (["--suite", "smoke", "--workers", "0"], "--workers"),
+        (["--suite", "smoke", "--first-seed", "-1"], "--first-seed"),
     ],
 )
 def test_bad_arguments_end_with_2_and_one_line(arguments, reason):
