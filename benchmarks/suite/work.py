@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.suite.faults import Fault, fault_begins, fault_scores
-from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, LogSource, Metric, Outcome, digest
+from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, LogSource, Outcome, digest
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import OdometryConfig, preset
 from limslam_agent.output.export import plain
