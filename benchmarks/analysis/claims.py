@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.analysis import claim_checks as checks
-from benchmarks.analysis import lap_checks
 from benchmarks.analysis.claim_checks import Finding, Results
 from benchmarks.suite.store import Row
 
@@ -103,13 +102,13 @@ CLAIMS = (
     *(
         Claim(
             f"Four laps: the error in {name} grows without the EKF and is stable with it",
-            f"4, Fig. {figure}", lap_checks.error_is_stable(component),
+            f"4, Fig. {figure}", checks.error_is_stable(component),
         )
         for component, (name, figure) in enumerate((("x", 13), ("y", 14), ("heading", 15)))
     ),
     Claim("The EKF improves the pose", "4", checks.filter_improves_the_pose),
     Claim("The EKF lets the map be better", "4", checks.worse_without("no-ekf", "the EKF")),
-    Claim("The EKF gains more, the farther the robot drives", "4", lap_checks.gain_grows),
+    Claim("The EKF gains more, the farther the robot drives", "4", checks.gain_grows),
     Claim("Loop closing increases the success", "5; 2.5", checks.worse_without("no-loop-closing", "loop closing")),
     Claim(
         "End points must be checked, or different walls are taken for one", "2.4, Fig. 2",

@@ -123,6 +123,8 @@ def parse_suite(text: str, label: str, first_seed: int | None = None) -> Suite:
         name, description = (_one(table, key, _TEXT) for key in ("name", "description"))
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
             raise ValueError(f"name: {name!r} must be made of letters, digits, - and _")
+        if first_seed is not None and "grid" not in table:
+            raise ValueError("--first-seed: there is no [[grid]], and so no seed to move")
         jobs = [*_jobs(table, "grid", partial(_grid, first_seed=first_seed)), *_jobs(table, "log", _log)]
         if not jobs:
             raise ValueError("holds no jobs: [[grid]] or [[log]] makes them")

@@ -67,6 +67,11 @@ def test_each_grid_begins_with_the_seed_that_is_asked_for():
     assert [job.world for job in parse_suite(text, "my.toml").jobs] == ["env1", "env1", "random:0:18x12"]
 
 
+def test_a_suite_without_seeds_has_no_first_one():
+    with pytest.raises(ValueError, match=r"^my.toml: --first-seed: there is no \[\[grid\]\]"):
+        parse_suite(HEAD + LOG, "my.toml", first_seed=7)
+
+
 def test_faults_begin_when_the_seed_says():
     jobs = parse_suite(GRID.replace("[0]", "[0, 1]") + "faults = ['kidnapped', 'jump']\nuntil = 'walls'\n", "a").jobs
     assert [job.identity["policy"] for job in jobs] == ["kidnapped"] * 2 + ["jump"] * 2
