@@ -38,9 +38,9 @@ def plot(folder: Path, out: Path, *, svg: bool = False) -> list[Path]:
     Parameters
     ----------
     folder
-        Folder for the figures; created if it does not exist.
+        Folder of results.
     out
-        Write SVG files in addition to the PNG files.
+        Folder for the figures; created if it does not exist.
     svg
         Write SVG files beside the PNG files.
 

@@ -1,7 +1,7 @@
 """How fast the environments and their batches are, beside others in the same run: ``python -m benchmarks.speed``.
 
-The candidates take turns (:mod:`benchmarks.speed.rates`), other simulators (:mod:`benchmarks.speed.peers`) among them
-where they are installed (extra ``peers``).
+The candidates take turns (:mod:`benchmarks.speed.rates`), other simulators (:mod:`benchmarks.speed.simulators`) among
+them where they are installed (extra ``peers``).
 """
 
 import argparse
@@ -19,9 +19,9 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks.speed.env import PLAIN, counted, plain_loop, rooms, single_loop
-from benchmarks.speed.peers import PEERS, peer_loops
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
 from benchmarks.speed.run import BAR, times_faster
+from benchmarks.speed.simulators import SIMULATORS, simulator_loops
 from limslam_agent import SlamVectorObservation
 from limslam_env.geometry import FloatArray
 
@@ -203,13 +203,13 @@ def seconds_of_starts() -> float:
     return float(np.median(times))
 
 
-def print_peers(rates: dict[str, FloatArray], skipped: dict[str, str]) -> None:
+def print_simulators(rates: dict[str, FloatArray], skipped: dict[str, str]) -> None:
     """Print how many times as fast our batch is as other simulators, and what a step of each computes."""
     print(f"\n| peer | {OURS} / peer | what a step computes |\n|---|---|---|")
     print(f"| {OURS} | 1 | one robot, contacts, six rays among walls, noise, encoders, coverage, resets; float64 |")
-    for name, peer in PEERS.items():
+    for name, simulator in SIMULATORS.items():
         times = f"{ratio(rates, OURS, name):,.0f}" if name in rates else f"skipped: {skipped[name]}"
-        print(f"| {name} | {times} | {peer.computes} |")
+        print(f"| {name} | {times} | {simulator.computes} |")
 
 
 def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
@@ -252,10 +252,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="count processor time, for a machine that is busy; threads then count as one after the other",
     )
     options = parser.parse_args(arguments)
-    candidates, (peers, skipped) = loops(), peer_loops()
+    candidates, (others, skipped) = loops(), simulator_loops()
     clock: Clock = time.process_time if options.processor_time else time.perf_counter
-    rates = rates_in_turn(candidates | peers, options.rounds, clock)
+    rates = rates_in_turn(candidates | others, options.rounds, clock)
     print_rates(rates, {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"})
-    print_peers(rates, skipped)
+    print_simulators(rates, skipped)
     if not options.no_bars:
         print_bars(rates, candidates["batch of 8192"], clock)

@@ -111,9 +111,10 @@ def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
 def _numbers(run: "FinishedRun", part: str) -> dict[str, object]:
     content = run.result.get(part)
     if not isinstance(content, dict):
-        from limslam_agent.output.finished_run import RESULT, FolderError
+        from limslam_agent.output.finished_run import FolderError
+        from limslam_agent.output.run_folder import RESULT_FILE
 
-        raise FolderError(f"{run.folder / RESULT}: has no {part}")
+        raise FolderError(f"{run.folder / RESULT_FILE}: has no {part}")
     return content
 
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.claims import OutputError, hidden, repair
+from limslam_agent.output.run_folder import RESULT_FILE
 from limslam_agent.output.tum import TrajectoryError, read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.messages import counted, one_line
 
-RESULT, MAP, LOG, PICTURE, WORLD = "result.json", "map.json", "log.npz", "map.png", "world.toml"
+MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
 UNPLACED = "map_unplaced.json"
 
@@ -129,7 +130,7 @@ def read_run(folder: Path) -> FinishedRun:
         If the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
     """
     _check_finished(folder)
-    result, segments = _read_json(folder / RESULT), read_walls(folder / MAP)
+    result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
     tables = {kind: _trajectories(folder, kind) for kind in ("est", "true", "odometry", "smoothed")}
     if not tables["est"]:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
@@ -165,10 +166,10 @@ def _check_finished(folder: Path) -> None:
             repair(folder.absolute())
     if not folder.is_dir():
         raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
-    if not (folder / RESULT).is_file():
+    if not (folder / RESULT_FILE).is_file():
         has_map = (folder / MAP).is_file() and (folder / PICTURE).is_file()
         picture = f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
-        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT}{picture}")
+        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT_FILE}{picture}")
 
 
 def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:

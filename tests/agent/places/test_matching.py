@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.halls import HALL
 
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
@@ -12,12 +13,6 @@ from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.geometry.segment import distances
 
 CONFIG = PlaceConfig()
-# An L-shaped hall with a niche and a pillar: no two places look alike.
-HALL = np.array([
-    [0, 0, 6, 0], [6, 0, 6, 2.4], [6, 2.4, 2.6, 2.4], [2.6, 2.4, 2.6, 5], [2.6, 5, 0, 5], [0, 5, 0, 3.4],
-    [0, 3.4, 0.7, 3.4], [0.7, 3.4, 0.7, 2.6], [0.7, 2.6, 0, 2.6], [0, 2.6, 0, 0],
-    [4.2, 0.9, 4.8, 0.9], [4.8, 0.9, 4.8, 1.4], [4.8, 1.4, 4.2, 1.4], [4.2, 1.4, 4.2, 0.9],
-], dtype=float)  # fmt: skip
 CORRIDOR = np.array([[0, 0, 12, 0], [0, 1.4, 12, 1.4]], dtype=float)
 
 

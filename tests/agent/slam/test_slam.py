@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.drives import recorded
+from support.drives import drive, placed, recorded, straight
 
 from limslam_agent.config.presets import AgentConfig, HoughConfig, preset
 from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
@@ -14,7 +14,7 @@ from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import along, distance, nearest_form, through
-from limslam_env.geometry.se2 import arc, compose, transform_points, wheels_to_arc, wrap_angle
+from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSpec, side_of
 
 ROBOT = RobotSpec()
@@ -37,45 +37,6 @@ def corridor(half: float) -> FloatArray:
 
 CORRIDOR = corridor(0.4)
 STARTS = [(0.0, 0.0, 0.0), (1.0, 2.0, 2.5), (-3.0, 1.0, -2.9), (0.5, 0.0, 0.5 * math.pi)]
-
-
-def placed(walls: FloatArray, start: FloatArray) -> FloatArray:
-    """Walls (n, 4) given about the start, in the world."""
-    return transform_points(start, walls.reshape(-1, 2)).reshape(-1, 4)
-
-
-def ranges_at(pose: FloatArray, walls: FloatArray, robot: RobotSpec) -> FloatArray:
-    """Exact readings: the nearest crossing of each beam with a wall, by solving two equations."""
-    readings = robot.max_ranges.copy()
-    for number, beam in enumerate(robot.beams):
-        origin = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
-        heading = np.array([math.cos(pose[2] + beam.angle), math.sin(pose[2] + beam.angle)])
-        for wall in walls:
-            span = wall[2:] - wall[:2]
-            matrix = np.column_stack((heading, -span))
-            if abs(np.linalg.det(matrix)) < 1e-12:
-                continue
-            reach, share = np.linalg.solve(matrix, wall[:2] - origin)
-            if reach > 0.0 and 0.0 <= share <= 1.0:
-                readings[number] = min(readings[number], max(reach, beam.min_range))
-    return readings
-
-
-def drive(
-    walls: FloatArray, start: FloatArray, wheels: list[tuple[float, float]], robot: RobotSpec = ROBOT
-) -> tuple[list[Observation], FloatArray]:
-    """Observations, and true poses (n, 3), along given wheel travels; the first is taken at the start."""
-    pose, poses, observations = start, [], []
-    for travel in [(0.0, 0.0), *wheels]:
-        pose = compose(pose, arc(*wheels_to_arc(np.array(travel), robot.axle)))
-        poses.append(pose)
-        readings = ranges_at(pose, walls, robot).astype(np.float32)
-        observations.append({"ranges": readings, "wheels": np.float32(travel)})
-    return observations, np.array(poses)
-
-
-def straight(metres: float) -> list[tuple[float, float]]:
-    return [(0.025, 0.025)] * round(metres / 0.025)
 
 
 def run(observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT) -> LineSlam:

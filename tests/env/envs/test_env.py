@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from support.noises import EVERYTHING
+from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
@@ -64,25 +64,10 @@ def random_actions(count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-1.0, 1.0, (count, 2)).astype(np.float32)
 
 
-def holding_actions(count: int, seed: int = 0) -> np.ndarray:
-    """Actions that are held for a while, so that the robot gets somewhere and meets walls."""
-    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (count // 25 + 1, 2))
-    return np.repeat(held, 25, axis=0)[:count].astype(np.float32)
-
-
-def bits(result: tuple) -> bytes:
-    """All that a reset or a step gives, to the last bit."""
-    parts = []
-    for part in result:
-        values = part.items() if isinstance(part, dict) else [("", part)]
-        parts += [key.encode() + np.asarray(value).tobytes() for key, value in values]
-    return b"|".join(parts)
-
-
 def episode_digest(name: str, seed: int) -> str:
     """A name for everything that an episode gives; another process calls this, too."""
     env = gym.make(name, noise=EVERYTHING, **IDS[name])
-    results = [env.reset(seed=seed), *(env.step(action) for action in holding_actions(400))]
+    results = [env.reset(seed=seed), *(env.step(action) for action in held_actions(400))]
     return hashlib.sha256(b"".join(bits(result) for result in results)).hexdigest()
 
 
@@ -254,9 +239,9 @@ def test_reset_moves_to_another_world_for_one_episode():
 def test_an_episode_elsewhere_leaves_no_trace():
     env, fresh = (LimSlamEnv("env1", noise=EVERYTHING) for _ in range(2))
     env.reset(seed=5, options={"world": "env3"})
-    for action in holding_actions(200):
+    for action in held_actions(200):
         env.step(action)
-    for one, other in zip(follow(env, holding_actions(100), 7), follow(fresh, holding_actions(100), 7), strict=True):
+    for one, other in zip(follow(env, held_actions(100), 7), follow(fresh, held_actions(100), 7), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -458,7 +443,7 @@ def test_an_episode_is_the_same_in_another_process_to_the_last_bit():
 def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
     env = gym.make(name, noise=EVERYTHING, max_episode_steps=700)
     env.reset(seed=2)
-    actions = holding_actions(700, seed=2)
+    actions = held_actions(700, seed=2)
     for action in actions[:100]:
         env.step(action)
     copied, results = clone(env), []

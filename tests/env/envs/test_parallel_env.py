@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pettingzoo
 import pytest
-from support.noises import EVERYTHING
+from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
@@ -52,31 +52,17 @@ def all_alike(env: LimSlamParallelEnv, action=AHEAD) -> dict:
     return dict.fromkeys(env.agents, action)
 
 
-def random_actions(robots: int, count: int, seed: int = 0) -> list[dict]:
-    """Actions that are held for a while, so that robots meet walls and each other."""
-    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (count // 25 + 1, robots, 2)).astype(np.float32)
-    rows = np.repeat(held, 25, axis=0)[:count]
-    return [{f"robot_{number}": action for number, action in enumerate(row)} for row in rows]
-
-
-def bits(result: tuple) -> bytes:
-    """All that a reset or a step gives, to the last bit."""
-
-    def leaves(value):
-        if isinstance(value, dict):
-            for key, part in value.items():
-                yield key.encode()
-                yield from leaves(part)
-        else:
-            yield np.asarray(value).tobytes()
-
-    return b"|".join(leaf for part in result for leaf in leaves(part))
+def named_actions(robots: int, count: int, seed: int = 0) -> list[dict]:
+    return [
+        {f"robot_{number}": action for number, action in enumerate(row)}
+        for row in held_actions(count, robots, seed=seed)
+    ]
 
 
 def episode_digest(robots: int, seed: int, steps: int, world: str = "env3") -> str:
     """A name for everything that an episode gives; another process calls this, too."""
     env = LimSlamParallelEnv(world, num_robots=robots, noise=EVERYTHING)
-    results = [env.reset(seed=seed), *(env.step(actions) for actions in random_actions(robots, steps))]
+    results = [env.reset(seed=seed), *(env.step(actions) for actions in named_actions(robots, steps))]
     return hashlib.sha256(b"".join(bits(result) for result in results)).hexdigest()
 
 
@@ -165,7 +151,7 @@ def test_spaces_are_the_same_objects_at_each_call_and_those_of_the_single_enviro
 def test_observations_and_info_are_what_the_contract_says():
     env = LimSlamParallelEnv("env1", num_robots=3, noise=EVERYTHING)
     observations, infos = env.reset(seed=0)
-    for step, actions in enumerate(random_actions(3, 200)):
+    for step, actions in enumerate(named_actions(3, 200)):
         assert list(observations) == list(infos) == env.possible_agents
         for name in env.agents:
             observation, info = observations[name], infos[name]
@@ -238,7 +224,7 @@ def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
 def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone):
     env = LimSlamParallelEnv("env3", num_robots=3, noise=EVERYTHING, max_cycles=650)
     env.reset(seed=2)
-    actions = random_actions(3, 650, seed=1)
+    actions = named_actions(3, 650, seed=1)
     for action in actions[:100]:
         env.step(action)
     copied, touched = clone(env), False
@@ -322,7 +308,7 @@ def test_a_robot_alone_sees_and_does_what_the_single_environment_s_does():
     env, single = LimSlamParallelEnv("env1", num_robots=1, noise=EVERYTHING), LimSlamEnv("env1", noise=EVERYTHING)
     observations, infos = env.reset(seed=3)
     assert bits((observations["robot_0"], infos["robot_0"])) == bits(single.reset(seed=3))
-    for actions in random_actions(1, 200):
+    for actions in named_actions(1, 200):
         result = tuple(part["robot_0"] for part in env.step(actions))
         assert bits(result) == bits(single.step(actions["robot_0"]))
 
@@ -333,7 +319,7 @@ def test_rewards_are_the_sum_of_their_pieces(shared):
     env = LimSlamParallelEnv("env1", num_robots=3, rewards=pieces, shared_reward=shared)
     _, infos = env.reset(seed=0)
     before, cells, seen_apart, touched = infos["robot_0"]["coverage"], env.coverage_grid.total, False, set()
-    for actions in random_actions(3, 400, seed=3):
+    for actions in named_actions(3, 400, seed=3):
         _, rewards, _, _, infos = env.step(actions)
         collisions = [infos[name]["collision"] for name in env.agents]
         new_area = 0.01 * cells * (infos["robot_0"]["coverage"] - before)
@@ -433,7 +419,7 @@ def test_the_order_of_actions_does_not_matter():
     env, other = LimSlamParallelEnv("env1", num_robots=3), LimSlamParallelEnv("env1", num_robots=3)
     env.reset(seed=0)
     other.reset(seed=0)
-    for actions in random_actions(3, 20):
+    for actions in named_actions(3, 20):
         assert bits(env.step(actions)) == bits(other.step(dict(reversed(actions.items()))))
 
 

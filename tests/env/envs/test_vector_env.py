@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from scipy import stats
-from support.noises import EVERYTHING
+from support.episodes import EVERYTHING, held_actions
 
 import limslam_env
 from limslam_env.config import NoiseConfig, RewardConfig
@@ -23,12 +23,6 @@ from limslam_env.worlds.world import WorldError
 
 QUIET = NoiseConfig(wheel_variance=0.0)
 SMALL = FloorPlanConfig(width=4.0, height=4.0)
-
-
-def holding(steps: int, envs: int, seed: int = 0) -> np.ndarray:
-    """Actions (steps, envs, 2) that are held for a while, so that robots get somewhere and meet walls."""
-    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (steps // 25 + 1, envs, 2)).astype(np.float32)
-    return np.repeat(held, 25, axis=0)[:steps]
 
 
 def assert_same(batch: tuple, env: int, single: tuple, atol: float = 1e-6) -> None:
@@ -58,7 +52,7 @@ def test_it_is_the_same_environment(world):
         assert_same(
             (observations, [0.0] * envs, [False] * envs, None, infos), env, (observation, 0.0, False, None, info)
         )
-    for actions in holding(steps, envs):
+    for actions in held_actions(steps, envs):
         result = batch.step(actions)
         for env, single in enumerate(singles):
             one = single.step(actions[env])
@@ -107,7 +101,7 @@ def test_it_is_the_same_for_other_robots(robot):
     batch.reset(seed=0)
     for single in singles:
         single.reset(seed=0)
-    for actions in holding(150, 2, seed=3):
+    for actions in held_actions(150, 2, seed=3):
         result = batch.step(actions)
         for env, single in enumerate(singles):
             assert_same(result, env, single.step(actions[env]))
@@ -157,7 +151,7 @@ def test_same_seed_same_bits_whatever_the_threads(world):
             num_threads=threads, max_episode_steps=12, **plans,
         )  # fmt: skip
         parts = [batch.reset(seed=9)[0]["ranges"].tobytes()]
-        for actions in holding(30, 1500):
+        for actions in held_actions(30, 1500):
             observations, rewards, _, _, infos = batch.step(actions)
             parts += [value.tobytes() for value in (*observations.values(), rewards, infos["pose"])]
         batch.close()
@@ -226,7 +220,7 @@ def run(mode: AutoresetMode, batch_type=None, steps: int = 14) -> list[tuple]:
             vector_kwargs={"autoreset_mode": mode}, **arguments,
         )  # fmt: skip
     env.reset(seed=0)
-    return [env.step(actions) for actions in holding(steps, 2)]
+    return [env.step(actions) for actions in held_actions(steps, 2)]
 
 
 def assert_same_info(ours: dict, theirs: dict) -> None:
@@ -276,7 +270,7 @@ def test_without_autoreset_a_mask_resets():
 def test_the_goal_terminates():
     batch = LimSlamVectorEnv("env1", 2, coverage_goal=0.1, sensor_noise=0.02)
     batch.reset(seed=0)
-    for actions in holding(400, 2):
+    for actions in held_actions(400, 2):
         _, _, terminated, truncated, infos = batch.step(actions)
         np.testing.assert_array_equal(terminated, infos["coverage"] >= 0.1)
         assert not truncated.any()
@@ -291,7 +285,7 @@ def test_rewards_are_of_the_settings():
     batch.reset(seed=0)
     total = batch._simulation._places.sites.totals[0]
     before = np.zeros(4)
-    for actions in holding(200, 4):
+    for actions in held_actions(200, 4):
         _, values, _, _, infos = batch.step(actions)
         new = np.rint((infos["coverage"] - before) * total) * 0.01
         before = infos["coverage"]
@@ -500,7 +494,7 @@ REFUSED_RESETS = {
 @pytest.mark.parametrize("seed", [None, 5])
 def test_a_refused_reset_changes_nothing(kind, seed):
     batch, twin = (LimSlamVectorEnv(num_envs=4, max_episode_steps=15, **REFUSED_RESETS[kind]) for _ in range(2))
-    first, actions = batch.reset(seed=0), holding(60, 4)
+    first, actions = batch.reset(seed=0), held_actions(60, 4)
     assert_bits(first, twin.reset(seed=0))
     # All starts but the last can be used.
     starts = first[1]["pose"].copy()

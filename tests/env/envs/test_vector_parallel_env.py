@@ -4,6 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from support.episodes import held_actions
 
 import limslam_env
 from limslam_env.config import NoiseConfig
@@ -11,11 +12,6 @@ from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.envs.vector_parallel_env import LimSlamParallelVectorEnv
 
 QUIET = NoiseConfig(wheel_variance=0.0)
-
-
-def holding(steps: int, robots: int, seed: int = 0) -> np.ndarray:
-    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (steps // 25 + 1, robots, 2)).astype(np.float32)
-    return np.repeat(held, 25, axis=0)[:steps]
 
 
 def assert_same(batch: tuple, env: int, single: tuple, atol: float) -> None:
@@ -39,7 +35,7 @@ def test_it_is_the_same_environment(robots):
     batch = LimSlamParallelVectorEnv("square", 2, num_robots=robots, noise=QUIET)
     batch.reset(seed=0, options={"start": np.array(poses)})
     contacts = meetings = 0
-    rows = [holding(300, robots, seed) for seed in range(2)]
+    rows = [held_actions(300, robots, seed=seed) for seed in range(2)]
     for step in range(300):
         actions = {name: np.array([rows[env][step, k] for env in range(2)]) for k, name in enumerate(batch.agents)}
         result = batch.step(actions)
@@ -88,7 +84,7 @@ def test_it_is_made_by_name_and_has_spaces_for_each_robot():
 
 
 def test_rewards_can_be_shared():
-    actions = holding(60, 2)
+    actions = held_actions(60, 2)
     rewards = []
     for shared in (False, True):
         env = LimSlamParallelVectorEnv("env1", 2, noise=QUIET, shared_reward=shared)
@@ -126,7 +122,7 @@ def test_same_seed_same_bits_whatever_the_threads():
         env = LimSlamParallelVectorEnv("env3", 700, sensor_noise=(0.0, 0.04), num_threads=threads)
         env.reset(seed=3)
         parts = []
-        for row in holding(10, 2):
+        for row in held_actions(10, 2):
             result = env.step({name: np.tile(row[k], (700, 1)) for k, name in enumerate(env.agents)})
             parts += [result[0][name]["ranges"].tobytes() + result[4][name]["pose"].tobytes() for name in env.agents]
         env.close()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.drives import ranges_at
 
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import AgentConfig, preset
@@ -10,7 +11,7 @@ from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.geometry.segment import polygon_edges
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
@@ -111,27 +112,16 @@ def test_a_line_and_its_other_form_are_no_difference():
 
 
 ROBOT = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))
+WALL = np.array([[0.0, 1.0, 2.0, 1.0]])
 
 
 def drive(slam: LineSlam, true: np.ndarray, end: float, drift: float) -> np.ndarray:
-    """Along a wall at y = 1 to x = ``end``, with wheels that turn ``drift`` (rad) too little a step; the true pose."""
+    """Along the wall to x = ``end``, with wheels that turn ``drift`` (rad) too little a step; the true pose."""
     while (end - true[0]) * np.cos(true[2]) > 0.0:
         wheels = np.array([0.02 + 0.5 * drift * ROBOT.axle, 0.02 - 0.5 * drift * ROBOT.axle])
         true = compose(true, np.array([0.02, 0.0, 0.0]))
-        slam.step({"ranges": ranges_at(true), "wheels": wheels})
+        slam.step({"ranges": ranges_at(true, WALL, ROBOT), "wheels": wheels})
     return true
-
-
-def ranges_at(pose: np.ndarray) -> np.ndarray:
-    """Distances to the wall from (0, 1) to (2, 1)."""
-    found = ROBOT.max_ranges.copy()
-    for number, beam in enumerate(ROBOT.beams):
-        origin = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
-        rise = np.sin(pose[2] + beam.angle)
-        distance = (1.0 - origin[1]) / rise if rise > 1e-9 else np.inf
-        if distance < beam.max_range and 0.0 < origin[0] + distance * np.cos(pose[2] + beam.angle) < 2.0:
-            found[number] = distance
-    return found
 
 
 def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
@@ -180,26 +170,9 @@ def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str,
     for pose in poses:
         ahead, _, turn = compose(inverse(before), pose)
         half = 0.5 * ROBOT.axle * (turn + drift * ahead)
-        observations.append({"ranges": ray_lengths(pose, walls), "wheels": np.array([ahead - half, ahead + half])})
+        observations.append({"ranges": ranges_at(pose, walls, ROBOT), "wheels": np.array([ahead - half, ahead + half])})
         before = pose
     return observations
-
-
-def ray_lengths(pose: FloatArray, walls: FloatArray) -> FloatArray:
-    found = ROBOT.max_ranges.copy()
-    for number, beam in enumerate(ROBOT.beams):
-        x, y = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
-        dx, dy = np.cos(pose[2] + beam.angle), np.sin(pose[2] + beam.angle)
-        for x1, y1, x2, y2 in walls:
-            ex, ey = x2 - x1, y2 - y1
-            cross = dx * ey - dy * ex
-            if abs(cross) < 1e-12:
-                continue
-            distance = ((x1 - x) * ey - (y1 - y) * ex) / cross
-            share = ((x1 - x) * dy - (y1 - y) * dx) / cross
-            if 0.0 <= distance < found[number] and 0.0 <= share <= 1.0:
-                found[number] = distance
-    return found
 
 
 @pytest.mark.parametrize("drift", [0.012, -0.012])

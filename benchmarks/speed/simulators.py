@@ -189,7 +189,7 @@ def minigrid_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
     return run
 
 
-class Peer(NamedTuple):
+class Simulator(NamedTuple):
     """Another simulator.
 
     Attributes
@@ -207,23 +207,23 @@ class Peer(NamedTuple):
     computes: str
 
 
-PEERS = {
-    "vmas, 1024": Peer(
+SIMULATORS = {
+    "vmas, 1024": Simulator(
         "vmas", lambda: vmas_loop(1024),
         "one robot, forces and collisions with 40 walls, six rays; float32 in PyTorch; no noise, no coverage",
     ),
-    "ir-sim, one environment": Peer(
+    "ir-sim, one environment": Simulator(
         "ir-sim", irsim_loop, "one robot, collisions with 40 walls, six rays by Shapely; no noise, no coverage",
     ),
-    "irsim-x, 1024": Peer(
+    "irsim-x, 1024": Simulator(
         "irsim-x", lambda: irsim_x_loop(1024),
         "one robot, collisions with 40 walls, six rays; float32 in C++; no noise, no coverage, no reset",
     ),
-    "Kheperax, 1024": Peer(
+    "Kheperax, 1024": Simulator(
         "kheperax", lambda: kheperax_loop(1024),
         "one robot, collisions with 44 walls, three rays, two bumpers; float32 in JAX; no noise, no coverage, no reset",
     ),
-    "MiniGrid of envpool, 1024": Peer(
+    "MiniGrid of envpool, 1024": Simulator(
         "envpool", lambda: minigrid_loop(1024), "a move between cells and a view of 7 x 7 cells; no geometry; C++",
     ),
 }  # fmt: skip
@@ -239,17 +239,17 @@ def is_installed(distribution: str) -> bool:
     return True
 
 
-def peer_loops() -> tuple[dict[str, Loop], dict[str, str]]:
+def simulator_loops() -> tuple[dict[str, Loop], dict[str, str]]:
     """The loops of the simulators that work here, and why the others do not."""
     found, skipped = {}, {}
-    for name, peer in PEERS.items():
-        if not is_installed(peer.distribution):
-            skipped[name] = f"{peer.distribution} is not installed"
+    for name, simulator in SIMULATORS.items():
+        if not is_installed(simulator.distribution):
+            skipped[name] = f"{simulator.distribution} is not installed"
             continue
         try:
-            found[name] = peer.make()
+            found[name] = simulator.make()
             found[name]()
-        except Exception as error:  # noqa: BLE001 (whatever goes wrong in a peer, the others are measured)
+        except Exception as error:  # noqa: BLE001 (whatever goes wrong in one, the others are measured)
             found.pop(name, None)
             skipped[name] = " ".join(f"{type(error).__name__}: {error}".split())[:100]
     return found, skipped
