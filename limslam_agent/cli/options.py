@@ -211,6 +211,10 @@ ZoneAxes = Annotated[
     str | None,
     _option(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
 ]
+Columns = Annotated[
+    str | None,
+    _option(_TABLE, "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used."),
+]
 ZeroIsNothing = Annotated[
     bool | None,
     _option(

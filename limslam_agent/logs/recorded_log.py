@@ -60,6 +60,8 @@ class RecordedLog:
         Left and right wheel travel since the previous event (n, 2), m, or None. A log has either odometry or wheels.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
+    restarts
+        Times at which the robot was switched on again, as its encoder counters show, s.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class RecordedLog:
     odometry: FloatArray | None = None
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
+    restarts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         count, beams = self.time.size, len(self.robot.beams)

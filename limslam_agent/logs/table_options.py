@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -49,6 +49,9 @@ class TableOptions:
         hold distances along their own directions.
     zero_is_nothing
         Whether a range of 0 says that nothing was seen. Otherwise something may be too near to be measured.
+    columns
+        What the columns hold, in place of the file's own header: the names that a header would have, and ``-`` for a
+        column that is not used. Empty if the header of the file is read.
 
     Raises
     ------
@@ -64,6 +67,7 @@ class TableOptions:
     time_unit: str = "s"
     zone_axes: tuple[float, ...] = ()
     zero_is_nothing: bool = False
+    columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres_per_tick) and self.metres_per_tick > 0.0):
@@ -107,11 +111,18 @@ class TableOptions:
             )
         return self.metres / math.cos(apart)
 
+    def is_just_switched_on(self, time: float, left: float, right: float) -> bool:
+        """Whether encoders that count from the start say no more than the robot can drive in ``time``, s."""
+        if not self.accumulated or self.robot is None:
+            return False
+        farthest = TOO_FAST * self.robot.max_wheel_speed * max(time, self.robot.control_period)
+        return max(abs(left), abs(right)) * self.metres_per_tick <= farthest
+
     def wheel_travel(self, columns: FloatArray) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
         The first row has no row before it. The robot counts as standing there, wherever it drove earlier. A counter of
-        16 bits, with or without a sign, is continued where it begins again.
+        16 bits, with or without a sign, is continued where it overflows.
         """
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0
@@ -119,6 +130,27 @@ class TableOptions:
             half = COUNTER_SPAN // 2
             travel = np.where(np.abs(travel) > half, travel - np.sign(travel) * COUNTER_SPAN, travel)
         return travel * self.metres_per_tick
+
+
+def started_again(wheels: FloatArray, counted: FloatArray, time: FloatArray, robot: RobotSpec) -> BoolArray:
+    """Rows (n,) in which a robot was switched on again, so that its encoders count from 0.
+
+    The counters then differ from the row before by more than the robot can drive, and are themselves as small as after
+    a short drive.
+
+    Parameters
+    ----------
+    wheels
+        Travel of both wheels since the row before (n, 2), m.
+    counted
+        What both counters say (n, 2), m.
+    time
+        Times (n,), s.
+    robot
+        The robot.
+    """
+    farthest = _farthest(time, robot)
+    return np.asarray((np.abs(wheels).max(axis=1) > farthest) & (np.abs(counted).max(axis=1) <= farthest))
 
 
 def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None:
@@ -131,7 +163,7 @@ def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
     farthest = np.abs(wheels).max(axis=1)
-    is_too_far = farthest > TOO_FAST * robot.max_wheel_speed * lasted
+    is_too_far = farthest > _farthest(time, robot)
     if not is_too_far.any():
         return
     row = int(np.argmax(is_too_far))
@@ -140,3 +172,9 @@ def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None
         f"max_wheel_speed is {robot.max_wheel_speed:g} m/s. Are left and right metres since the row before? "
         "--metres-per-tick converts ticks, and --accumulated says that they count from the start"
     )
+
+
+def _farthest(time: FloatArray, robot: RobotSpec) -> FloatArray:
+    """Largest travel of a wheel since the row before (n,), m, that is taken for possible."""
+    lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
+    return TOO_FAST * robot.max_wheel_speed * lasted
