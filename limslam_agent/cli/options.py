@@ -219,7 +219,7 @@ ZeroIsNothing = Annotated[
     bool | None,
     _option(
         _TABLE,
-        "A range of 0 says that nothing was seen, not that something is too near.",
+        "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading.",
         None,
         "--zero-is-nothing/--no-zero-is-nothing",
     ),

@@ -203,7 +203,7 @@ class _Rows:
         move[0] += self.time_before
         values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
         if self.options.zero_is_nothing:
-            values = [value or math.inf for value in values]
+            values = [math.inf if value <= 0.0 else value for value in values]
         self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
         self.moves.extend(move)
         self.has_scan.append(not silent)

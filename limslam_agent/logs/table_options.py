@@ -48,7 +48,8 @@ class TableOptions:
         perpendicular distances, along the axis that is nearest to the direction of the column. Without axes the columns
         hold distances along their own directions.
     zero_is_nothing
-        Whether a range of 0 says that nothing was seen. Otherwise something may be too near to be measured.
+        Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may be too near to be
+        measured, and a negative number is no reading.
     columns
         What the columns hold, in place of the file's own header: the names that a header would have, and ``-`` for a
         column that is not used. Empty if the header of the file is read.

@@ -102,7 +102,7 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         axes.grid(color="0.9", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
     if upper.lines:
-        upper.legend(fontsize=8, frameon=False, loc="upper left")
+        upper.legend(fontsize=8, framealpha=0.8, edgecolor="none", loc="upper left")
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
 
