@@ -135,7 +135,11 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     options = _OPTIONS if allocates else _LEAN
 
     def entry(kernel: Kernel) -> Kernel:
-        kept = _njit(kernel, is_kernel=True, cache=True, **options)
+        try:
+            kept = _njit(kernel, is_kernel=True, cache=True, **options)
+        except RuntimeError:  # numba found no folder that it may write to
+            _announce_that_nothing_is_kept()
+            kept = None
         # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
@@ -168,6 +172,11 @@ def _announce(kept: Any, name: str) -> None:
         return found
 
     cache.load_overload = load_or_announce
+
+
+@functools.cache
+def _announce_that_nothing_is_kept() -> None:
+    announce("no folder for compiled code can be written, so each start compiles anew; set NUMBA_CACHE_DIR to a folder")
 
 
 @functools.cache

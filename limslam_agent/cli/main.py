@@ -22,6 +22,9 @@ from limslam_agent.cli.show import compare, show
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
 
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C ended."""
+
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads of linear algebra. Each is read once, when numpy or scipy is loaded."""
 
@@ -87,8 +90,7 @@ def main() -> None:
     except typer.TyperException as error:
         _fail(error.format_message())
     except (typer.Abort, KeyboardInterrupt):
-        typer.echo("limslam: stopped", err=True)
-        sys.exit(130)
+        code = INTERRUPTED
     except ValueError as error:
         # All errors that the project raises itself are ValueErrors: worlds, logs, outputs, settings.
         _fail(str(error))
@@ -96,6 +98,8 @@ def main() -> None:
         _fail(f"{error.filename or 'output'}: {error.strerror or error}")
     except (ArithmeticError, MemoryError) as error:
         _fail(f"a number is too large or too small to compute with: {error}")
+    if code == INTERRUPTED:  # which typer itself returns after Ctrl-C
+        typer.echo("limslam: stopped", err=True)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -195,9 +195,13 @@ ZoneAxes = Annotated[
     str | None,
     _option(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
 ]
+Columns = Annotated[
+    str | None,
+    _option(_TABLE, "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used."),
+]
 ZeroIsNothing = Annotated[
     bool | None,
-    _option(_TABLE, "A range of 0 says that nothing was seen, not that something is too near."),
+    _option(_TABLE, "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading."),
 ]
 ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
 RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]

@@ -30,6 +30,7 @@ def replay(
     time_unit: take.TimeUnit = None,
     zone_axes: take.ZoneAxes = None,
     zero_is_nothing: take.ZeroIsNothing = None,
+    columns: take.Columns = None,
     noise: take.AssumedNoise = None,
     preset: take.ReplayPreset = None,
     map: take.PriorMap = None,  # noqa: A002 (the option's name)
@@ -168,12 +169,16 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
     axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
     units = options.range_unit, options.time_unit
-    table = TableOptions(robot, options.metres_per_tick, options.accumulated, *units, axes, options.zero_is_nothing)
+    columns = () if options.columns is None else tuple(name.strip().lower() for name in options.columns.split(","))
+    ticks = options.metres_per_tick, options.accumulated
+    table = TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
 
     def opened(path: Path) -> "RecordedLog":
         return read_log(path, angles, options.max_range, topics, limits, table)
 
     recorded = opened(log)
+    if options.noise > (reach := float(recorded.robot.max_ranges.max())):
+        raise ValueError(f"--noise {options.noise:g} m is more than the longest range of {reach:g} m: is it in metres?")
     if options.map is not None and recorded.wheels is None:
         raise ValueError(f"{log}: has odometry poses; --map is for logs of wheel travel")
     if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):

@@ -75,6 +75,7 @@ class ReplayOptions(Bounded):
     time_unit: str = "s"
     zone_axes: str | None = None
     zero_is_nothing: bool = False
+    columns: str | None = None
     noise: _Std = 0.02
     preset: str = DEFAULT_PRESET
     map: Path | None = None
@@ -306,9 +307,14 @@ def robot_named(named: str) -> "RobotSpec":
     if not named.endswith(".toml"):
         raise SettingsError(f"--robot: no robot is called {named!r}; there are {', '.join(ROBOTS)}, or a .toml file")
     try:
-        return _robot_in(read_toml(Path(named)), named)
+        table = read_toml(Path(named))
+        missing = next((name for name in ("radius", "axle") if name not in table), None)
+        robot = _robot_in(table, named)
     except SettingsError as error:
         raise SettingsError(f"--robot: {error}") from error
+    if missing is not None:
+        raise SettingsError(f"--robot: {named}: {missing} is missing: a robot's file needs radius and axle, m")
+    return robot
 
 
 def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":

@@ -10,7 +10,8 @@
 wheel travel has ``left`` and ``right`` instead of ``x``, ``y`` and ``theta``. Other units, and the robot on which the
 beams sit, are `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and ``inf``
 means that the beam saw nothing (`limslam_agent.readings`). Columns may also be separated by semicolons or spaces. The
-header may be a comment with a remark in brackets.
+header may be a comment with a remark in brackets. A header that is repeated is skipped: some loggers write it again
+when they start again.
 """
 
 import math
@@ -35,13 +36,16 @@ from limslam_agent.logs.pose_log import (
     pose_log,
 )
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
-from limslam_agent.logs.table_options import TableOptions, check_counters, check_travel
+from limslam_agent.logs.table_options import TableOptions, check_travel, started_again
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
 NO_SCAN = b"-"
 """Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
+
+NOT_USED = "-"
+"""Name of a column that is not used."""
 
 _TIME = {"t", "time", "stamp"}
 _POSE = (_TIME, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
@@ -132,23 +136,34 @@ class _Rows:
         self.beams: list[SensorSpec] = []
         self.columns: list[int] = []
         self.metres: list[float] = []
+        self.header = b""
         self.separator: bytes | None = None
+        self.used: list[int] = []
         self.directions: list[float] = []
         self.moves = array("d")
         self.ranges = array("d")
         self.has_scan = bytearray()
+        self.time_before = 0.0
+        self.restarts: list[int] = []
 
     def add(self, line: bytes) -> None:
         """Process one line. The first line that is neither blank nor a remark is the header."""
+        text = line.strip()
         if not self.directions:
             names, self.separator = _names(line)
-            if names and not _is_remark(line, names):
-                self._add_header(names)
-        elif not line.startswith(b"#") and (text := line.strip()):
-            self._add_row([field.strip() for field in text.split(self.separator)])
+            columns = list(self.options.columns)
+            if names and not (line.startswith(b"#") if columns else _is_remark(line, names)):
+                self.header = text
+                self._add_header(columns or names)
+                if columns and _is_number(names[0]):
+                    self._add_row(text)
+        elif not line.startswith(b"#") and text and text != self.header:
+            self._add_row(text)
 
     def _add_header(self, names: list[str]) -> None:
         # Only the chosen columns are stored: a header may name thousands.
+        self.used = [place for place, name in enumerate(names) if name != NOT_USED]
+        names = [names[place] for place in self.used]
         self.leading, self.directions = _leading(names), _directions(names)
         self.limits.check_beams(len(names) - self.leading)
         if self.max_range is not None:
@@ -164,7 +179,12 @@ class _Rows:
         self.beams = [beams[index] for index in self.columns]
         self.metres = [self.options.along_beam(self.directions[index]) for index in self.columns]
 
-    def _add_row(self, fields: list[bytes]) -> None:
+    def _add_row(self, text: bytes) -> None:
+        fields = [field.strip() for field in text.split(self.separator)]
+        if self.options.columns:
+            if len(fields) != len(self.options.columns):
+                raise ValueError(f"{len(fields)} columns where --columns names {len(self.options.columns)}")
+            fields = [fields[place] for place in self.used]
         count = self.leading + len(self.directions)
         readings = fields[self.leading :]
         silent = bool(readings) and all(field == NO_SCAN for field in readings)
@@ -173,11 +193,17 @@ class _Rows:
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
         move[0] *= self.options.seconds
-        if self.moves and move[0] < self.moves[-self.leading] - LARGEST_STEP_BACK:
-            raise ValueError(f"the time steps back by {self.moves[-self.leading] - move[0]:.1f} s")
+        before = self.moves[-self.leading] if self.moves else move[0]
+        if move[0] + self.time_before < before - LARGEST_STEP_BACK:
+            if self.leading == len(_POSE) or not self.options.is_just_switched_on(*move):
+                raise ValueError(f"the time steps back by {before - move[0] - self.time_before:.1f} s")
+            # The clock of a robot that was switched on again counts on from the row before.
+            self.restarts.append(len(self.has_scan))
+            self.time_before = before
+        move[0] += self.time_before
         values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
         if self.options.zero_is_nothing:
-            values = [value or math.inf for value in values]
+            values = [math.inf if value <= 0.0 else value for value in values]
         self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
         self.moves.extend(move)
         self.has_scan.append(not silent)
@@ -199,8 +225,12 @@ class _Rows:
     def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
         wheels = self.options.wheel_travel(moves[:, 1:])
+        again = np.zeros(len(moves), dtype=np.bool_)
         if self.options.accumulated:
-            check_counters(self.options.metres_per_tick * moves[:, 1:], wheels, moves[:, 0], robot)
+            counted = moves[:, 1:] * self.options.metres_per_tick
+            again = started_again(wheels, counted, moves[:, 0], robot)
+            again[self.restarts] = True
+            wheels[again] = counted[again]
         check_travel(wheels, moves[:, 0], robot)
         return RecordedLog(
             robot=robot,
@@ -209,6 +239,7 @@ class _Rows:
             has_scan=has_scan,
             start_pose=np.zeros(3),
             wheels=wheels,
+            restarts=tuple(moves[again, 0].tolist()),
         )
 
 
@@ -254,7 +285,8 @@ def _directions(names: list[str]) -> list[float]:
     """Directions of the range columns, deg."""
     leading = _leading(names)
     if not leading:
-        raise ValueError(f"the header must be {_FORMS}, not {','.join(names)[:60]!r}")
+        found = ",".join(names)[:60]
+        raise ValueError(f"the header must be {_FORMS}, not {found!r}; --columns names the columns of another header")
     directions: list[float] = []
     columns = names[leading:]
     for place, name in enumerate(columns):
@@ -302,3 +334,11 @@ def _between(before: list[float], after: list[str]) -> list[float]:
 def _reading(field: bytes) -> float:
     """A range, m. NaN where the field is empty: there is no reading."""
     return parse_range(field, "a range") if field else math.nan
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

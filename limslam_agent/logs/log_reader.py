@@ -66,7 +66,7 @@ def read_log(
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
         _refuse_options(path, table)
         return read_npz(path, limits)
-    if fspath(path).endswith(_TEXT_ENDINGS) or is_csv(path):
+    if fspath(path).endswith(_TEXT_ENDINGS) or (table is not None and table.columns) or is_csv(path):
         return read_csv(path, beams_deg, max_range, limits, table)
     _refuse_options(path, table)
     return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach, limits)

@@ -125,12 +125,12 @@ def pose_log(
         raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
+    # Negative ranges stay, so that the log can count them.
+    readings = np.where(ranges < 0.0, ranges, as_readings(ranges, robot.min_ranges, robot.max_ranges))
     return RecordedLog(
         robot=robot,
         time=time,
-        ranges=np.where(
-            has_scan[:, None], as_readings(ranges, robot.min_ranges, robot.max_ranges), robot.max_ranges
-        ).astype(np.float32),
+        ranges=np.where(has_scan[:, None], readings, robot.max_ranges).astype(np.float32),
         has_scan=has_scan,
         start_pose=np.zeros(3),
         odometry=np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2]))),

@@ -4,7 +4,7 @@ import gzip
 import math
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import IO, Any, TypeAlias
@@ -60,6 +60,10 @@ class RecordedLog:
         Left and right wheel travel since the previous event (n, 2), m, or None. A log has either odometry or wheels.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
+    restarts
+        Times at which the robot was switched on again, as its encoder counters show, s.
+    negative
+        How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
     Raises
     ------
@@ -75,6 +79,8 @@ class RecordedLog:
     odometry: FloatArray | None = None
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
+    restarts: tuple[float, ...] = ()
+    negative: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         count, beams = self.time.size, len(self.robot.beams)
@@ -84,6 +90,7 @@ class RecordedLog:
             raise ValueError("needs either odometry or wheels")
         _check("time", self.time, (count,))
         _check("ranges", self.ranges, (count, beams), finite=False)
+        object.__setattr__(self, "negative", int((self.ranges < 0.0).sum()))
         readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
         object.__setattr__(self, "ranges", readings.astype(np.float32))
         _check("has_scan", self.has_scan, (count,))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -51,7 +51,11 @@ class TableOptions:
         perpendicular distances, along the axis that is nearest to the direction of the column. Without axes the columns
         hold distances along their own directions.
     zero_is_nothing
-        Whether a range of 0 says that nothing was seen. Otherwise something may be too near to be measured.
+        Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may be too near to be
+        measured, and a negative number is no reading.
+    columns
+        What the columns hold, in place of the file's own header: the names that a header would have, and ``-`` for a
+        column that is not used. Empty if the header of the file is read.
 
     Raises
     ------
@@ -67,6 +71,7 @@ class TableOptions:
     time_unit: str = "s"
     zone_axes: tuple[float, ...] = ()
     zero_is_nothing: bool = False
+    columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres_per_tick) and self.metres_per_tick > 0.0):
@@ -110,11 +115,18 @@ class TableOptions:
             )
         return self.metres / math.cos(apart)
 
+    def is_just_switched_on(self, time: float, left: float, right: float) -> bool:
+        """Whether encoders that count from the start say no more than the robot can drive in ``time``, s."""
+        if not self.accumulated or self.robot is None:
+            return False
+        farthest = TOO_FAST * self.robot.max_wheel_speed * max(time, self.robot.control_period)
+        return max(abs(left), abs(right)) * self.metres_per_tick <= farthest
+
     def wheel_travel(self, columns: FloatArray) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
         The first row has no row before it. The robot counts as standing there, wherever it drove earlier. A counter of
-        16 bits, with or without a sign, is continued where it begins again.
+        16 bits, with or without a sign, is continued where it overflows.
         """
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0
@@ -124,27 +136,28 @@ class TableOptions:
         return travel * self.metres_per_tick
 
 
-def check_counters(counts: FloatArray, wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None:
-    """Refuse counters (n, 2), m, of a robot that was switched on again: both begin again at 0.
+def started_again(wheels: FloatArray, counted: FloatArray, time: FloatArray, robot: RobotSpec) -> BoolArray:
+    """Rows (n,) in which a robot was switched on again, so that its encoders count from 0.
 
-    A counter that begins again because it has 16 bits only has travelled no farther than usual.
+    Both counters are then near 0, and at least one of them differs from the row before by more than the robot can drive
+    meanwhile. A counter that begins again because it has 16 bits only has travelled no farther than usual.
 
-    Raises
-    ------
-    ValueError
-        If both counters are near 0, and a wheel travels (``wheels`` (n, 2), m) farther to there than the robot can
-        drive between two rows with the times (n,), s.
+    Parameters
+    ----------
+    wheels
+        Travel of both wheels since the row before (n, 2), m.
+    counted
+        What both counters say (n, 2), m.
+    time
+        Times (n,), s.
+    robot
+        The robot.
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
     # A robot often takes seconds to begin, and then stands.
-    lasted[(counts == 0.0).all(axis=1)] = robot.control_period
+    lasted[(counted == 0.0).all(axis=1)] = robot.control_period
     farthest = (RESTARTED * robot.max_wheel_speed * lasted)[:, None]
-    begins = (np.abs(counts) <= farthest).all(axis=1) & (np.abs(wheels) > farthest).any(axis=1)
-    if begins.any():
-        raise ValueError(
-            f"both wheel counters begin again near 0 at time {time[int(np.argmax(begins))]:g} s: was the robot "
-            "switched on again? Its travel until then is unknown. Two tables, of before and after, can be joined"
-        )
+    return np.asarray((np.abs(counted) <= farthest).all(axis=1) & (np.abs(wheels) > farthest).any(axis=1))
 
 
 def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None:

@@ -1,5 +1,6 @@
 """Draws ``map.png``: the map beside the truth."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
 _DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
 _ONLINE_WIDTH = 0.9
 _START, _END = "o", "s"
+_LETTERS_PER_INCH = 11  # of a title
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
@@ -48,6 +50,8 @@ class MapPicture:
     online
         Positions as they were estimated while the robot drove, in the form of ``estimated``, if the map is from the
         smoothed path. None if ``estimated`` is that path.
+    remark
+        A sentence below the title, such as why the map may be wrong. Empty if there is none.
 
     Raises
     ------
@@ -63,6 +67,7 @@ class MapPicture:
     true_path: FloatArray | Sequence[FloatArray] | None = None
     grid: GridView | None = None
     online: FloatArray | Sequence[FloatArray] | None = None
+    remark: str = ""
 
     def __post_init__(self) -> None:
         if not self.estimates:
@@ -105,7 +110,8 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     paint_map(axes, picture)
-    axes.set_title(picture.title, fontsize=11, parse_math=False)
+    remark = textwrap.fill(picture.remark, max(int(_LETTERS_PER_INCH * size[0]), 1))
+    axes.set_title("\n".join(filter(None, (picture.title, remark))), fontsize=11, parse_math=False)
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False, fontsize=9)
     figure.savefig(path, dpi=160, facecolor="white")
 

@@ -68,9 +68,11 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     """Plot the errors against the truth. Without truth, plot the distance of the estimate from odometry."""
     reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
     colours = path_colours(len(run.estimated))
-    curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, "-", "estimated online")]
+    # In the styles of the map beside them: the best estimate has a line without gaps.
+    online: _Style = _DOTS if run.smoothed else "-"
+    curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, online, "estimated online")]
     if run.smoothed:
-        curves.append((run.smoothed, 0, _DOTS, "smoothed"))
+        curves.append((run.smoothed, 0, "-", "smoothed"))
     if run.true:
         curves.append((run.odometry, 1, _DASHES, "odometry alone"))
     for kind, which, style, name in curves:
@@ -100,7 +102,7 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         axes.grid(color="0.9", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
     if upper.lines:
-        upper.legend(fontsize=8, frameon=False, loc="upper left")
+        upper.legend(fontsize=8, framealpha=0.8, edgecolor="none", loc="upper left")
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
 

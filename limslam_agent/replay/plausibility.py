@@ -35,6 +35,12 @@ MOST_TURNS = 4.0
 """If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
 0.4 to 0.7 rad/m."""
 
+MANY_NEGATIVE = 0.01
+"""Above this share of negative readings, a negative number probably says that nothing was seen."""
+
+MOST_NAMED = 5
+"""A warning names at most so many times."""
+
 LEAST_SPREAD = 0.5
 """If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
 
@@ -42,7 +48,9 @@ LEAST_SPREAD = 0.5
 def log_warnings(log: RecordedLog) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
     about_times = _about_times(log)
-    return [*about_times, *_about_ranges(log), *_about_zeros(log), *(() if about_times else _about_odometry(log))]
+    about_odometry = [] if about_times else _about_odometry(log)
+    about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log)]
+    return [*_about_restarts(log), *about_times, *about_ranges, *about_odometry]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -50,6 +58,15 @@ def map_warnings(replay: Replay) -> list[str]:
     if len(replay.segments):
         return []
     return [f"the map has 0 walls: {_why_no_walls(replay)}"]
+
+
+def _about_restarts(log: RecordedLog) -> list[str]:
+    if not log.restarts:
+        return []
+    more = ", ..." if len(log.restarts) > MOST_NAMED else ""
+    times = ", ".join(f"{time:.1f}" for time in log.restarts[:MOST_NAMED]) + more
+    consequence = "the map goes on from where it was; if it was moved meanwhile, replay the parts as logs of their own"
+    return [f"the encoders begin to count again at {times} s, as of a robot that was switched on again: {consequence}"]
 
 
 def _about_times(log: RecordedLog) -> list[str]:
@@ -75,6 +92,14 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
         return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
     return []
+
+
+def _about_negatives(log: RecordedLog) -> list[str]:
+    share = log.negative / max(log.ranges.size, 1)
+    if share <= MANY_NEGATIVE:
+        return []
+    text = f"{share:.0%} of the readings are negative and were skipped: if the sensors report them where they see"
+    return [f"{text} nothing, --zero-is-nothing reads them in a table as that"]
 
 
 def _about_zeros(log: RecordedLog) -> list[str]:

@@ -281,16 +281,17 @@ def write_replay(
     true_path = None if log.true_pose is None else log.true_pose[:, :2]
     title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
     path = replay.estimated if smoothed is None else smoothed.poses
-    picture = MapPicture(
-        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid,
-        online=None if smoothed is None else replay.estimated[:, :2],
-    )  # fmt: skip
-    draw_map(folder / "map.png", picture)
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
     levels = replay.levels[:, None]
     statuses = status_scores(log.time, levels, replay.status)
     if smoothed is not None and smoothed.status is not None:
         statuses |= final_status_scores(smoothed.status, replay.status, lost_note(log.time, levels))
+    remark = "" if statuses["status"] == LEVELS[0] else f"{statuses['status']}: {statuses['status_reason']}"
+    picture = MapPicture(
+        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid,
+        online=None if smoothed is None else replay.estimated[:, :2], remark=remark,
+    )  # fmt: skip
+    draw_map(folder / "map.png", picture)
     found = replay.self_calibration.figures if replay.self_calibration else {}
     statuses |= _hand_over(replay)
     cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)

@@ -14,6 +14,7 @@ import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.cli import run as run_module
 from limslam_agent.cli import warmup as warmup_module
 from limslam_agent.runs import precompilation
+from limslam_env import compilation
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
@@ -111,6 +112,22 @@ from limslam_env.compilation import entry
 def slow(x):
     return x + 1
 """
+
+
+def test_a_kernel_is_compiled_at_each_start_if_no_folder_can_be_written(monkeypatch, capsys):
+    compile_function = compilation._njit
+
+    def without_folder(*arguments, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function 'add': no locator available")
+        return compile_function(*arguments, **options)
+
+    monkeypatch.setattr(compilation, "_njit", without_folder)
+    monkeypatch.delenv("LIMSLAM_QUIET", raising=False)
+    compilation._announce_that_nothing_is_kept.cache_clear()
+    kernels = [compilation.entry_of()(lambda x: x + 1) for _ in range(2)]
+    assert [kernel(1) for kernel in kernels] == [2, 2]
+    assert capsys.readouterr().err.count("set NUMBA_CACHE_DIR to a folder") == 1
 
 
 @pytest.mark.parametrize(("quiet", "first"), [("", "limslam: compiling 'slow', once, about 7 s\n"), ("1", "")])

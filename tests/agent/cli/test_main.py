@@ -373,3 +373,30 @@ def test_a_run_can_be_filmed(tmp_path):
     assert refused.returncode == 2
     assert ".mp4" in refused.stderr
     assert not (tmp_path / "other").exists()
+
+
+def test_ctrl_c_says_that_the_command_was_stopped(monkeypatch):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("limslam_env.worlds.formats.loading.shipped_worlds", interrupted)
+    result = limslam("worlds")
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "limslam: stopped\n")
+
+
+def test_a_noise_beyond_the_longest_range_is_refused(carmen_log):
+    result = limslam("replay", carmen_log, "--noise", "20")
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+    assert "--noise 20 m is more than the longest range of 3 m: is it in metres?" in result.stderr
+
+
+def test_a_picture_says_why_its_map_may_be_wrong(carmen_log, tmp_path, monkeypatch):
+    pictures = []
+    monkeypatch.setattr("limslam_agent.output.drawing.draw_map", lambda _, picture: pictures.append(picture))
+    for preset_name in ("consistent", "odometry"):
+        out = tmp_path / preset_name
+        assert limslam("replay", carmen_log, "--preset", preset_name, "--out", out).returncode == 0
+        metrics = json.loads((out / "result.json").read_text())["metrics"]
+        is_ok = metrics["status"] == "ok"
+        assert pictures[-1].remark == ("" if is_ok else f"{metrics['status']}: {metrics['status_reason']}")
+    assert any(picture.remark for picture in pictures)

@@ -165,6 +165,7 @@ def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
         ("max_range = 2.0", "--robot: robot.toml: max_range goes with beams_deg"),
         ("beams_deg = [0]\nbeams = [{x = 0.0, y = 0.0, angle = 0.0}]", "beams and beams_deg both describe the beams"),
         ("axle =", "--robot: robot.toml: is not TOML"),
+        ("radius = 0.08\nbeams_deg = [90, -90]", "--robot: robot.toml: axle is missing"),
     ],
 )
 def test_a_robots_file_that_cannot_be_used_is_refused(tmp_path, monkeypatch, robot, words):

@@ -1,6 +1,7 @@
 """Tables of wheel travel: units, the robot that recorded them, and one line for every fault."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from support.data import refusal
 
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 
 ROBOT = RobotSpec(radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0))
@@ -113,12 +115,13 @@ def test_both_counters_may_begin_again_in_the_same_row(write):
 
 @pytest.mark.parametrize(("gap", "first"), [(0.1, 0), (0.1, 7), (2.0, 30), (30.0, 0)])
 @pytest.mark.parametrize("before", [3000, 40000])
-def test_counters_of_a_robot_that_was_switched_on_again_are_refused_in_one_line(write, gap, first, before):
+def test_a_robot_may_be_switched_on_again_after_a_gap_or_within_the_span_of_its_counters(write, gap, first, before):
     counts = [(0.1 * row, before + 20 * row) for row in range(5)]
     counts += [(0.4 + gap + 0.1 * row, first + 20 * row) for row in range(5)]
     rows = "".join(f"{time:.1f},{count},{count + 1000 * (count >= before)},1,1,1\n" for time, count in counts)
-    text = refusal(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
-    assert f"both wheel counters begin again near 0 at time {0.4 + gap:g} s" in text
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
+    np.testing.assert_allclose(log.wheels[:, 0], [0.0, *[0.02] * 4, 1e-3 * first, *[0.02] * 4], atol=1e-9)
+    assert log.restarts == (pytest.approx(0.4 + gap),)
 
 
 def test_counters_that_pass_0_in_a_gap_are_read(write):
@@ -127,6 +130,49 @@ def test_counters_that_pass_0_in_a_gap_are_read(write):
     )
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
     np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 0.02, 0.06])
+
+
+NAMES = "millis;encL;encR;IR1;IR2;IR3"
+
+
+@pytest.mark.parametrize("head", [f"{NAMES}\n", f"# my robot\n{NAMES}\n", ""])
+def test_columns_can_be_named_in_place_of_the_header(write, head):
+    ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54", "r_-90"))
+    named = read_log(write(head + TICKS.replace(",", ";"), "named.log"), table=options)
+    np.testing.assert_array_equal(named.ranges, ticks.ranges)
+    np.testing.assert_array_equal(named.wheels, ticks.wheels)
+    without = replace(options, columns=("t", "left", "right", "-", "r_54", "r_-90"))
+    fewer = read_log(write(head + TICKS.replace(",", ";"), "named.log"), table=without)
+    np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
+
+
+def test_columns_that_do_not_fit_are_refused(write):
+    assert "--columns names the columns of another header" in refusal(write(f"{NAMES}\n{TICKS}"))
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
+    assert "line 2: 6 columns where --columns names 5" in refusal(write(HEAD + TICKS), table=options)
+
+
+def test_a_robot_that_is_switched_on_again_counts_on(write):
+    whole = [f"{100 * row},{40 * row},{50 * row},900,800,700" for row in range(30)]
+    again = [f"{100 * row},{40 * row},{50 * row},900,800,700" for row in range(1, 10)]
+    one = read_log(write(HEAD + "\n".join([*whole, *again])), table=TICK_OPTIONS)
+    np.testing.assert_allclose(one.wheels[1:], np.tile([0.04, 0.05], (38, 1)))
+    np.testing.assert_allclose(np.diff(one.time), 0.1)
+    assert one.restarts == (pytest.approx(3.0),)
+    # A logger that writes its header again, and a clock that goes on.
+    again = [f"{2900 + 100 * row},{40 * row},{50 * row},900,800,700" for row in range(1, 10)]
+    text = HEAD + "\n".join([*whole, HEAD.strip(), *again])
+    two = read_log(write(text), table=TICK_OPTIONS)
+    np.testing.assert_allclose(two.wheels, one.wheels)
+    assert two.restarts == one.restarts
+    (warning,) = log_warnings(two)
+    assert "begin to count again at 3.0 s" in warning
+
+
+def test_a_clock_that_steps_back_without_its_counters_is_refused(write):
+    rows = "0,0,0,1,1,1\n9000,400,500,1,1,1\n100,9410,9510,1,1,1\n"
+    assert "line 4: the time steps back by 8.9 s" in refusal(write(HEAD + rows), table=TICK_OPTIONS)
 
 
 def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):

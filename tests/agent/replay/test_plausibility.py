@@ -56,6 +56,15 @@ def test_readings_that_do_not_exist_say_nothing_about_units(tmp_path):
     assert log_warnings(read_log(written(tmp_path, "nan", "nan"))) == []
 
 
+def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
+    path = written(tmp_path, "2.9", "-1")
+    (warning,) = log_warnings(read_log(path))
+    assert warning.startswith("50% of the readings are negative and were skipped")
+    whole = read_log(path, table=TableOptions(zero_is_nothing=True))
+    assert log_warnings(whole) == []
+    np.testing.assert_array_equal(whole.ranges, read_log(written(tmp_path, "2.9", "inf")).ranges)
+
+
 @pytest.mark.parametrize(("period", "said"), [(100.0, "100"), (0.0005, "0.0005")])
 def test_times_in_another_unit_are_noticed(tmp_path, period, said):
     (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
