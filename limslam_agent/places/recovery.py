@@ -45,7 +45,7 @@ from limslam_env.interface import RobotSpec
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
 WRONG_PLACE = Status("lost", "the readings contradict the map at the place that was found")
-NOT_CONFIRMED = "the robot's place was found, and it is not confirmed yet"
+NOT_CONFIRMED = Status("unsure", "the robot's place was found, and it is not confirmed yet")
 BEGUN_ANEW = "the robot was lost before its map had walls, and has begun a new map where it believed to be"
 _WATCHED = 300  # number of steps after a sudden change in which it is weighed
 
@@ -112,7 +112,7 @@ class Recovery:
             return Status("lost", found.reason)
         if own.level != "ok":
             return own
-        return Status("unsure", found.reason if found is self._arrival and found.reason else NOT_CONFIRMED)
+        return Status("unsure", found.reason) if found is self._arrival and found.reason else NOT_CONFIRMED
 
     @property
     def added_covariance(self) -> FloatArray:

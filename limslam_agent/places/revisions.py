@@ -72,6 +72,11 @@ class PlaceHistory:
         """The steps in which the robot's place is known at the end."""
         return slice(None if self.unplaced is None else self.unplaced.begin)
 
+    @property
+    def is_unconfirmed(self) -> bool:
+        """Whether the robot had found its place at the end, and it was not confirmed yet."""
+        return bool(self.records) and self.records[-1]["event"] in ("found", "renewed")
+
 
 def revised(poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]) -> tuple[FloatArray, FloatArray]:
     """The poses (t, n, 3) of a run of one robot as they are known at the end, with covariances (t, n, 3, 3).

@@ -16,6 +16,7 @@ from limslam_agent.config.graph import GraphConfig, WallLineConfig
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.places.recovery import NOT_CONFIRMED
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
@@ -263,6 +264,8 @@ def smoothed_by_lines(
             found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
             replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
+    if status.level == "ok" and places.is_unconfirmed:
+        status = NOT_CONFIRMED
     seconds = time.process_time() - begin
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run)
     return replace(

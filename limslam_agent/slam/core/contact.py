@@ -173,26 +173,31 @@ class Contacts:
         return replace(motion, covariance=motion.covariance + slip_covariance(variance, angle))
 
 
-class Slip(NamedTuple):
-    """A motion of a finished drive in which the wheels may have slipped by contact.
+class LooseMotion(NamedTuple):
+    """A motion of a finished drive that is less certain than the noise of the wheels says.
 
     Attributes
     ----------
     robot, motion
         Number of the robot, and index of the motion.
     root
-        Root (3, 3) of the inverse covariance of the motion, slip included: it makes the errors of the left and the
-        right wheel's travel and of the motion aside, m, independent with a variance of 1.
+        Root (3, 3) of the inverse covariance of the motion: it makes the errors of the left and the right wheel's
+        travel and of the motion aside, m, independent with a variance of 1.
     """
 
     robot: int
     motion: int
     root: FloatArray
 
+    @classmethod
+    def of(cls, robot: int, motion: int, covariance: FloatArray) -> "LooseMotion":
+        """The motion with a covariance (3, 3) of left and right wheel's travel and of the motion aside, m^2."""
+        return cls(robot, motion, np.linalg.inv(np.linalg.cholesky(covariance)))
+
 
 def slips_of(
     robot: RobotSpec, std: float, wheels: FloatArray, stds: FloatArray, ranges: FloatArray, measured: BoolArray
-) -> tuple[Slip, ...]:
+) -> tuple[LooseMotion, ...]:
     """The motions of a drive of n robots in which their wheels may have slipped by contact.
 
     Parameters
@@ -211,7 +216,7 @@ def slips_of(
         for motion, covariance in _slips(robot, std, wheels[number], ranges[:, number], measured[:, number]):
             own = found.setdefault((number, motion), np.diag(stds[number, motion] ** 2))
             own += by_increment @ covariance @ by_increment.T
-    return tuple(Slip(*place, np.linalg.inv(np.linalg.cholesky(each))) for place, each in found.items())
+    return tuple(LooseMotion.of(*place, each) for place, each in found.items())
 
 
 def _slips(

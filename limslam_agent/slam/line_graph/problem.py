@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from limslam_agent.config.smoother import CalibrationPrior
-from limslam_agent.slam.core.contact import Slip, slips_of
+from limslam_agent.slam.core.contact import LooseMotion, slips_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, COLUMNS, RANGE
@@ -69,8 +69,8 @@ class Problem:
         Lengths of the boards and of the walls with two faces that are known, m.
     bias
         By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
-    slips
-        The motions in which the robots may have touched something.
+    loose
+        The motions that are less certain than ``stds``: the robots may have touched something, or were carried away.
     """
 
     robot: RobotSpec
@@ -85,7 +85,7 @@ class Problem:
     kinds: tuple[float, float] = (0.0, 0.0)
     growth: float = 0.0
     bias: float = 0.0
-    slips: tuple[Slip, ...] = ()
+    loose: tuple[LooseMotion, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -129,7 +129,7 @@ class Problem:
     def whitened(self, errors: FloatArray) -> FloatArray:
         """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""
         result = errors / self.stds.reshape(self.stds.shape + (1,) * (errors.ndim - 3))
-        for number, motion, root in self.slips:
+        for number, motion, root in self.loose:
             result[number, motion] = root @ errors[number, motion]
         return np.asarray(result)
 
@@ -217,7 +217,7 @@ def make_problem(
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
         prior=None if prior is None else prior.information, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
-        slips=slips_of(robot, contact_std, reported, stds, ranges, measured),
+        loose=slips_of(robot, contact_std, reported, stds, ranges, measured),
     )  # fmt: skip
 
 

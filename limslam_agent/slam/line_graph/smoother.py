@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.core.contact import LooseMotion
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.line_graph.chain_kernels import motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
 from limslam_agent.slam.line_graph.map_score import score, tally
@@ -24,7 +26,9 @@ from limslam_env.interface import NominalNoise, RobotSpec
 
 # The error of the right wheel less that of the left one, and the error of the axle less the mean of the wheels.
 _RELATIVE = np.array([[-1.0, 1.0, 0.0, 0.0], [-0.5, -0.5, 1.0, 0.0]])
-_CARRIED_STD = 10.0  # m, of all three components of a motion of which nothing is known
+# m, m, rad: how far the place at which a carried robot was found may be off beyond the covariances of its poses. It is
+# so wide that the readings decide, and so narrow that they are still associated with the walls around that place.
+_FOUND_STDS = np.array([0.3, 0.3, math.radians(10.0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +50,7 @@ class FilteredRun:
     first_step
         Step of the drive that row 0 belongs to, if the run is a part of a drive.
     breaks
-        Robots and steps before which a robot was carried away.
+        Robots and steps before which a robot was carried away. The poses before and after say where to.
     sensor
         How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
     """
@@ -140,7 +144,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     problem = make_problem(
         run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
     )
-    problem = with_breaks(problem, run.breaks)
+    problem = with_breaks(problem, run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
@@ -205,14 +209,24 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
 
 
-def with_breaks(problem: Problem, breaks: Iterable[tuple[int, int]]) -> Problem:
-    """A problem in which nothing is known about the motions to some steps, given as robots and steps."""
-    stds, free = problem.stds.copy(), {(number, step - 1) for number, step in breaks}
-    for number, motion in free:
-        stds[number, motion] = _CARRIED_STD
+def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
+    """A problem in which carried robots came to where the filter found them: their wheels say nothing of that motion.
+
+    The filter has found them by hundreds of readings, of which the associations of the run hold a few only.
+    """
+    wheels, own = problem.wheels.copy(), {(number, step - 1) for number, step in run.breaks}
     # The covariance of a slip would hold the robot near where it was.
-    slips = tuple(each for each in problem.slips if (each.robot, each.motion) not in free)
-    return replace(problem, stds=stds, slips=slips)
+    loose = [each for each in problem.loose if (each.robot, each.motion) not in own]
+    for number, motion in sorted(own):
+        poses, covariances = run.poses[motion : motion + 2, number].copy(), run.covariances[motion : motion + 2, number]
+        poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
+        by_before, by_after = np.empty((2, 1, 3, 3))
+        motions_between(poses, problem.robot.axle, wheels[number, motion : motion + 1])
+        motion_jacobians(poses, problem.robot.axle, by_before, by_after)
+        found = covariances[1] + np.diag(_FOUND_STDS**2)
+        covariance = by_before[0] @ covariances[0] @ by_before[0].T + by_after[0] @ found @ by_after[0].T
+        loose.append(LooseMotion.of(number, motion, covariance))
+    return replace(problem, wheels=wheels, loose=tuple(loose))
 
 
 def filter_labels(

@@ -16,12 +16,13 @@ from limslam_agent.places.revisions import Revision, revised
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
 from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
-from limslam_agent.slam.line_graph.smoother import with_breaks
+from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -62,6 +63,14 @@ def test_its_covariance_is_large_until_then(episode):
     std = np.sqrt(np.trace(episode.covariances[lost, 0, :2, :2], axis1=1, axis2=2))
     assert std[-1] > errors(episode.estimated, episode.true)[lost[-1]]
     assert std[-1] > 5.0 * np.sqrt(np.trace(episode.covariances[lost[-1] + 1, 0, :2, :2]))
+
+
+def test_the_smoothed_path_goes_on_where_it_was_found(episode):
+    carried = round(KIDNAPPED / 0.1) + 2
+    assert errors(episode.smoothed.poses, episode.true)[carried:].max() < 0.2
+    # The place is not confirmed before the whole map or a long way agrees with it.
+    assert episode.places.is_unconfirmed
+    assert final_status(episode)["status"] == "unsure"
 
 
 def test_the_step_at_which_it_was_carried_away_is_known_afterwards(episode):
@@ -181,14 +190,24 @@ def test_a_mapper_that_is_never_lost_stays_in_its_frame():
     assert mapper.statuses[0].level == "ok"
 
 
-def test_a_break_leaves_a_motion_free():
+def test_a_carried_robot_came_to_where_it_was_found():
     wheels, ranges = np.full((5, 1, 2), 0.1), np.full((5, 1, 6), 2.0)
-    problem = make_problem(RobotSpec(), NominalNoise(NOISE), np.zeros((1, 3)), wheels, ranges)
-    broken = with_breaks(problem, [(0, 3)])
-    assert np.all(broken.stds[0, 2] == 10.0)
-    np.testing.assert_array_equal(np.delete(broken.stds, 2, axis=1), np.delete(problem.stds, 2, axis=1))
-    poses = np.array([[0.1 * x, 0.0, 0.0] for x in range(3)] + [[2.0, 3.0, 2.9], [2.0, 3.1, 2.9]])
-    np.testing.assert_allclose(state_from_poses(broken, poses[:, None]).poses[0], poses, atol=1e-9)
+    poses = np.array([[0.1 * x, 0.0, 0.0] for x in range(3)] + [[2.0, 3.0, 2.9], [2.0, 3.1, 2.9]])[:, None]
+    certain, robot, noise = np.zeros((5, 1, 3, 3)), RobotSpec(), NominalNoise(NOISE)
+    run = FilteredRun(robot, noise, wheels, ranges, np.isfinite(ranges), poses, certain, [], [], breaks=((0, 3),))
+    problem = make_problem(robot, noise, np.zeros((1, 3)), wheels, ranges)
+    broken = with_breaks(problem, run)
+    np.testing.assert_array_equal(np.delete(broken.wheels, 2, axis=1), np.delete(problem.wheels, 2, axis=1))
+    # By this motion alone, the robot is found within 0.3 m in each direction, and within 10 degrees.
+    unsure = replace(run, covariances=np.tile(np.diag([0.4, 0.4, 0.0]) ** 2, (5, 1, 1, 1)))
+    for shift, off in (([0.0, 0.0, 0.0], 0.0), ([0.3, 0.0, 0.0], 1.0), ([0.0, -0.6, 0.0], 2.0), ([0, 0, 0.1745], 1.0)):
+        state = state_from_poses(problem, np.concatenate((poses[:3], poses[3:] + shift)))
+        errors = broken.whitened(broken.wheels - state.motions)
+        assert np.linalg.norm(errors[0, 2]) == pytest.approx(off, abs=0.1), shift
+        wider = with_breaks(problem, unsure)
+        # The errors of both poses add to that: 0.3^2 + 2 * 0.4^2 = 0.64^2 m^2.
+        least = np.linalg.norm(wider.whitened(wider.wheels - state.motions)[0, 2])
+        assert least == pytest.approx(off * (1.0 if shift[2] else 0.3 / 0.64), abs=0.1), shift
 
 
 def test_the_break_lies_where_the_readings_change():

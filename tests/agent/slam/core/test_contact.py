@@ -9,7 +9,7 @@ import pytest
 from limslam_agent.config.presets import preset
 from limslam_agent.slam.core.contact import JUMP_STEPS, LONGEST, Contacts, slip_covariance, slips_of
 from limslam_agent.slam.core.motion import motion_from_wheels
-from limslam_agent.slam.line_graph.problem import make_problem
+from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, with_breaks
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.config import NoiseConfig
@@ -78,7 +78,7 @@ def test_steps_without_a_scan_do_not_end_a_contact() -> None:
     has_scan = np.array([row % 3 == 0 for row in range(31)])[:, None, None]
     wheels = np.full((31, 1, 2), 0.02)
     problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges, has_scan)
-    assert len(problem.slips) > 20
+    assert len(problem.loose) > 20
 
 
 def test_a_robot_that_backs_off_has_to_come_near_again() -> None:
@@ -135,15 +135,21 @@ def test_the_smoother_allows_the_same_slip_and_earlier_for_an_edge() -> None:
     assert found - len(slips) * 0.5e-6 == pytest.approx(total[0, 0])
 
 
-def test_nothing_is_known_of_a_motion_in_which_the_robot_was_carried_away_into_a_wall() -> None:
+def test_a_robot_that_was_carried_away_into_a_wall_has_not_slipped() -> None:
     ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
-    wheels = np.full((len(ranges), 1, 2), 0.02)
+    wheels, steps = np.full((len(ranges), 1, 2), 0.02), len(ranges)
     problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges)
-    assert 8 in [each.motion for each in problem.slips]
-    off = np.zeros((1, len(ranges) - 1, 3))
-    off[0, 8] = 1.0
-    assert np.abs(problem.whitened(off)).max() > 5.0
-    assert np.abs(with_breaks(problem, [(0, 9)]).whitened(off)).max() < 0.2
+    assert 8 in [each.motion for each in problem.loose]
+    poses = np.zeros((steps, 1, 3))
+    poses[9:, 0] = [3.0, 1.0, 0.5]
+    run = FilteredRun(
+        ROBOT, NOISE, wheels, ranges, np.isfinite(ranges), poses, np.zeros((steps, 1, 3, 3)), [], [], breaks=((0, 9),)
+    )
+    broken = with_breaks(problem, run)
+    assert [each.motion for each in broken.loose].count(8) == 1
+    motions = state_from_poses(problem, poses).motions
+    assert np.abs(problem.whitened(problem.wheels - motions)[0, 8]).max() > 5.0
+    np.testing.assert_allclose(broken.whitened(broken.wheels - motions)[0, 8], 0.0, atol=1e-9)
 
 
 def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
