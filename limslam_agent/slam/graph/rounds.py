@@ -112,8 +112,10 @@ class LogProblem:
     def evidence(self, trajectory: Trajectory) -> Evidence:
         """What speaks for and against a trajectory's map."""
         counts = visit_counts(self.keys, trajectory, self.config, self.data.max_range)
-        numbers = (int(each.sum()) for each in (counts.points, counts.confirmed, counts.contradicted))
-        return Evidence(*numbers, self.strain(0).total(trajectory.poses[self.middles(0)]))
+        points, confirmed, contradicted = (
+            int(each.sum()) for each in (counts.points, counts.confirmed, counts.contradicted)
+        )
+        return Evidence(points, confirmed, contradicted, self.strain(0).total(trajectory.poses[self.middles(0)]))
 
     def score(self, evidence: Evidence) -> float:
         """G of a map, less the strain of its path."""
