@@ -146,7 +146,7 @@ def driven_path(world: World, length: float, generator: np.random.Generator) -> 
         if way is None or np.hypot(*(goal - at)) < 1.0:
             continue
         leg = poses_along(parts[-1][-1], way, _ROBOT, speeds)
-        parts += [leg[1:], np.tile(leg[-1], (generator.integers(1, 30), 1))]
+        parts += [leg[1:], np.tile(leg[-1], (int(generator.integers(1, 30)), 1))]
         driven += float(np.hypot(*np.diff(leg[:, :2], axis=0).T).sum())
         at, been = goal, [*been, *way]
     return np.concatenate(parts)

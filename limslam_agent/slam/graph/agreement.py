@@ -174,6 +174,43 @@ class MapScore:
         return agreed if self.strain is None else agreed - self.strain(poses)
 
 
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for and against a map.
+
+    Attributes
+    ----------
+    points, confirmed, contradicted
+        Numbers of all points, and of those that other visits confirm and contradict.
+    bend
+        By how much the path is bent away from the local smoothing, as a chi-square.
+    """
+
+    points: int
+    confirmed: int
+    contradicted: int
+    bend: float
+
+    @property
+    def known(self) -> int:
+        """Number of the points that other visits have seen."""
+        return self.confirmed + self.contradicted
+
+    def adds_contradictions(self, other: "Evidence", least: float) -> bool:
+        """Whether visits contradict each other much more where they meet in this map, but not in another one.
+
+        The walls of two similar corridors confirm each other, so the score of a map rises if they are laid onto each
+        other. But then a larger share of the additional points is contradicted than in the other map: more than
+        ``least`` and much more than is usual there, or, if this path is bent more, more than twice what is usual.
+        """
+        is_known = other.known > _LEAST_KNOWN * other.points
+        usual = other.contradicted / other.known if is_known else _OFTEN_USUAL
+        bent = self.bend - other.bend > _BENT
+        most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual, least)
+        judged = self.known - other.known
+        return judged >= _LEAST_JUDGED and self.contradicted - other.contradicted > most * judged
+
+
 @dataclass(frozen=True, eq=False)
 class VisitCounts:
     """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
@@ -326,37 +363,30 @@ def plausible_groups(
 ) -> tuple[list[list[Loop]], list[Loop]]:
     """New groups of loops that may be right, and the loops of the other groups.
 
-    A group is refused if the visits that it joins contradict each other much more often than the other visits of the
-    log, or if they do so more often and the group bends the path. The walls of two similar corridors confirm each
-    other, so the score rises with wrong groups, too. ``chain`` has the poses (c, 3) of the chunks in the trajectory and
-    their hops. ``placed`` is the graph without the groups.
+    A group is refused if it adds contradictions, as :meth:`Evidence.adds_contradictions` says. ``chain`` has the poses
+    (c, 3) of the chunks in the trajectory and their hops. ``placed`` is the graph without the groups.
     """
     found = [loop for group in new for loop in group]
     if not found:
         return [], []
-    before = [int(each.sum()) for each in score.verdicts(placed.solution.poses)]
-    is_known = sum(before) > _LEAST_KNOWN * len(score.points)
-    usual = before[1] / sum(before) if is_known else _OFTEN_USUAL
-    straight = _bend(score, placed.solution.poses)
+    before = _evidence(score, placed.solution.poses)
     kept, refused = list[list[Loop]](), list[Loop]()
     for members in groups_of(found, chain[0], config.loops):
         group = [found[number] for number in members]
         chosen = sorted(group, key=lambda loop: -loop.score)[: config.agreement.max_group]
         trial = solve_annealed(chain[0][0], chain[1], [*placed.loops, *chosen], config.chunks)
-        confirmed, contradicted = (int(each.sum()) for each in score.verdicts(trial.poses))
-        more, judged = contradicted - before[1], confirmed + contradicted - sum(before)
-        bent = _bend(score, trial.poses) - straight > _BENT
-        most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual, config.agreement.doubtful_share)
-        if judged >= _LEAST_JUDGED and more > most * judged:
+        if _evidence(score, trial.poses).adds_contradictions(before, config.agreement.doubtful_share):
             refused += group
         else:
             kept.append(group)
     return kept, refused
 
 
-def _bend(score: MapScore, poses: FloatArray) -> float:
-    """By how much poses (c, 3) bend the path, as a chi-square."""
-    return 0.0 if score.strain is None else score.strain.total(poses)
+def _evidence(score: MapScore, poses: FloatArray) -> Evidence:
+    """The evidence about a map of chunks with poses (c, 3)."""
+    confirmed, contradicted = (int(each.sum()) for each in score.verdicts(poses))
+    bend = 0.0 if score.strain is None else score.strain.total(poses)
+    return Evidence(len(score.points), confirmed, contradicted, bend)
 
 
 def accept_groups(

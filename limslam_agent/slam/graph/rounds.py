@@ -14,6 +14,7 @@ from limslam_agent.slam.graph.agreement import (
     OUTVOTED,
     REMOVED,
     Decision,
+    Evidence,
     LoopVerdict,
     MapScore,
     accept_groups,
@@ -58,6 +59,8 @@ class Round:
         The trajectory after the bundle.
     score
         G of the bundled map, less the strain of its path.
+    evidence
+        What speaks for and against the bundled map.
     verdicts
         The verdicts on all loops that were found.
     middles, chunk_covariances
@@ -67,6 +70,7 @@ class Round:
 
     trajectory: Trajectory
     score: float
+    evidence: Evidence
     verdicts: list[LoopVerdict]
     middles: IntArray
     chunk_covariances: FloatArray
@@ -105,10 +109,19 @@ class LogProblem:
         """
         return unbent(trajectory, self.local, self.middles(number), self.local_hops(number), self.config.chunks.bent)
 
-    def score(self, trajectory: Trajectory) -> float:
-        """G of a trajectory's map, less the strain of its path."""
-        confirmed, contradicted = visit_counts(self.keys, trajectory, self.config, self.data.max_range).shares
-        return confirmed - contradicted - self.strain(0)(trajectory.poses[self.middles(0)])
+    def evidence(self, trajectory: Trajectory) -> Evidence:
+        """What speaks for and against a trajectory's map."""
+        counts = visit_counts(self.keys, trajectory, self.config, self.data.max_range)
+        points, confirmed, contradicted = (
+            int(each.sum()) for each in (counts.points, counts.confirmed, counts.contradicted)
+        )
+        return Evidence(points, confirmed, contradicted, self.strain(0).total(trajectory.poses[self.middles(0)]))
+
+    def score(self, evidence: Evidence) -> float:
+        """G of a map, less the strain of its path."""
+        points, hops = max(1, evidence.points), max(1, len(self.middles(0)) - 1)
+        agreed = evidence.confirmed / points - evidence.contradicted / points
+        return agreed - self.config.agreement.strain * evidence.bend / hops
 
     def strain(self, number: int) -> Strain:
         """What the chunks of a round cost where their path bends away from the local smoothing."""
@@ -240,10 +253,12 @@ def _bundled(log: LogProblem, trajectory: Trajectory, chunks: Chunks, placed: _P
     information = np.array([loop.information for loop in kept]).reshape(-1, 3, 3)
     relations = chunks.middles[ends], relative, information
     bundled = bundle(log.keys, moved, relations, config, log.data.range_std, iterations)
+    evidence = log.evidence(bundled)
     verdicts = [LoopVerdict(loop, KEPT if good else OUTVOTED) for loop, good in zip(placed.loops, strong, strict=True)]
     return Round(
         trajectory=bundled,
-        score=log.score(bundled),
+        score=log.score(evidence),
+        evidence=evidence,
         verdicts=verdicts + placed.dropped,
         middles=chunks.middles,
         chunk_covariances=_covariances(chunks, placed),

@@ -18,6 +18,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import (
     NOT_ADDED,
+    Evidence,
     LoopVerdict,
     distances_after_alignment,
 )
@@ -178,9 +179,8 @@ def _best_result(
     """The best result of the completed searches and of those in further frames, as many as are needed."""
     begun = _frames(frames)
     searches, rest = searches + _searched(begun), frames[len(begun) // len(STARTS) :]
-    best = max(searches, key=_score)
-    log = best.log
-    found = _placed_at(_best(best.rounds, log.config.rounds.tie), start, best.turn)
+    best, found = _most_credible(searches)
+    log, found = best.log, _placed_at(found, start, best.turn)
     scores = {search.name: [each.score for each in search.rounds] for search in searches}
     begins, errors = log.bends(found.trajectory)
     return replace(
@@ -306,6 +306,23 @@ def _best(rounds: list[Round], tie: float) -> Round:
     return [each for each in rounds if each.score >= highest - tie][-1]
 
 
+def _most_credible(searches: list[_Search]) -> tuple[_Search, Round]:
+    """The search with the highest score, and its best round, among the rounds that add no contradictions to others.
+
+    They are also compared with the paths without loops. If all rounds add contradictions, all are considered.
+    """
+    least = searches[0].log.config.agreement.doubtful_share
+    others = [each.evidence for search in searches for each in search.rounds]
+    others += [search.log.evidence(search.log.local) for search in searches[:: len(STARTS)]]
+
+    def is_credible(each: Round) -> bool:
+        return not any(each.evidence.adds_contradictions(other, least) for other in others)
+
+    credible = [replace(search, rounds=list(filter(is_credible, search.rounds))) for search in searches]
+    best = max([each for each in credible if each.rounds] or searches, key=_score)
+    return best, _best(best.rounds, best.log.config.rounds.tie)
+
+
 def _rounds(search: _Search, end: int) -> list[Round]:
     """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
     log, start, rounds = search.log, search.start, list(search.rounds)
@@ -362,7 +379,7 @@ def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
 
 def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
     """The result of a log that is too short for chunks."""
-    found = Round(trajectory, 0.0, [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)))
+    found = Round(trajectory, 0.0, Evidence(0, 0, 0, 0.0), [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)))
     return _result(keys, name, found, {name: [0.0]})
 
 

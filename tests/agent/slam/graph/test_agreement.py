@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import Decision, VisitCounts, plausible_groups
+from limslam_agent.slam.graph.agreement import Decision, Evidence, VisitCounts, plausible_groups
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain
 
 CONFIG = GraphConfig()
@@ -70,3 +70,14 @@ def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(co
     assert plausible_groups((poses, hops), placed, [], score, CONFIG) == ([], [])
     kept, left = plausible_groups((poses, hops), placed, [[loop]], score, CONFIG)
     assert (kept, left) == (([], [loop]) if refused else ([[loop]], []))
+
+
+@pytest.mark.parametrize(
+    ("known", "contradicted", "bend", "adds"),
+    [(2376, 98, 2.5, True), (2376, 40, 2.5, False), (2376, 40, 20.0, True), (1700, 98, 20.0, False)],
+)
+def test_a_map_adds_contradictions_if_much_of_what_it_adds_is_contradicted(known, contradicted, bend, adds):
+    straight = Evidence(points=5430, confirmed=1616, contradicted=5, bend=0.1)
+    other = Evidence(points=5430, confirmed=known - contradicted, contradicted=contradicted, bend=bend)
+    assert other.adds_contradictions(straight, CONFIG.agreement.doubtful_share) == adds
+    assert not straight.adds_contradictions(other, CONFIG.agreement.doubtful_share)

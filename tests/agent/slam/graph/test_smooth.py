@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.slam.graph import smooth
-from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED
+from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED, Evidence
 from limslam_agent.slam.graph.key_poses import LogData, delayed
 from limslam_agent.slam.graph.smooth import smooth_log
 from limslam_env.geometry import se2
@@ -204,3 +205,18 @@ def test_a_recorded_log_is_as_good_as_published(name):
     assert figures["relation_error_m"] < metres
     assert figures["relation_error_deg"] < degrees
     assert figures["loop_relation_error_m"] < 0.2
+
+
+def test_a_round_that_adds_contradictions_is_left_out_although_its_score_is_higher():
+    def search(*rounds):
+        found = [SimpleNamespace(score=score, evidence=Evidence(5430, *numbers)) for score, *numbers in rounds]
+        local = SimpleNamespace(config=GraphConfig(), local=None, evidence=lambda _: Evidence(5430, 1500, 10, 0.0))
+        return smooth._Search(local, "all", 0.0, print, found)
+
+    # Confirmed and contradicted points, and the bend, in two searches of a ring with parallel corridors.
+    right, wrong = (0.295, 1616, 5, 0.1), (0.393, 2278, 98, 2.5)
+    searches = [search(right), search((0.294, 1625, 5, 0.5), wrong)]
+    assert smooth._most_credible(searches)[1] is searches[0].rounds[0]
+    # There is nothing to compare with but the path without loops, so all rounds count.
+    alone = search(wrong)
+    assert smooth._most_credible([alone, alone])[1] is alone.rounds[0]
