@@ -9,7 +9,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.places.localisation import DRIFT, KnownPlaces
 from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
@@ -28,12 +28,12 @@ FAR = 0.3
 GAIN = 6.0
 """Logarithm of a likelihood ratio: by so much the readings must fit better after a renewal that is not expected.
 
-This is one of a lost robot, or one that moves the pose by more than the filter states. After any other renewal, the
-readings may fit worse by this at most.
+This is one of a lost robot, or one that moves the pose far and by more than the filter states. After any other renewal,
+the readings may fit worse by this at most.
 """
 
 UNEXPECTED = 16.0
-"""Squared Mahalanobis distance: a renewal that moves the pose by more is not expected."""
+"""Squared Mahalanobis distance: a renewal that moves the pose by more, and farther than a drift, is not expected."""
 
 
 class _Seen(NamedTuple):
@@ -142,7 +142,7 @@ class Renewal:
         grid = self._drawn(poses)
         believed = [row[3] for row in self._rows[1:]]
         gain = self._fit(trial, grid, poses) - self._fit(self._slam, self.grid, believed)
-        if gain < (-GAIN if is_expected and self._off(trial.pose) <= UNEXPECTED else GAIN):
+        if gain < (-GAIN if is_expected and self._expects(trial.pose) else GAIN):
             return False
         self._slam.renew(state)
         self._is_wanted, self.grid, self.poses = False, grid, poses
@@ -150,11 +150,12 @@ class Renewal:
         self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
         return True
 
-    def _off(self, pose: FloatArray) -> float:
-        """Squared Mahalanobis distance of a pose (3,) from the present estimate."""
+    def _expects(self, pose: FloatArray) -> bool:
+        """Whether a pose (3,) is near the present estimate, or no farther away than that states."""
         off = pose - self._slam.pose
         off[2] = wrap_angle(off[2])
-        return float(off @ np.linalg.solve(self._slam.covariance, off))
+        is_near = np.hypot(*off[:2]) < DRIFT[0] and abs(off[2]) < DRIFT[1]
+        return bool(is_near or off @ np.linalg.solve(self._slam.covariance, off) <= UNEXPECTED)
 
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""

@@ -275,14 +275,17 @@ def test_a_renewal_must_not_fit_the_readings_much_worse(monkeypatch, gain, is_re
     assert bool(driven(config(ROUND_S), rounds(2)[0])[3]) is is_renewed
 
 
-@pytest.mark.parametrize(("gain", "is_renewed"), [(0.0, False), (7.0, True)])
-def test_a_renewal_far_beyond_the_stated_uncertainty_must_explain_readings(monkeypatch, gain, is_renewed):
+@pytest.mark.parametrize(
+    ("off", "gain", "is_renewed"),
+    [((3.0, 0.0, 0.3), 0.0, False), ((3.0, 0.0, 0.3), 7.0, True), ((0.4, 0, 0), 0.0, True)],
+)
+def test_a_renewal_far_beyond_the_stated_uncertainty_must_explain_readings(monkeypatch, off, gain, is_renewed):
     """The stretch may have been joined wrongly with a map that does not share enough walls with it."""
     told, _ = rounds(2)
 
     def joined_far_away(*args):
         state, poses = renewed(*args)
-        return replace(state, pose=state.pose + np.array([3.0, 0.0, 0.3])), poses
+        return replace(state, pose=state.pose + np.array(off)), poses
 
     monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", joined_far_away)
     monkeypatch.setattr(Renewal, "_fit", lambda self, slam, *_: 40.0 - gain * (slam is self._slam))
