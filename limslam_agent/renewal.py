@@ -9,7 +9,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.places.localisation import DRIFT, KnownPlaces
 from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
@@ -25,17 +25,15 @@ LEAST_DRIVEN = 1.0
 FAR = 0.3
 """A renewal that moves the path by more than this somewhere, m, begins a new frame: plans made before mean nothing."""
 
-REFUTED = -6.0
-"""Logarithm of a likelihood ratio: with less than this, the readings do not fit the map."""
-
-EXPLAINED = 6.0
+GAIN = 6.0
 """Logarithm of a likelihood ratio: by so much the readings must fit better after a renewal that is not expected.
 
-This is one of a lost robot, or one that moves the pose by more than the filter states.
+This is one of a lost robot, or one that moves the pose far and by more than the filter states. After any other renewal,
+the readings may fit worse by this at most.
 """
 
 UNEXPECTED = 16.0
-"""Squared Mahalanobis distance: a renewal that moves the pose by more is not expected."""
+"""Squared Mahalanobis distance: a renewal that moves the pose by more, and farther than a drift, is not expected."""
 
 
 class _Seen(NamedTuple):
@@ -131,10 +129,7 @@ class Renewal:
         return True
 
     def _renew(self, *, is_expected: bool = True) -> bool:
-        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done.
-
-        A renewal that is not expected must also fit the map better than the estimate before.
-        """
+        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done."""
         found, self._tried = self._smoothed(), len(self._rows)
         if found is None:
             return False
@@ -146,9 +141,8 @@ class Renewal:
         poses = [compose(moved, pose) for pose in smoothed[1:]]
         grid = self._drawn(poses)
         believed = [row[3] for row in self._rows[1:]]
-        fit, fit_before = self._fit(trial, grid, poses), self._fit(self._slam, self.grid, believed)
-        is_expected = is_expected and self._off(trial.pose) <= UNEXPECTED
-        if (fit < REFUTED and fit < fit_before) or not (is_expected or fit >= fit_before + EXPLAINED):
+        gain = self._fit(trial, grid, poses) - self._fit(self._slam, self.grid, believed)
+        if gain < (-GAIN if is_expected and self._expects(trial.pose) else GAIN):
             return False
         self._slam.renew(state)
         self._is_wanted, self.grid, self.poses = False, grid, poses
@@ -156,11 +150,12 @@ class Renewal:
         self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
         return True
 
-    def _off(self, pose: FloatArray) -> float:
-        """Squared Mahalanobis distance of a pose (3,) from the present estimate."""
+    def _expects(self, pose: FloatArray) -> bool:
+        """Whether a pose (3,) is near the present estimate, or no farther away than that states."""
         off = pose - self._slam.pose
         off[2] = wrap_angle(off[2])
-        return float(off @ np.linalg.solve(self._slam.covariance, off))
+        is_near = np.hypot(*off[:2]) < DRIFT[0] and abs(off[2]) < DRIFT[1]
+        return bool(is_near or off @ np.linalg.solve(self._slam.covariance, off) <= UNEXPECTED)
 
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""

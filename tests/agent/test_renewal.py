@@ -12,6 +12,9 @@ from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
+from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.consistent.wall_extent import WallExtent
+from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.renewal import renewed
 from limslam_env.geometry.se2 import compose, wrap_angle
@@ -266,15 +269,94 @@ def test_a_renewal_must_explain_what_a_lost_robot_reads(monkeypatch, before, is_
     assert renewal.renew_lost() is is_renewed
 
 
-@pytest.mark.parametrize(("gain", "is_renewed"), [(0.0, False), (7.0, True)])
-def test_a_renewal_far_beyond_the_stated_uncertainty_must_explain_readings(monkeypatch, gain, is_renewed):
+@pytest.mark.parametrize(("gain", "is_renewed"), [(-7.0, False), (-5.0, True)])
+def test_a_renewal_must_not_fit_the_readings_much_worse(monkeypatch, gain, is_renewed):
+    monkeypatch.setattr(Renewal, "_fit", lambda self, slam, *_: 40.0 - gain * (slam is self._slam))
+    assert bool(driven(config(ROUND_S), rounds(2)[0])[3]) is is_renewed
+
+
+@pytest.mark.parametrize(
+    ("off", "gain", "is_renewed"),
+    [((3.0, 0.0, 0.3), 0.0, False), ((3.0, 0.0, 0.3), 7.0, True), ((0.4, 0, 0), 0.0, True)],
+)
+def test_a_renewal_far_beyond_the_stated_uncertainty_must_explain_readings(monkeypatch, off, gain, is_renewed):
     """The stretch may have been joined wrongly with a map that does not share enough walls with it."""
     told, _ = rounds(2)
 
     def joined_far_away(*args):
         state, poses = renewed(*args)
-        return replace(state, pose=state.pose + np.array([3.0, 0.0, 0.3])), poses
+        return replace(state, pose=state.pose + np.array(off)), poses
 
     monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", joined_far_away)
     monkeypatch.setattr(Renewal, "_fit", lambda self, slam, *_: 40.0 - gain * (slam is self._slam))
     assert bool(driven(config(ROUND_S), told)[3]) is is_renewed
+
+
+def walls(*given):
+    """A map of walls along x between -1 and 1 m: for each its y, m, and the landmark that it was recognised as."""
+    found = []
+    for _, known in given:
+        extent = WallExtent()
+        extent.hit(np.linspace(-1.0, 1.0, 21))
+        seen = np.array([[-1.0, 1.0], [np.inf, -np.inf]])
+        found.append(Wall(NEW, extent, 1, 21, seen, known_as=known))
+    count = len(given)
+    return MapState(
+        pose=np.zeros(3),
+        lines=np.tile([0.0, 0.5 * np.pi], (count, 1)),
+        anchors=np.array([[0.0, y] for y, _ in given]),
+        covariance=1e-4 * np.eye(3 + 2 * count),
+        walls=found,
+    )
+
+
+def joined_walls(known, new):
+    """The y of the robot, m, and the walls, after a renewal. New walls and robot are unsure by 0.4 m."""
+    slam = LineSlam(ROBOT, NEVER, np.zeros(3))
+    slam.renew(walls(*((y, NEW) for y in known)))
+    before, after, off = slam.map_state, walls(*new), 2 * len(known)
+    covariance = 1e-4 * np.eye(3 + off + 2 * len(new))
+    common = np.r_[1, 3 + off : len(covariance) : 2]
+    covariance[np.ix_(common, common)] += 0.4**2
+    slam.renew(
+        MapState(
+            pose=after.pose,
+            lines=np.vstack((before.lines, after.lines)),
+            anchors=np.vstack((before.anchors, after.anchors)),
+            covariance=covariance,
+            walls=[*before.walls, *after.walls],
+        )
+    )
+    return slam.pose[1], slam.all_landmarks
+
+
+def test_a_renewal_merges_a_wall_with_the_one_that_it_was_recognised_as():
+    # The first known wall is nearer to where the stretch seems to be.
+    y, marks = joined_walls([0.4, 0.0], [(0.3, 1), (-1.7, NEW)])
+    assert y == pytest.approx(-0.3, abs=0.02)
+    assert len(marks) == 3
+    y, _ = joined_walls([0.4, 0.0], [(0.3, NEW), (-1.7, NEW)])
+    assert y == pytest.approx(0.1, abs=0.02), "without recognition, the nearest wall is taken"
+
+
+def test_a_wall_that_was_recognised_wrongly_is_outvoted_at_a_renewal():
+    # The third wall differs least from the one that it was taken for, but not if the others are right.
+    y, marks = joined_walls([0.0, 2.0, 4.0], [(0.3, 0), (2.3, 1), (3.9, 2)])
+    assert y == pytest.approx(-0.3, abs=0.02)
+    assert len(marks) == 4
+
+
+def test_the_walls_of_a_stretch_are_known_as_what_the_filter_took_them_for(monkeypatch):
+    told, _ = rounds(3)
+    stretches = []
+
+    def noted(*args):
+        state, poses = renewed(*args)
+        stretches.append([(wall.number, wall.known_as) for wall in state.walls])
+        return state, poses
+
+    monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", noted)
+    driven(config(ROUND_S), told)
+    known = [number for number, _ in stretches[1] if number != NEW]
+    assert len(known) == 4
+    assert sorted(known_as for number, known_as in stretches[1] if number == NEW) == sorted(known)

@@ -48,9 +48,10 @@ from limslam_agent.slam.batch.wall_map import (
     shared,
 )
 from limslam_agent.slam.batch.wall_map import merge as merge_walls
-from limslam_agent.slam.consistent.consistent import SHORTEST, STRAIGHTNESS
+from limslam_agent.slam.consistent.consistent import SHORTEST
 from limslam_agent.slam.consistent.corners import BESIDE_CORNER
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES
+from limslam_agent.slam.consistent.wall_map import STRAIGHTNESS
 from limslam_agent.slam.core import wall_faces
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE

@@ -333,6 +333,14 @@ class CloneEKF(LineEKF):
         off, H, columns = self._equality(older, younger)
         return off, H @ self.P[np.ix_(columns, columns)] @ H.T
 
+    def differences(self, pairs: list[tuple[int, int]]) -> tuple[FloatArray, FloatArray]:
+        """Those of n pairs (2 n,), as of :meth:`difference`, and their joint covariance (2 n, 2 n)."""
+        off, H = np.zeros(2 * len(pairs)), np.zeros((2 * len(pairs), len(self.x)))
+        for row, pair in enumerate(pairs):
+            off[2 * row : 2 * row + 2], own, columns = self._equality(*pair)
+            H[2 * row : 2 * row + 2, columns] = own
+        return off, H @ self.P @ H.T
+
     def marginal(self) -> FloatArray:
         """Joint covariance of the poses and all lines, without the calibration of the odometry and without clones."""
         kept = np.r_[: self._poses_end, self._first : self.clones_from]

@@ -22,7 +22,7 @@ from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
 from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
-from limslam_agent.slam.consistent.wall_map import Wall, WallMap, moved_along, shared
+from limslam_agent.slam.consistent.wall_map import STRAIGHTNESS, Wall, WallMap, moved_along, shared
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
@@ -33,16 +33,9 @@ from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibra
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction, distance
+from limslam_env.geometry.line import direction
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
-
-STRAIGHTNESS = (1e-3**2, 1e-4**2)
-"""Variances, m^2 and rad^2, by which one real wall deviates from a line.
-
-They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
-difference that is known more exactly than any wall is straight.
-"""
 
 RENEWAL_ITERATIONS = 3
 """Iterations of each merge when a map is renewed, since that merges all walls of the map at once."""
@@ -150,13 +143,16 @@ class ConsistentEstimator(Estimator):
     def renew(self, state: MapState, step: int) -> None:
         """Replace the pose of the only robot and the map, and forget the pending readings, which the new map knows.
 
-        Landmarks with the number ``NEW`` get new numbers, and those that are a known wall are merged with it. Landmarks
-        through which most beams have passed by now are left out.
+        Landmarks with the number ``NEW`` get new numbers, and those that are a known wall are merged with it: at first
+        those that were recognised, since another wall may be as near to where a landmark seems to be. Landmarks through
+        which most beams have passed by now are left out.
         """
         self._map.count_in(state.walls)
         state = state.select([index for index, wall in enumerate(state.walls) if self._map.is_wall(wall)])
         self._filter.restart(state.pose, state.lines, state.anchors, state.covariance)
-        for wall in self._map.replace(state.walls):
+        new = self._map.replace(state.walls)
+        self._merge_recognised(new, step)
+        for wall in new:
             self._close_loops_of(wall, step, RENEWAL_ITERATIONS)
         self._pending[0].forget()
 
@@ -468,20 +464,34 @@ class ConsistentEstimator(Estimator):
         overlap = min(places[1], high) - max(places[0], low)
         if not settings.enabled or overlap < settings.min_overlap:
             return False
-        offset = abs(float(distance(self._filter.anchored[older], ends - self._filter.anchors[older]).mean()))
         off, covariance = self._filter.difference(older, younger)
-        squared = float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
         limits = self._settings.association
-        if abs(off[1]) > limits.max_angle or offset > limits.max_offset:
+        if abs(off[1]) > limits.max_angle or self._map.offset(older, younger) > limits.max_offset:
             return False
+        squared = self._map.squared_difference(older, younger)
         if not self._is_one_line(older, younger, off, covariance) or squared > settings.gate:
             return False
+        self._merge(older, younger, step, squared, iterations)
+        return True
+
+    def _merge_recognised(self, walls: Sequence[Wall], step: int) -> None:
+        """Merge new landmarks with the known ones that they were recognised as, as far as all of them agree."""
+        settings, places = self._settings.merging, {wall.number: place for place, wall in enumerate(self._map.walls)}
+        recognised = [wall for wall in walls if settings.enabled and wall.known_as in places]
+        pairs = [(places[wall.known_as], places[wall.number]) for wall in recognised]
+        for number in self._map.agreeing(pairs, settings.gate):
+            older, younger = pairs[number][0], self._map.walls.index(recognised[number])
+            squared = self._map.squared_difference(older, younger)
+            self._merge(older, younger, step, squared, RENEWAL_ITERATIONS)
+
+    def _merge(self, older: int, younger: int, step: int, squared: float, iterations: int) -> None:
+        """Merge two landmarks, and remove the younger one."""
+        offset = self._map.offset(older, younger)
         numbers = self._map[older].number, self._map[younger].number
         origin, tangent = self._filter.anchors[younger].copy(), direction(self._filter.anchored[younger])
         self._filter.merge(older, younger, iterations)
         self._map.merge(older, younger, origin, tangent)
         self.closures.append(Closure(*numbers, step, squared, 0.0, offset, 0.0))
-        return True
 
     def _is_one_line(self, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
         """Whether two landmarks share a stretch that is seen from one side, or are a board.

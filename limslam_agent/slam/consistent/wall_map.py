@@ -13,8 +13,15 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import at, direction
+from limslam_env.geometry.line import at, direction, distance
 from limslam_env.geometry.segment import lengths
+
+STRAIGHTNESS = (1e-3**2, 1e-4**2)
+"""Variances, m^2 and rad^2, by which one real wall deviates from a line.
+
+They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
+difference that is known more exactly than any wall is straight.
+"""
 
 NEW = -1
 """Number of a landmark that has not got its number yet."""
@@ -49,6 +56,8 @@ class Wall:
         Length of the stretch with another face behind it, m, if the landmark is a face of a wall.
     is_known
         Whether the landmark is from an earlier map, which does not say from which sides it was seen.
+    known_as
+        Number of the landmark that a ``NEW`` one was recognised as while it was seen; ``NEW`` if none.
     """
 
     number: int
@@ -58,6 +67,7 @@ class Wall:
     seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
     behind: float = 0.0
     is_known: bool = False
+    known_as: int = NEW
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         # Copies of the map are made all the time, so that a lost robot can go back to one.
@@ -158,6 +168,36 @@ class WallMap:
     def along(self, index: int, points: FloatArray) -> FloatArray:
         """Positions (...) of points (..., 2) along a landmark, m from its anchor."""
         return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.anchored[index]))
+
+    def offset(self, older: int, younger: int) -> float:
+        """Distance of the middle of a landmark from the line of another one, m."""
+        ends = self.ends(younger) - self._belief.anchors[older]
+        return abs(float(distance(self._belief.anchored[older], ends).mean()))
+
+    def squared_difference(self, older: int, younger: int) -> float:
+        """Squared Mahalanobis distance of the lines of two landmarks."""
+        off, covariance = self._belief.difference(older, younger)
+        return float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
+
+    def agreeing(self, pairs: list[tuple[int, int]], gate: float) -> list[int]:
+        """Which pairs of landmarks may all be one wall each, of pairs that are likely to be.
+
+        Each of them must agree with all others: the pair that they contradict most is left out, until the squared
+        Mahalanobis distance of each pair, given that the others are equal, is at most the gate.
+        """
+        off, covariance = self._belief.differences(pairs)
+        covariance += np.diag(np.tile(STRAIGHTNESS, len(pairs)))
+        chosen = np.arange(len(pairs))
+        while len(chosen):
+            rows, each = (2 * chosen[:, None] + np.arange(2)).ravel(), np.arange(len(chosen))
+            information = np.linalg.inv(covariance[np.ix_(rows, rows)])
+            residuals = (information @ off[rows]).reshape(-1, 2, 1)
+            own = information.reshape(len(each), 2, len(each), 2)[each, :, each]
+            squared = np.sum(residuals * np.linalg.solve(own, residuals), axis=(1, 2))
+            if squared.max() <= gate:
+                break
+            chosen = np.delete(chosen, squared.argmax())
+        return [int(number) for number in chosen]
 
     def ends(self, index: int) -> FloatArray:
         """The outermost points (2, 2) of a landmark, m."""

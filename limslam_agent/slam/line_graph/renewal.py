@@ -21,8 +21,8 @@ from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.mending import is_contradicted
 from limslam_agent.slam.line_graph.reassociation import seen_ends
 from limslam_agent.slam.line_graph.smoothed_map import wall_extents
-from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, settle
-from limslam_env.geometry import FloatArray
+from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, filter_labels, settle
+from limslam_env.geometry import FloatArray, IntArray
 
 SHORTEST = 0.3
 """Least length of a wall, m, that the error of its direction is based on."""
@@ -52,7 +52,8 @@ def renewed(
     if found is None or is_contradicted(found.problem, found.association, config):
         return None
     aged = _aged(start, renewal.end_noise * found.problem.range_std)
-    return _joined(aged, found, config), found.association.state.poses[0]
+    labels = filter_labels(found.problem, stretch.associations, stretch.closures, stretch.first_step)
+    return _joined(aged, found, labels, config), found.association.state.poses[0]
 
 
 def _aged(state: MapState, end_std: float) -> MapState:
@@ -63,8 +64,11 @@ def _aged(state: MapState, end_std: float) -> MapState:
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
 
 
-def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState:
-    """The map from before, and the walls and the last pose of a stretch, with their joint covariance."""
+def _joined(start: MapState, found: Settled, labels: IntArray, config: SmootherConfig) -> MapState:
+    """The map from before, and the walls and the last pose of a stretch, with their joint covariance.
+
+    ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or -1.
+    """
     state, factored = found.association.state, found.association.solution.factored
     extents = {
         index: extent
@@ -92,6 +96,18 @@ def _joined(start: MapState, found: Settled, config: SmootherConfig) -> MapState
         covariance=covariance,
         walls=[
             *start.walls,
-            *(Wall(NEW, extents[index], 1, int(counts[index]), seen[index]) for index in kept.tolist()),
+            *(
+                Wall(
+                    NEW, extents[index], 1, int(counts[index]), seen[index],
+                    known_as=_most_frequent(labels[found.association.labels == index]),
+                )
+                for index in kept.tolist()
+            ),
         ],
-    )
+    )  # fmt: skip
+
+
+def _most_frequent(labels: IntArray) -> int:
+    """The most frequent of some labels that are not -1; ``NEW`` if there are none."""
+    known = labels[labels >= 0]
+    return int(np.bincount(known).argmax()) if len(known) else NEW
