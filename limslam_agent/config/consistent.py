@@ -60,7 +60,8 @@ class SegmentationConfig(Bounded):
     Attributes
     ----------
     kink_gate, min_kink
-        Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad.
+        Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad. A
+        piece of wall beyond a landmark's known ends that is turned by more than this does not update the landmark.
     curve_gate
         Least gain in chi-square (three degrees of freedom) of a smooth curve.
     end_zone, end_gate

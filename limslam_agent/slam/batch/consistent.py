@@ -333,6 +333,7 @@ def fits(
         segment[EXTENT] >= settings.beyond_length
         and of_line <= settings.beyond_gate
         and segment[ANGLE_STD] <= settings.beyond_angle_std
+        and turn_between(ekf.x, index, segment[THETA]) <= settings.min_kink
         and is_whole(points, segment, settings)
     )
     return inside / len(points) >= 0.5 or is_clear

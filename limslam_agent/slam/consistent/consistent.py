@@ -415,10 +415,14 @@ class ConsistentEstimator(Estimator):
             return False
         along, (low, high) = self._map.along(known.landmark, segment.points), self._map[known.landmark].extent.ends
         is_inside = np.mean((along > low - settings.end_slack) & (along < high + settings.end_slack)) >= 0.5
+        # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
+        theta = float(self._filter.anchored[known.landmark, 1])
+        turn = abs((theta - segment.theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
         is_clear = (
             segment.length >= settings.beyond_length
             and known.of_line <= settings.beyond_gate
             and segment.angle_std <= settings.beyond_angle_std
+            and turn <= self._settings.segmentation.min_kink
             and self._is_whole(segment)
         )
         return bool(is_inside or is_clear)
