@@ -177,6 +177,9 @@ class Mapper:
             self._lookup.end("no match was good and unambiguous")
         if self._recovery is not None and self._recovery.is_lost:
             self._give_up(self._recovery)
+        elif self._recovery is not None and self._recovery.is_placed:
+            # The run may have ended because nothing is left to see, between two looks at the place.
+            self._recovery.confirm(self._present.monitors[0].status, self.slam, self._present.grid.view)
         self.slam.finish()
 
     @property

@@ -153,10 +153,11 @@ class _Rows:
             names, self.separator = _names(line)
             columns = list(self.options.columns)
             if names and not (line.startswith(b"#") if columns else _is_remark(line, names)):
-                self.header = text
                 self._add_header(columns or names)
                 if columns and _is_number(names[0]):
                     self._add_row(text)
+                else:
+                    self.header = text
         elif not line.startswith(b"#") and text and text != self.header:
             self._add_row(text)
 

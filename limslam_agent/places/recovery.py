@@ -34,6 +34,7 @@ from limslam_agent.places.localisation import (
     near_fit,
 )
 from limslam_agent.places.rays import moved, rays_of
+from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
@@ -45,8 +46,6 @@ from limslam_env.interface import RobotSpec
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
 WRONG_PLACE = Status("lost", "the readings contradict the map at the place that was found")
-NOT_CONFIRMED = Status("unsure", "the robot's place was found, and it is not confirmed yet")
-BEGUN_ANEW = "the robot was lost before its map had walls, and has begun a new map where it believed to be"
 _WATCHED = 300  # number of steps after a sudden change in which it is weighed
 
 
@@ -112,7 +111,7 @@ class Recovery:
             return Status("lost", found.reason)
         if own.level != "ok":
             return own
-        return Status("unsure", found.reason) if found is self._arrival and found.reason else NOT_CONFIRMED
+        return Status("unsure", found.reason if found is self._arrival and found.reason else NOT_CONFIRMED)
 
     @property
     def added_covariance(self) -> FloatArray:

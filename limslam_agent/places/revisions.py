@@ -6,7 +6,15 @@ from typing import Any
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
+
+NOT_CONFIRMED = "the robot's place was found, and it is not confirmed yet"
+BEGUN_ANEW = "the robot was lost before its map had walls, and has begun a new map where it believed to be"
+_UNCONFIRMED = {
+    event: Status("unsure", reason)
+    for event, reason in (("found", NOT_CONFIRMED), ("renewed", NOT_CONFIRMED), ("begun anew", BEGUN_ANEW))
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +81,9 @@ class PlaceHistory:
         return slice(None if self.unplaced is None else self.unplaced.begin)
 
     @property
-    def is_unconfirmed(self) -> bool:
-        """Whether the robot had found its place at the end, and it was not confirmed yet."""
-        return bool(self.records) and self.records[-1]["event"] in ("found", "renewed")
+    def doubt(self) -> Status:
+        """The status of a robot whose place or new map was not confirmed at the end; ok otherwise."""
+        return _UNCONFIRMED.get(self.records[-1]["event"], Status()) if self.records else Status()
 
 
 def revised(poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]) -> tuple[FloatArray, FloatArray]:

@@ -99,6 +99,8 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     )
     if reason:
         return _not_joined(f"joined and taken back: {reason}", decision.record)
+    if status.level == "ok":
+        status = next((each.places.doubt for each in replays if each.places.doubt.reason), status)
     record = {**decision.record, "event": "joined", "start": poses[1][0].tolist()}
     return JoinedLines(smoothed, record, poses, frame, grid, status)
 
@@ -147,7 +149,11 @@ def joined_run(runs: Sequence[FilteredRun], frame: FloatArray) -> FilteredRun:
     the first run.
     """
     first, second = runs
-    second = replace(second, poses=se2.compose(frame, second.poses))
+    second = replace(
+        second,
+        poses=se2.compose(frame, second.poses),
+        covariances=se2.turned(second.covariances, float(frame[2])),
+    )
     steps = max(len(each.poses) for each in runs)
     columns: dict[str, Any] = {
         name: np.concatenate([_padded(getattr(each, name), steps, fill) for each in (first, second)], axis=1)

@@ -286,10 +286,14 @@ def write_replay(
     statuses = status_scores(log.time, levels, replay.status)
     if smoothed is not None and smoothed.status is not None:
         statuses |= final_status_scores(smoothed.status, replay.status, lost_note(log.time, levels))
-    remark = "" if statuses["status"] == LEVELS[0] else f"{statuses['status']}: {statuses['status_reason']}"
+    figures = {} if smoothed is None else smoothed.figures
+    drawn = Status(
+        figures.get("smoothed_status", statuses["status"]),
+        figures.get("smoothed_status_reason", statuses["status_reason"]),
+    )
     picture = MapPicture(
         title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid,
-        online=None if smoothed is None else replay.estimated[:, :2], remark=remark,
+        online=None if smoothed is None else replay.estimated[:, :2], remark=drawn.words if drawn.reason else "",
     )  # fmt: skip
     draw_map(folder / "map.png", picture)
     found = replay.self_calibration.figures if replay.self_calibration else {}

@@ -16,7 +16,6 @@ from limslam_agent.config.graph import GraphConfig, WallLineConfig
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.places.recovery import NOT_CONFIRMED
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
@@ -116,7 +115,9 @@ def trusted_path(
     judged = _judged(smooth_log(data, start, config, report), config, data)
     if judged[2].contradicts_itself:
         judged = _second_look(start, config, judged, report)
-    found, _, signals, used = judged
+    found, landmarks, signals, used = judged
+    # The searches are needed no longer, and hold the grids of all rounds.
+    judged = replace(found, further=None), landmarks, signals, used
     if signals.status.level == "ok":
         return judged
     odometry, landmarks, of_odometry, _ = _judged(without_loops(found, start), config, data)
@@ -264,8 +265,8 @@ def smoothed_by_lines(
             found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
             replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
-    if status.level == "ok" and places.is_unconfirmed:
-        status = NOT_CONFIRMED
+    if status.level == "ok":
+        status = places.doubt
     seconds = time.process_time() - begin
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run)
     return replace(

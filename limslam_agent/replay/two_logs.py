@@ -204,8 +204,8 @@ def _signals(
     """The walls of both logs, and what speaks for or against their paths."""
     std = max(each.config.range_std for each in replays)
     landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, config.links, std), std)
-    reach = max(joint.first.data.max_range, joint.second.data.max_range)
-    visits = visit_counts(joint.keys, joint.trajectory, config, reach)
+    reaches = joint.first.data.max_range, joint.second.data.max_range
+    visits = visit_counts(joint.keys, joint.trajectory, config, max(reaches))
     bent = joint.hop_keys[joint.hop_errors > MOST_BENT]
     doubtful = visits.doubtful(MOST_CONTRADICTED, len(joint.first.keys))
     times, bends, doubts, driven, first_key = list[float](), list[float](), list[float](), 0.0, 0
@@ -218,9 +218,11 @@ def _signals(
         doubts += (when[doubtful[(doubtful >= keys.start) & (doubtful < keys.stop)] - keys.start] - when[0]).tolist()
         driven += float(chain.keys.travel[-1])
     loops = sum(each.kept for each in joint.verdicts)
-    is_limited = reach < max(float(each.log.robot.max_ranges.max()) for each in replays)
+    limited = [
+        reach for reach, each in zip(reaches, replays, strict=True) if reach < float(each.log.robot.max_ranges.max())
+    ]
     return landmarks, PathSignals(
-        driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts), reach if is_limited else None
+        driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts), min(limited, default=None)
     )
 
 

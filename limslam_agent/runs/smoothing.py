@@ -8,7 +8,6 @@ import numpy as np
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.joining import NOT_YET_CONFIRMED
 from limslam_agent.output.export import finite
-from limslam_agent.places.recovery import NOT_CONFIRMED
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
@@ -121,8 +120,8 @@ def final_status(episode: "Episode") -> dict[str, str]:
         )  # fmt: skip
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
         status = NOT_YET_CONFIRMED
-    if status.level == "ok" and places.is_unconfirmed:
-        status = NOT_CONFIRMED
+    if status.level == "ok":
+        status = places.doubt
     return final_status_scores(status, worst(online_statuses), lost_note(episode.time, episode.levels))
 
 

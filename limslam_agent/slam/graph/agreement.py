@@ -196,6 +196,11 @@ class Evidence:
         """Number of the points that other visits have seen."""
         return self.confirmed + self.contradicted
 
+    @property
+    def says_what_is_usual(self) -> bool:
+        """Whether other visits have seen so many points that their contradictions say what is usual in this log."""
+        return self.known > _LEAST_KNOWN * self.points
+
     def adds_contradictions(self, other: "Evidence", least: float) -> bool:
         """Whether visits contradict each other much more where they meet in this map, but not in another one.
 
@@ -203,8 +208,7 @@ class Evidence:
         other. But then a larger share of the additional points is contradicted than in the other map: more than
         ``least`` and much more than is usual there, or, if this path is bent more, more than twice what is usual.
         """
-        is_known = other.known > _LEAST_KNOWN * other.points
-        usual = other.contradicted / other.known if is_known else _OFTEN_USUAL
+        usual = other.contradicted / other.known if other.says_what_is_usual else _OFTEN_USUAL
         bent = self.bend - other.bend > _BENT
         most = _MORE * max(usual, _LEAST_USUAL) if bent else _largest_usual(usual, least)
         judged = self.known - other.known

@@ -309,11 +309,13 @@ def _best(rounds: list[Round], tie: float) -> Round:
 def _most_credible(searches: list[_Search]) -> tuple[_Search, Round]:
     """The search with the highest score, and its best round, among the rounds that add no contradictions to others.
 
-    They are also compared with the paths without loops. If all rounds add contradictions, all are considered.
+    They are also compared with the paths without loops. A map in which few places were seen again does not say how many
+    contradictions are usual, and none is refused because of it. If all rounds add contradictions, all are considered.
     """
     least = searches[0].log.config.agreement.doubtful_share
     others = [each.evidence for search in searches for each in search.rounds]
-    others += [search.log.evidence(search.log.local) for search in searches[:: len(STARTS)]]
+    others += [log.evidence(log.local) for log in {id(search.log): search.log for search in searches}.values()]
+    others = [each for each in others if each.says_what_is_usual]
 
     def is_credible(each: Round) -> bool:
         return not any(each.evidence.adds_contradictions(other, least) for other in others)

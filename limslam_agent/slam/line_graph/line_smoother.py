@@ -118,9 +118,7 @@ def calibration_chi_square(problem: Problem, state: State) -> float:
 
 def _motion_residuals(problem: Problem, state: State) -> FloatArray:
     """Reported wheel travel, corrected by the calibration, minus true travel (n, t - 1, 3), in standard deviations."""
-    sizes = np.ones((len(state.motions), 1, 3))
-    sizes[:, 0, :2] += state.calibration[:, :2]
-    return problem.whitened(problem.wheels * sizes - state.motions)
+    return problem.whitened(problem.motions(state.calibration) - state.motions)
 
 
 def range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatArray:

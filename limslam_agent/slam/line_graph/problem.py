@@ -69,6 +69,8 @@ class Problem:
         Lengths of the boards and of the walls with two faces that are known, m.
     bias
         By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
+    jumps
+        Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
     loose
         The motions that are less certain than ``stds``: the robots may have touched something, or were carried away.
     """
@@ -85,6 +87,7 @@ class Problem:
     kinds: tuple[float, float] = (0.0, 0.0)
     growth: float = 0.0
     bias: float = 0.0
+    jumps: FloatArray | None = None
     loose: tuple[LooseMotion, ...] = ()
 
     @property
@@ -125,6 +128,13 @@ class Problem:
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
         return self.robot.axle * (1.0 + float(calibration[2]))
+
+    def motions(self, calibration: FloatArray) -> FloatArray:
+        """The measured motions (n, t - 1, 3), m, by the calibration (n, 4) of the wheels."""
+        sizes = np.ones((len(self.wheels), 1, 3))
+        sizes[:, 0, :2] += calibration[:, :2]
+        found = self.wheels * sizes
+        return found if self.jumps is None else found + self.jumps
 
     def whitened(self, errors: FloatArray) -> FloatArray:
         """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""

@@ -144,9 +144,11 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     problem = make_problem(
         run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
     )
+    if problem.steps < 2:
+        return None
     problem = with_breaks(problem, run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
-    if problem.steps < 2 or np.count_nonzero(labels >= 0) < config.reassociation.fewest:
+    if np.count_nonzero(labels >= 0) < config.reassociation.fewest:
         return None
     try:
         problem, labels = with_kinds(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
@@ -214,19 +216,21 @@ def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
 
     The filter has found them by hundreds of readings, of which the associations of the run hold a few only.
     """
-    wheels, own = problem.wheels.copy(), {(number, step - 1) for number, step in run.breaks}
+    own = {(number, step - 1) for number, step in run.breaks}
+    wheels, jumps = problem.wheels.copy(), np.zeros_like(problem.wheels)
     # The covariance of a slip would hold the robot near where it was.
     loose = [each for each in problem.loose if (each.robot, each.motion) not in own]
     for number, motion in sorted(own):
         poses, covariances = run.poses[motion : motion + 2, number].copy(), run.covariances[motion : motion + 2, number]
         poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
         by_before, by_after = np.empty((2, 1, 3, 3))
-        motions_between(poses, problem.robot.axle, wheels[number, motion : motion + 1])
+        wheels[number, motion] = 0.0
+        motions_between(poses, problem.robot.axle, jumps[number, motion : motion + 1])
         motion_jacobians(poses, problem.robot.axle, by_before, by_after)
         found = covariances[1] + np.diag(_FOUND_STDS**2)
         covariance = by_before[0] @ covariances[0] @ by_before[0].T + by_after[0] @ found @ by_after[0].T
         loose.append(LooseMotion.of(number, motion, covariance))
-    return replace(problem, wheels=wheels, loose=tuple(loose))
+    return replace(problem, wheels=wheels, jumps=jumps if own else None, loose=tuple(loose))
 
 
 def filter_labels(

@@ -11,8 +11,7 @@ from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.presets import with_until
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
-from limslam_agent.places.recovery import BEGUN_ANEW
-from limslam_agent.places.revisions import Revision, revised
+from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory, Revision, revised
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
 from limslam_agent.runs.run_config import RunConfig
@@ -69,8 +68,10 @@ def test_the_smoothed_path_goes_on_where_it_was_found(episode):
     carried = round(KIDNAPPED / 0.1) + 2
     assert errors(episode.smoothed.poses, episode.true)[carried:].max() < 0.2
     # The place is not confirmed before the whole map or a long way agrees with it.
-    assert episode.places.is_unconfirmed
     assert final_status(episode)["status"] == "unsure"
+    assert final_status(episode)["status_reason"] == NOT_CONFIRMED
+    assert PlaceHistory(records=[*episode.places.records, {"event": "confirmed"}]).doubt == Status()
+    assert PlaceHistory(records=[{"event": "begun anew"}]).doubt == Status("unsure", BEGUN_ANEW)
 
 
 def test_the_step_at_which_it_was_carried_away_is_known_afterwards(episode):
@@ -198,15 +199,19 @@ def test_a_carried_robot_came_to_where_it_was_found():
     problem = make_problem(robot, noise, np.zeros((1, 3)), wheels, ranges)
     broken = with_breaks(problem, run)
     np.testing.assert_array_equal(np.delete(broken.wheels, 2, axis=1), np.delete(problem.wheels, 2, axis=1))
+    # The size of the wheels does not change how far the robot was carried.
+    larger = np.array([[0.03, -0.03, 0.0, 0.0]])
+    np.testing.assert_array_equal(broken.motions(larger)[0, 2], broken.motions(0.0 * larger)[0, 2])
+    np.testing.assert_allclose(broken.motions(larger)[0, 1], [0.103, 0.097, 0.0])
     # By this motion alone, the robot is found within 0.3 m in each direction, and within 10 degrees.
     unsure = replace(run, covariances=np.tile(np.diag([0.4, 0.4, 0.0]) ** 2, (5, 1, 1, 1)))
     for shift, off in (([0.0, 0.0, 0.0], 0.0), ([0.3, 0.0, 0.0], 1.0), ([0.0, -0.6, 0.0], 2.0), ([0, 0, 0.1745], 1.0)):
         state = state_from_poses(problem, np.concatenate((poses[:3], poses[3:] + shift)))
-        errors = broken.whitened(broken.wheels - state.motions)
+        errors = broken.whitened(broken.motions(0.0 * larger) - state.motions)
         assert np.linalg.norm(errors[0, 2]) == pytest.approx(off, abs=0.1), shift
         wider = with_breaks(problem, unsure)
         # The errors of both poses add to that: 0.3^2 + 2 * 0.4^2 = 0.64^2 m^2.
-        least = np.linalg.norm(wider.whitened(wider.wheels - state.motions)[0, 2])
+        least = np.linalg.norm(wider.whitened(wider.motions(0.0 * larger) - state.motions)[0, 2])
         assert least == pytest.approx(off * (1.0 if shift[2] else 0.3 / 0.64), abs=0.1), shift
 
 
