@@ -5,8 +5,6 @@ from contextlib import contextmanager
 
 import typer
 
-from limslam_env.messages import printable
-
 Advance = Callable[[float, str], None]
 """Told how much is done, and the state in words."""
 
@@ -27,12 +25,17 @@ def progress_bar(task: str, total: float) -> Iterator[Advance]:
 
 def warn(warnings: Iterable[str]) -> None:
     """Print warnings on standard error, one line each."""
+    # Its package loads numpy, which `limslam --help` need not wait for.
+    from limslam_env.messages import printable
+
     for warning in warnings:
         typer.echo(printable(f"limslam: warning: {warning}"), err=True)
 
 
 def print_table(rows: list[tuple[str, ...]]) -> None:
     """Print rows as aligned columns; plain, so that other programs can read them too."""
+    from limslam_env.messages import printable
+
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))

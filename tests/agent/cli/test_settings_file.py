@@ -335,7 +335,7 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise():
 
 def test_a_run_takes_a_robot_by_its_name_or_from_its_file(tmp_path):
     assert config_of(given(tmp_path, robot="e_puck")).robot == ROBOTS["e-puck"]()
-    (tmp_path / "robot.toml").write_text("axle = 0.2\n")
+    (tmp_path / "robot.toml").write_text("radius = 0.1\naxle = 0.2\n")
     told = config_of(Given.read(None, {"robot": str(tmp_path / "robot.toml")})).robot
     assert told == replace(RobotSpec(), axle=0.2)
     by_table = Given(tmp_path / "run.toml", {"robot": {"axle": 0.3}}, {"robot": "ring"})

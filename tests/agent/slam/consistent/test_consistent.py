@@ -349,7 +349,7 @@ def test_round_the_square_every_wall_is_found_again(noise: float, seed: int) -> 
 def test_loops_are_closed_rightly_and_the_younger_landmark_is_gone() -> None:
     # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
     closures = 0
-    for seed in range(1, 4):
+    for seed in (1, 4, 8):
         log, slam, records = loop_of(0.0, seed, 4e-4, laps=2.0, start_x=3.5)
         numbers = [mark.number for mark in slam.all_landmarks]
         closures += len(slam.closures)
