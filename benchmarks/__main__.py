@@ -4,6 +4,7 @@ What takes long to import is imported inside the commands, so that help comes at
 """
 
 import os
+import re
 import signal
 import sys
 from dataclasses import replace
@@ -45,7 +46,12 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/suite-NAME")] = None,
     timeout: Annotated[float, typer.Option(help="Wall-clock time after which a job has failed, s.")] = 3600.0,
     first_seed: Annotated[
-        int | None, typer.Option(min=0, help="Lowest seed of each grid.", show_default="the suite's")
+        int | None,
+        typer.Option(
+            min=0,
+            help="Lowest seed of each grid: of noise and start, and of the world random:seed.",
+            show_default="the suite's",
+        ),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the jobs, run none.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
@@ -208,9 +214,16 @@ def made_up_logs(
     """Make up CARMEN logs with relations, smooth them with six beams, and print their errors."""
     from benchmarks.made_up_logs import smoothing_table
 
-    first, _, last = seeds.partition("..")
-    for line in smoothing_table(range(int(first), int(last or first) + 1), variations or [""], out, length):
+    for line in smoothing_table(_seeds(seeds), variations or [""], out, length):
         typer.echo(line)
+
+
+def _seeds(text: str) -> range:
+    found = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", text.strip())
+    seeds = range(int(found[1]), int(found[2] or found[1]) + 1) if found else range(0)
+    if not seeds:
+        raise ValueError(f"--seeds: a seed such as 7 or a range such as 0..15 is needed, not {text!r}")
+    return seeds
 
 
 @app.command()
@@ -289,7 +302,8 @@ def main() -> None:
     except OSError as error:
         _fail(f"{error.filename or 'output'}: {error.strerror or error}")
     if code == STOPPED:
-        typer.echo("benchmarks: stopped; what is done is kept, and the same command goes on", err=True)
+        goes_on = "--seeds chooses the rest" if "made-up-logs" in sys.argv[1:2] else "the same command goes on"
+        typer.echo(f"benchmarks: stopped; what is done is kept, and {goes_on}", err=True)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -7,7 +7,7 @@ made-up-logs OUT`` writes logs with their relations, and prints the errors of th
 
 import gzip
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.log_variations import outcome, variation
+from benchmarks.log_variations import Variation, outcome, variation
 from benchmarks.suite.work import data_folder
 from limslam_agent.logs.relations import read_relations, relation_errors
 from limslam_env.bounds.roadmap import Roadmap
@@ -172,10 +172,14 @@ class MadeUpLog:
     ranges: FloatArray
 
 
+def _kind(seed: int) -> str:
+    return list(WORLDS)[seed % len(WORLDS)]
+
+
 def made_up_log(seed: int, length: float | None = None) -> MadeUpLog:
     """The log of a seed; the kinds of buildings take turns. ``length`` is the distance driven, m; None to draw it."""
     generator = np.random.default_rng(seed)
-    kind = list(WORLDS)[seed % len(WORLDS)]
+    kind = _kind(seed)
     world = WORLDS[kind](generator)
     path = driven_path(world, length or generator.uniform(100.0, 220.0), generator)
     period, delay = _ROBOT.control_period, generator.uniform(0.0, 0.15)
@@ -257,9 +261,18 @@ def _pairs(log: MadeUpLog) -> IntArray:
 
 
 def smoothing_table(
-    seeds: Iterable[int], variations: Sequence[str], folder: Path, length: float | None
-) -> Iterable[str]:
-    """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations."""
+    seeds: Sequence[int], variations: Sequence[str], folder: Path, length: float | None
+) -> Iterator[str]:
+    """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations.
+
+    Raises
+    ------
+    ValueError
+        Before the first line, if a variation cannot be read, or there are no floor plans for the seeds that need them.
+    """
+    known = [(text or "none", variation(text)) for text in variations]
+    if "real" in {_kind(seed) for seed in seeds}:
+        data_folder()
     yield "| log | driven, m | odometry | its error, m | variation | smoothed, m / deg | loops, m | status | s |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for seed in seeds:
@@ -267,15 +280,15 @@ def smoothing_table(
         path, relations = write_log(log, folder)
         driven = np.hypot(*np.diff(log.truth[:, :2], axis=0).T).sum()
         error = relation_errors(read_relations(relations), log.time + _BEGIN, log.odometry).translation.mean()
-        for text in variations:
-            found = _cells(path, relations, text)
-            yield f"| {log.name} | {driven:.0f} | {log.errors} | {error:.2f} | {text or 'none'} | {found} |"
+        for text, meant in known:
+            found = _cells(path, relations, meant)
+            yield f"| {log.name} | {driven:.0f} | {log.errors} | {error:.2f} | {text} | {found} |"
 
 
-def _cells(path: Path, relations: Path, text: str) -> str:
+def _cells(path: Path, relations: Path, meant: Variation) -> str:
     """The last cells of a row: errors of the smoothed path in a variation of a log, status, and processor time."""
     try:
-        found = outcome(str(path), str(relations), variation(text))
+        found = outcome(str(path), str(relations), meant)
     except (ValueError, ArithmeticError, LookupError) as error:
         return f"failed: {type(error).__name__}: {error} | | |"
     names = "relation_error_m", "relation_error_deg", "loop_relation_error_m"

@@ -58,7 +58,6 @@ def fault_sheet(faulty: Sequence[Group]) -> Sheet | None:
     """What became of robots with a fault; None if there are none."""
     if not faulty:
         return None
-    ate = metric("ate_smoothed_m")
     columns: list[Column | Written] = [
         ("not ok within 10 s", _share("fault_doubted_s", _is_soon)),
         ("lost within 10 s", _share("fault_lost_s", _is_soon)),
@@ -70,7 +69,7 @@ def fault_sheet(faulty: Sequence[Group]) -> Sheet | None:
         ("of these ok", _share("fault_wrong_place_ok_s", lambda value: value > 0.0)),
         ("not ok before", _share("fault_alarms_before_s", lambda value: value > 0.0)),
         Column("smoothed ATE m", metric("ate_smoothed_m"), 3),
-        ("ok at the end though it is above 0.5 m", _ended_ok(lambda row: (ate(row) or 0.0) > TOLERATED_ATE)),
+        ("ok at the end, smoothed ATE above 0.5 m", _ok_though_wrong),
     ]
     note = (
         "Numbers of runs, and medians with 95 % bootstrap intervals over those that were noticed or placed. A right "
@@ -131,6 +130,12 @@ def _ended_ok(holds: Callable[[Row], bool]) -> Cell:
         return f"{len(found)} of {len(part.rows) - part.failed}"
 
     return cell
+
+
+def _ok_though_wrong(part: Group) -> str:
+    """So many of the runs have the status ok at their end with a wrong smoothed path."""
+    ate = metric("ate_smoothed_m")
+    return _ended_ok(lambda row: (ate(row) or 0.0) > TOLERATED_ATE)(part) if len(part.values(ate)) else MISSING
 
 
 def _of(statistic: Callable[..., float], name: str, decimals: int) -> Cell:

@@ -181,6 +181,8 @@ def _fault_keys(table: dict[str, Any]) -> dict[str, Any]:
     shared: dict[str, Any] = {}
     if unused := [key for key in _FAULT_KEYS if key in table and "faults" not in table]:
         raise ValueError(f"{unused[0]}: goes with faults")
+    if "faults" in table and "max_time" in table:
+        raise ValueError("max_time: does not go with faults, after which robots drive for after_fault seconds")
     if "fault_time" in table:
         shared["fault_time"] = tuple(float(value) for value in _values(table, "fault_time", _NUMBER))
     if "after_fault" in table:

@@ -164,8 +164,10 @@ class _Rows:
     def _add_header(self, names: list[str]) -> None:
         # Only the chosen columns are stored: a header may name thousands.
         self.used = [place for place, name in enumerate(names) if name != NOT_USED]
+        if self.options.columns:
+            self.used = _in_order(self.used, names)
         names = [names[place] for place in self.used]
-        self.leading, self.directions = _leading(names), _directions(names)
+        self.leading, self.directions = _leading(names), _directions(names, self.options.columns)
         self.limits.check_beams(len(names) - self.leading)
         if self.max_range is not None:
             check_max_range(self.max_range)
@@ -183,9 +185,14 @@ class _Rows:
     def _add_row(self, text: bytes) -> None:
         fields = [field.strip() for field in text.split(self.separator)]
         if self.options.columns:
-            if len(fields) != len(self.options.columns):
+            # A mark that stands once instead of the ranges comes after all other columns that are used.
+            is_short = fields[-1] == NO_SCAN and max(self.used[: self.leading]) < len(fields) - 1
+            if is_short and len(fields) <= min(self.used[self.leading :]) + 1:
+                fields = [*(fields[place] for place in self.used[: self.leading]), fields[-1]]
+            elif len(fields) == len(self.options.columns):
+                fields = [fields[place] for place in self.used]
+            else:
                 raise ValueError(f"{len(fields)} columns where --columns names {len(self.options.columns)}")
-            fields = [fields[place] for place in self.used]
         count = self.leading + len(self.directions)
         readings = fields[self.leading :]
         silent = bool(readings) and all(field == NO_SCAN for field in readings)
@@ -194,13 +201,14 @@ class _Rows:
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
         move[0] *= self.options.seconds
-        before = self.moves[-self.leading] if self.moves else move[0]
-        if move[0] + self.time_before < before - LARGEST_STEP_BACK:
-            if self.leading == len(_POSE) or not self.options.is_just_switched_on(*move):
-                raise ValueError(f"the time steps back by {before - move[0] - self.time_before:.1f} s")
+        before = list(self.moves[-self.leading :]) or list(move)
+        last, before[0] = before[0], before[0] - self.time_before
+        if move[0] < before[0] - LARGEST_STEP_BACK:
+            if self.leading == len(_POSE) or not self.options.is_switched_on_again(move, before):
+                raise ValueError(f"the time steps back by {before[0] - move[0]:.1f} s")
             # The clock of a robot that was switched on again counts on from the row before.
             self.restarts.append(len(self.has_scan))
-            self.time_before = before
+            self.time_before = last
         move[0] += self.time_before
         values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
         if self.options.zero_is_nothing:
@@ -282,11 +290,23 @@ def _leading(names: list[str]) -> int:
     return len(next(known, ()))
 
 
-def _directions(names: list[str]) -> list[float]:
-    """Directions of the range columns, deg."""
+def _in_order(used: list[int], names: list[str]) -> list[int]:
+    """Places of the columns that are used, with those first that stand before the ranges of a header."""
+    for form in (_POSE, _WHEELS):
+        leading = [next((place for place in used if names[place] in known), None) for known in form]
+        if None not in leading:
+            return sorted(used, key=lambda place: leading.index(place) if place in leading else len(leading))
+    return used
+
+
+def _directions(names: list[str], chosen: Sequence[str]) -> list[float]:
+    """Directions of the range columns, deg. ``chosen`` are the columns that stand in place of the header, if any."""
     leading = _leading(names)
+    source = "--columns" if chosen else "the header"
     if not leading:
-        found = ",".join(names)[:60]
+        found = ",".join(chosen or names)[:60]
+        if chosen:
+            raise ValueError(f"--columns must name {_FORMS}, not {found!r}")
         raise ValueError(f"the header must be {_FORMS}, not {found!r}; --columns names the columns of another header")
     directions: list[float] = []
     columns = names[leading:]
@@ -296,11 +316,11 @@ def _directions(names: list[str]) -> list[float]:
         else:
             directions.append(_direction(name))
     if not directions:
-        raise ValueError(f"the header names no ranges: r_<deg>,... must follow {names[leading - 1]}")
+        raise ValueError(f"{source} names no ranges: r_<deg>,... must follow {names[leading - 1]}")
     turns = [degrees % 360.0 for degrees in directions]
     if len(set(turns)) < len(turns):
         twice = next(degrees for degrees, turn in zip(directions, turns, strict=True) if turns.count(turn) > 1)
-        raise ValueError(f"the header names the beam at {twice:g} deg twice")
+        raise ValueError(f"{source} names the beam at {twice:g} deg twice")
     return directions
 
 

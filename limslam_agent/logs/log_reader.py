@@ -74,4 +74,6 @@ def read_log(
 
 def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
     if table is not None and table != TableOptions():
-        raise LogError(f"{fspath(path)}: is not a table, so its robot and its units cannot be chosen")
+        raise LogError(
+            f"{fspath(path)}: is not a table, so --robot, units, --columns and --zero-is-nothing do not go with it"
+        )

@@ -1,6 +1,7 @@
 """What a table of a log does not say itself: the robot that recorded it, and what its columns mean."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,9 @@ COUNTER_SPAN = 65536
 
 RESTARTED = 2.0
 """Counters near 0 have begun again if a wheel travelled more than this many times what its largest speed allows."""
+
+MOST_KEPT = 0.5
+"""A clock that begins again shows at most this share of the time before. Otherwise it was set back."""
 
 TOO_FAST = 10.0
 """A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
@@ -54,8 +58,8 @@ class TableOptions:
         Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may be too near to be
         measured, and a negative number is no reading.
     columns
-        What the columns hold, in place of the file's own header: the names that a header would have, and ``-`` for a
-        column that is not used. Empty if the header of the file is read.
+        What the columns hold, in place of the file's own header: the names that a header would have, in any order, and
+        ``-`` for a column that is not used. Empty if the header of the file is read.
 
     Raises
     ------
@@ -115,12 +119,19 @@ class TableOptions:
             )
         return self.metres / math.cos(apart)
 
-    def is_just_switched_on(self, time: float, left: float, right: float) -> bool:
-        """Whether encoders that count from the start say no more than the robot can drive in ``time``, s."""
-        if not self.accumulated or self.robot is None:
+    def is_switched_on_again(self, row: Sequence[float], before: Sequence[float]) -> bool:
+        """Whether a clock that steps back between two rows of time, s, left and right began again with the robot.
+
+        The clock must then have lost most of its time, and both counters must be near 0. Counters that hardly differ
+        from those of the row before went on, so that only the clock was set back.
+        """
+        if not self.accumulated or self.robot is None or row[0] > MOST_KEPT * before[0]:
             return False
-        farthest = TOO_FAST * self.robot.max_wheel_speed * max(time, self.robot.control_period)
-        return max(abs(left), abs(right)) * self.metres_per_tick <= farthest
+        speed = self.robot.max_wheel_speed / self.metres_per_tick
+        counted = max(map(abs, row[1:]))
+        moved = max(abs(new - old) for new, old in zip(row[1:], before[1:], strict=True))
+        period = self.robot.control_period
+        return counted <= RESTARTED * speed * max(row[0], period) and moved > TOO_FAST * speed * period
 
     def wheel_travel(self, columns: FloatArray) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).

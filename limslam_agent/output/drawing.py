@@ -22,7 +22,7 @@ TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
 _DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
 _ONLINE_WIDTH = 0.9
 _START, _END = "o", "s"
-_LETTERS_PER_INCH = 11  # of a title
+_LETTERS_PER_INCH, _LINE_HEIGHT = 11, 0.2  # of a title, and of a line of title or legend, inches
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
@@ -105,13 +105,15 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     width, height = np.maximum(high - low, 0.5)
     scale = min(7.2 / width, 7.6 / height)
     handles = legend(picture)
-    rows = -(-len(handles) // 3)
-    size = (max(scale * width, 4.6) + 0.5, scale * height + 0.95 + 0.2 * rows)
+    across = max(scale * width, 4.6) + 0.5
+    remark = textwrap.wrap(picture.remark, int(_LETTERS_PER_INCH * across))
+    rows = -(-len(handles) // 3) + len(remark)
+    size = (across, scale * height + 0.95 + _LINE_HEIGHT * rows)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     paint_map(axes, picture)
-    remark = textwrap.fill(picture.remark, max(int(_LETTERS_PER_INCH * size[0]), 1))
-    axes.set_title("\n".join(filter(None, (picture.title, remark))), fontsize=11, parse_math=False)
+    # A title of the axes may be cut off: their equal scales move it after the layout.
+    figure.suptitle("\n".join((picture.title, *remark)), fontsize=11, parse_math=False)
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False, fontsize=9)
     figure.savefig(path, dpi=160, facecolor="white")
 

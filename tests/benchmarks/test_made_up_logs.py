@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks import __main__ as command
 from benchmarks import made_up_logs
 from benchmarks.made_up_logs import made_up_log, smoothing_table, walls_of, write_log
 from limslam_agent.logs.log_reader import read_log
@@ -56,3 +57,33 @@ def test_a_log_that_cannot_be_smoothed_is_a_row_of_the_table(tmp_path, monkeypat
     monkeypatch.setattr(made_up_logs, "outcome", fails)
     *_, row = smoothing_table([1], ["", "max_range=4"], tmp_path, 10.0)
     assert "| max_range=4 | failed: IndexError: index 3 is out of bounds" in row
+
+
+@pytest.mark.parametrize("seeds", ["a..b", "0,1", "-1", "5..3", "", "0..", "1.5"])
+def test_seeds_that_are_none_are_refused(tmp_path, seeds):
+    with pytest.raises(ValueError, match="--seeds: a seed such as 7 or a range such as"):
+        command.made_up_logs(tmp_path / "logs", seeds)
+    assert not (tmp_path / "logs").exists()
+
+
+def test_what_is_missing_is_refused_before_the_first_log(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match="foo is no setting of a variation"):
+        next(smoothing_table([0], ["", "foo=1"], tmp_path / "logs", 10.0))
+    monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "absent"))
+    with pytest.raises(ValueError, match="recorded data not found"):
+        next(smoothing_table(range(4), [""], tmp_path / "logs", 10.0))
+    assert next(smoothing_table(range(3), [""], tmp_path / "logs", 10.0)).startswith("| log |")
+    assert not (tmp_path / "logs").exists()
+
+
+def test_ctrl_c_does_not_promise_that_the_same_command_goes_on(tmp_path, monkeypatch, capsys):
+    def stops(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(made_up_logs, "smoothing_table", stops)
+    monkeypatch.setattr(command.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(command.sys, "argv", ["benchmarks", "made-up-logs", str(tmp_path)])
+    with pytest.raises(SystemExit) as caught:
+        command.main()
+    assert caught.value.code == 130
+    assert capsys.readouterr().err == "benchmarks: stopped; what is done is kept, and --seeds chooses the rest\n"

@@ -147,8 +147,37 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
 
 
+def test_columns_may_stand_in_any_order(write):
+    ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
+    options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
+    order = (5, 2, 3, 0, 3, 1, 4)
+    rows = [",".join(line.split(",")[place] for place in order) for line in TICKS.split()]
+    named = read_log(write("\n".join(rows) + "\n", "named.log"), table=options)
+    np.testing.assert_array_equal(named.ranges, ticks.ranges[:, [2, 0, 1]])
+    np.testing.assert_array_equal(named.wheels, ticks.wheels)
+
+
+@pytest.mark.parametrize("columns", ["t,left,right,r_90,r_54", "t,-,left,right,r_90,-,r_54"])
+def test_a_row_may_have_no_scan_where_columns_are_named(write, columns):
+    options = replace(TICK_OPTIONS, columns=tuple(columns.split(",")))
+    first = options.columns.index("r_90")
+    rows = ["9"] * len(options.columns), [*["9"] * first, "-"]
+    log = read_log(write("\n".join(map(",".join, rows)) + "\n", "named.log"), table=options)
+    np.testing.assert_array_equal(log.has_scan, [True, False])
+    rows = ["9"] * len(options.columns), [*["9"] * (first - 1), "-"]
+    assert "where --columns names" in refusal(write("\n".join(map(",".join, rows)) + "\n"), table=options)
+
+
 def test_columns_that_do_not_fit_are_refused(write):
     assert "--columns names the columns of another header" in refusal(write(f"{NAMES}\n{TICKS}"))
+    for columns, words in (
+        ("", "--columns must name t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not ''"),
+        ("-", "r_<deg>,..., not '-'"),
+        ("t,left,r_90", "r_<deg>,..., not 't,left,r_90'"),
+        ("t,left,right", "--columns names no ranges"),
+        ("t,left,right,r_90,r_90", "--columns names the beam at 90 deg twice"),
+    ):
+        assert words in refusal(write(HEAD + TICKS), table=replace(TICK_OPTIONS, columns=tuple(columns.split(","))))
     options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
     assert "line 2: 6 columns where --columns names 5" in refusal(write(HEAD + TICKS), table=options)
 
@@ -173,6 +202,14 @@ def test_a_robot_that_is_switched_on_again_counts_on(write):
 def test_a_clock_that_steps_back_without_its_counters_is_refused(write):
     rows = "0,0,0,1,1,1\n9000,400,500,1,1,1\n100,9410,9510,1,1,1\n"
     assert "line 4: the time steps back by 8.9 s" in refusal(write(HEAD + rows), table=TICK_OPTIONS)
+    # Late enough that a robot could have driven as far since it was switched on.
+    rows = "0,0,0,1,1,1\n30000,8000,8000,1,1,1\n25000,8020,8020,1,1,1\n"
+    assert "line 4: the time steps back by 5.0 s" in refusal(write(HEAD + rows), table=TICK_OPTIONS)
+    rows = "0,0,0,1,1,1\n9000,400,500,1,1,1\n4000,410,510,1,1,1\n"
+    assert "line 4: the time steps back by 5.0 s" in refusal(write(HEAD + rows), table=TICK_OPTIONS)
+    # Stamps of a calendar begin nowhere.
+    rows = "1764000000000,0,0,1,1,1\n1764000009000,4000,4000,1,1,1\n1764000001000,0,0,1,1,1\n"
+    assert "line 4: the time steps back by 8.0 s" in refusal(write(HEAD + rows), table=TICK_OPTIONS)
 
 
 def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
@@ -242,4 +279,5 @@ def test_impossible_units_are_refused(wrong, words):
 
 
 def test_other_logs_take_no_such_options(write):
-    assert "is not a table" in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)
+    words = "is not a table, so --robot, units, --columns and --zero-is-nothing do not go with it"
+    assert words in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)

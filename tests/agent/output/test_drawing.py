@@ -140,3 +140,16 @@ def test_a_plot_without_errors_keeps_its_limits():
     before = axes.get_ylim()
     limit_bands(axes)
     assert axes.get_ylim() == before
+
+
+@pytest.mark.parametrize("height", [3.0, 40.0])
+def test_title_and_remark_lie_within_the_picture(tmp_path, height):
+    walls = np.array([(0.0, 0.0, 40.0, 0.0), (40.0, 0.0, 40.0, height)])
+    remark = "lost: since 37 s the readings contradict the map, and no place explains them. " * 4
+    for words in ("", remark):
+        file = tmp_path / f"map{len(words)}.png"
+        draw_map(file, MapPicture("a log", walls, path(1.0), [], remark=words))
+        with Pictures.open(file) as picture:
+            assert np.asarray(picture.convert("L"))[:4].min() == 255
+    more = size_of(tmp_path / f"map{len(remark)}.png")[1] - size_of(tmp_path / "map0.png")[1]
+    assert more >= 4 * 0.2 * 160 - 1

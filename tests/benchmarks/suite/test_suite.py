@@ -132,6 +132,7 @@ def test_floor_plans_by_seed():
         (GRID + "faults = ['jump']\nfault_time = [9]\n", "[[grid]] 1: env1: fault_time: must be two times"),
         (GRID + "faults = ['jump']\nafter_fault = 0\n", "[[grid]] 1: env1: after_fault: must be above 0 s"),
         (GRID + "faults = ['jump']\nrobots = [2]\n", "[[grid]] 1: env1: faults are for one robot that explores"),
+        (GRID + "faults = ['jump']\nmax_time = 9\n", "[[grid]] 1: max_time: does not go with faults"),
         (GRID + "limit = 1\n", "[[grid]] 1: limit: must be true or false"),
         (GRID.replace("[0]", "[-1]"), "[[grid]] 1: seeds: a seed is 0 or more, not -1"),
         (GRID.replace("[0]", "{first = 0, count = 0}"), "[[grid]] 1: seeds: first must be 0 or more, and count 1"),
