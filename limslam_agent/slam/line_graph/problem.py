@@ -248,9 +248,9 @@ def state_from_poses(problem: Problem, poses: FloatArray) -> State:
 
 
 def state_from_motions(problem: Problem) -> State:
-    """The state without lines that follows from the reported wheel travel."""
-    nothing = np.zeros((0, 2))
-    return moved(problem, problem.wheels, nothing, nothing, problem.assumed_calibration)
+    """The state without lines that follows from the reported wheel travel, and from where robots were carried."""
+    nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration
+    return moved(problem, problem.motions(calibration), nothing, nothing, calibration)
 
 
 def moved(

@@ -20,7 +20,7 @@ from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
+from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions, state_from_poses
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
@@ -199,6 +199,7 @@ def test_a_carried_robot_came_to_where_it_was_found():
     problem = make_problem(robot, noise, np.zeros((1, 3)), wheels, ranges)
     broken = with_breaks(problem, run)
     np.testing.assert_array_equal(np.delete(broken.wheels, 2, axis=1), np.delete(problem.wheels, 2, axis=1))
+    np.testing.assert_allclose(state_from_motions(broken).poses[0, :4], poses[:4, 0], atol=1e-9)
     # The size of the wheels does not change how far the robot was carried.
     larger = np.array([[0.03, -0.03, 0.0, 0.0]])
     np.testing.assert_array_equal(broken.motions(larger)[0, 2], broken.motions(0.0 * larger)[0, 2])
