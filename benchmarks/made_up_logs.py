@@ -18,6 +18,7 @@ import numpy as np
 from benchmarks.log_variations import Variation, outcome, variation
 from benchmarks.suite.work import data_folder
 from limslam_agent.logs.relations import read_relations, relation_errors
+from limslam_agent.slam.graph.key_poses import integrate
 from limslam_env.bounds.roadmap import Roadmap
 from limslam_env.bounds.tours import Speeds, poses_along
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -205,10 +206,7 @@ def _odometry(truth: FloatArray, errors: str, generator: np.random.Generator) ->
     moves[:, :2] *= 1.0 + signs[0] * scale + 0.05 * generator.standard_normal((len(moves), 1))
     for place in generator.choice(len(moves), slips, replace=False):
         moves[place] += generator.normal(0.0, _SLIP)
-    poses = np.zeros_like(truth)
-    for number, move in enumerate(moves):
-        poses[number + 1] = se2.compose(poses[number], move)
-    return poses
+    return integrate(np.zeros(3), moves)
 
 
 def _ranges(world: World, time: FloatArray, truth: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.localisation import DRIFT, KnownPlaces
+from limslam_agent.places.localisation import DRIFT, KnownPlaces, is_far
 from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
@@ -154,8 +154,9 @@ class Renewal:
         """Whether a pose (3,) is near the present estimate, or no farther away than that states."""
         off = pose - self._slam.pose
         off[2] = wrap_angle(off[2])
-        is_near = np.hypot(*off[:2]) < DRIFT[0] and abs(off[2]) < DRIFT[1]
-        return bool(is_near or off @ np.linalg.solve(self._slam.covariance, off) <= UNEXPECTED)
+        if not is_far(off, np.zeros(2), *DRIFT):
+            return True
+        return bool(off @ np.linalg.solve(self._slam.covariance, off) <= UNEXPECTED)
 
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""

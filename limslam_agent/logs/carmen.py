@@ -14,7 +14,15 @@ import numpy as np
 
 from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
 from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
-from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
+from limslam_agent.logs.recorded_log import (
+    FilePath,
+    LogError,
+    RecordedLog,
+    is_number,
+    numbered_lines,
+    parse_number,
+    parse_range,
+)
 from limslam_agent.readings import as_readings
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
@@ -161,7 +169,7 @@ class _Events:
     def _refuse_scan(self, fields: list[bytes], count: int) -> None:
         """Raise an error that says what is wrong with a scan whose number of fields is wrong."""
         tail = fields[2 + count :]
-        stamped = len(tail) in (3, 6) and not _is_number(tail[-2])
+        stamped = len(tail) in (3, 6) and not is_number(tail[-2])
         bare = len(fields) >= 2 + count and not tail
         if not self.time and (stamped or bare):
             raise ValueError("has no odometry: the scan comes without its poses")
@@ -215,11 +223,3 @@ def _robot(angles: FloatArray, mount: FloatArray, max_range: float, time: FloatA
     turned = [float(se2.wrap_angle(angle + mount[2])) for angle in angles]
     beams = tuple(SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned)
     return RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=beams)
-
-
-def _is_number(field: bytes) -> bool:
-    try:
-        float(field)
-    except ValueError:
-        return False
-    return True

@@ -35,7 +35,15 @@ from limslam_agent.logs.pose_log import (
     median_spacing,
     pose_log,
 )
-from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog, numbered_lines, parse_number, parse_range
+from limslam_agent.logs.recorded_log import (
+    FilePath,
+    LogError,
+    RecordedLog,
+    is_number,
+    numbered_lines,
+    parse_number,
+    parse_range,
+)
 from limslam_agent.logs.table_options import TableOptions, check_travel, started_again
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -154,7 +162,7 @@ class _Rows:
             columns = list(self.options.columns)
             if names and not (line.startswith(b"#") if columns else _is_remark(line, names)):
                 self._add_header(columns or names)
-                if columns and _is_number(names[0]):
+                if columns and is_number(names[0]):
                     self._add_row(text)
                 else:
                     self.header = text
@@ -355,11 +363,3 @@ def _between(before: list[float], after: list[str]) -> list[float]:
 def _reading(field: bytes) -> float:
     """A range, m. NaN where the field is empty: there is no reading."""
     return parse_range(field, "a range") if field else math.nan
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -249,6 +249,15 @@ def parse_range(field: bytes, what: str) -> float:
         raise ValueError(f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}") from None
 
 
+def is_number(field: str | bytes) -> bool:
+    """Whether a field of a text can be read as a number, finite or not."""
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
 def parse_number(field: bytes, what: str) -> float:
     """A finite number from a field of a text.
 

@@ -16,6 +16,7 @@ from scipy.ndimage import maximum_filter
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.place_map import PlaceMap, wall_distances
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.line import angle_between
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances, lengths
 
@@ -156,7 +157,7 @@ def likely_turns(known: PlaceMap, local: PlaceMap) -> FloatArray:
 def _directions(place: PlaceMap) -> FloatArray:
     """Length of the walls (180,) by their direction, m, smoothed."""
     bins = np.arange(_ANGLES) * np.pi / _ANGLES
-    apart = (place.angles[:, None] - bins + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    apart = angle_between(place.angles[:, None] - bins)
     return np.asarray(lengths(place.segments) @ np.exp(-0.5 * (apart / (_SMOOTHING * np.pi / _ANGLES)) ** 2))
 
 
@@ -186,7 +187,7 @@ def _refined(known: PlaceMap, local: PlaceMap, pose: FloatArray, config: PlaceCo
     normals = np.column_stack((-np.sin(directions), np.cos(directions)))
     for capture in np.linspace(*_CAPTURE, _ROUNDS):
         points = transform_points(pose, local.points)
-        apart = np.abs((angles[:, None] + pose[2] - directions + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+        apart = np.abs(angle_between(angles[:, None] + pose[2] - directions))
         away = np.where(apart < config.turn, distances(points, known.segments), np.inf)
         nearest = away.argmin(axis=1)
         used = away[np.arange(len(points)), nearest] < capture

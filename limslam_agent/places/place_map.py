@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.line import angle_between
 from limslam_env.geometry.segment import distances, lengths, sample
 
 SPACING = 0.10
@@ -91,5 +92,5 @@ def wall_distances(points: FloatArray, angles: FloatArray, other: PlaceMap, turn
     """
     if not len(other.segments) or not len(points):
         return np.full(len(points), np.inf)
-    apart = np.abs((angles[:, None] - other.angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    apart = np.abs(angle_between(angles[:, None] - other.angles))
     return np.asarray(np.where(apart < turn, distances(points, other.segments), np.inf).min(axis=1))

@@ -293,7 +293,7 @@ def write_replay(
     )
     picture = MapPicture(
         title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid,
-        online=None if smoothed is None else replay.estimated[:, :2], remark=drawn.words if drawn.reason else "",
+        online=None if smoothed is None else replay.estimated[:, :2], remark=drawn.remark,
     )  # fmt: skip
     draw_map(folder / "map.png", picture)
     found = replay.self_calibration.figures if replay.self_calibration else {}

@@ -31,7 +31,12 @@ class Status:
     @property
     def words(self) -> str:
         """Level and reason in one line."""
-        return f"{self.level}: {self.reason}" if self.reason else self.level
+        return self.remark or self.level
+
+    @property
+    def remark(self) -> str:
+        """Level and reason in one line; empty if there is no reason."""
+        return f"{self.level}: {self.reason}" if self.reason else ""
 
 
 def worst(statuses: Sequence[Status]) -> Status:

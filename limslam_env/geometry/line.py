@@ -7,11 +7,24 @@ parameters: they bring one line next to the other first (:func:`nearest_form`).
 """
 
 import math
+from typing import overload
 
 import numpy as np
 
 from limslam_env.geometry.arrays import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
+
+
+@overload
+def angle_between(turn: float) -> float: ...
+@overload
+def angle_between(turn: FloatArray) -> FloatArray: ...
+def angle_between(turn: float | FloatArray) -> float | FloatArray:
+    """The angle between two lines, rad, in [-pi / 2, pi / 2).
+
+    ``turn`` is the difference of their directions, rad. Half a turn leaves a line as it is, and so counts as none.
+    """
+    return (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
 def normalise(line: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ import numpy as np
 from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import angle_between
 
 
 class Readings(NamedTuple):
@@ -74,7 +75,7 @@ class Readings(NamedTuple):
         """
         if not self.cone:
             return self
-        turn = (theta - headings - self.angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+        turn = angle_between(theta - headings - self.angles)
         turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -self.cone, self.cone), 0.0)
         return self._replace(angles=self.angles + turn, cone=0.0)
 

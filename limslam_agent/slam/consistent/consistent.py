@@ -22,7 +22,7 @@ from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
 from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
-from limslam_agent.slam.consistent.wall_map import STRAIGHTNESS, Wall, WallMap, moved_along, shared
+from limslam_agent.slam.consistent.wall_map import STRAIGHTNESS, Wall, WallMap, moved_along, shared, squared_difference
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
@@ -33,7 +33,7 @@ from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibra
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction
+from limslam_env.geometry.line import angle_between, direction
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
 
@@ -417,7 +417,7 @@ class ConsistentEstimator(Estimator):
         is_inside = np.mean((along > low - settings.end_slack) & (along < high + settings.end_slack)) >= 0.5
         # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
         theta = float(self._filter.anchored[known.landmark, 1])
-        turn = abs((theta - segment.theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+        turn = abs(angle_between(theta - segment.theta))
         is_clear = (
             segment.length >= settings.beyond_length
             and known.of_line <= settings.beyond_gate
@@ -472,7 +472,7 @@ class ConsistentEstimator(Estimator):
         limits = self._settings.association
         if abs(off[1]) > limits.max_angle or self._map.offset(older, younger) > limits.max_offset:
             return False
-        squared = self._map.squared_difference(older, younger)
+        squared = squared_difference(off, covariance)
         if not self._is_one_line(older, younger, off, covariance) or squared > settings.gate:
             return False
         self._merge(older, younger, step, squared, iterations)
@@ -485,7 +485,7 @@ class ConsistentEstimator(Estimator):
         pairs = [(places[wall.known_as], places[wall.number]) for wall in recognised]
         for number in self._map.agreeing(pairs, settings.gate):
             older, younger = pairs[number][0], self._map.walls.index(recognised[number])
-            squared = self._map.squared_difference(older, younger)
+            squared = squared_difference(*self._filter.difference(older, younger))
             self._merge(older, younger, step, squared, RENEWAL_ITERATIONS)
 
     def _merge(self, older: int, younger: int, step: int, squared: float, iterations: int) -> None:

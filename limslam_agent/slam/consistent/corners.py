@@ -11,7 +11,7 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_map import WallMap
 from limslam_agent.slam.core.hough import ExtractedLine
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import direction, distance, normal
+from limslam_env.geometry.line import angle_between, direction, distance, normal
 
 BESIDE_CORNER = 0.15
 """A reading this close to the end of another line, m along it, may belong to either line."""
@@ -62,7 +62,7 @@ def on_crossing_wall(
         The lines of the landmarks, and their extents.
     """
     lines, anchors = belief.anchored, belief.anchors
-    crosses = np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi) > min_kink
+    crosses = np.abs(angle_between(lines[:, 1] - theta)) > min_kink
     ends = np.array([wall.extent.ends for wall in walls.walls]).reshape(-1, 2)[crosses]
     lines, offsets = lines[crosses], points[:, None] - anchors[crosses]
     along = np.sum(offsets * direction(lines), axis=2)

@@ -13,7 +13,7 @@ from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.consistent.wall_map import WallMap
 from limslam_agent.slam.core.diagnostics import CandidateTest, Comparison
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.line import angle_between, direction, normal
 
 
 def comparison(
@@ -59,7 +59,7 @@ def _tested(
     limits: WallAssociationConfig,
 ) -> CandidateTest:
     line = belief.anchored[index]
-    angle = abs((float(line[1]) - segment.theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    angle = abs(angle_between(float(line[1]) - segment.theta))
     offset = abs(float((segment.middle - belief.anchors[index]) @ normal(line) - line[0]))
     along, (low, high) = walls.along(index, segment.points), walls[index].extent.ends
     gap = max(float(along.min()) - high, low - float(along.max()))

@@ -37,6 +37,11 @@ def shared(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(first[:, 1], second[:, 1]) - np.maximum(first[:, 0], second[:, 0]))
 
 
+def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
+    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
+    return float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
+
+
 @dataclass(eq=False)
 class Wall:
     """One landmark.
@@ -173,11 +178,6 @@ class WallMap:
         """Distance of the middle of a landmark from the line of another one, m."""
         ends = self.ends(younger) - self._belief.anchors[older]
         return abs(float(distance(self._belief.anchored[older], ends).mean()))
-
-    def squared_difference(self, older: int, younger: int) -> float:
-        """Squared Mahalanobis distance of the lines of two landmarks."""
-        off, covariance = self._belief.difference(older, younger)
-        return float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
 
     def agreeing(self, pairs: list[tuple[int, int]], gate: float) -> list[int]:
         """Which pairs of landmarks may all be one wall each, of pairs that are likely to be.

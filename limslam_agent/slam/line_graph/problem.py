@@ -16,6 +16,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, COLUMNS, RANGE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.line import angle_between
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = 0.005  # m
@@ -293,7 +294,7 @@ def widen(rows: FloatArray, angles: FloatArray, width: float) -> None:
     width
         Half the opening angle c, rad.
     """
-    slants = (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    slants = angle_between(angles)
     border = np.maximum(np.abs(slants) - width, 0.0)
     by_slant = np.where(border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants))
     by_angle = rows[:, RANGE] * by_slant

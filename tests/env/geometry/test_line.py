@@ -194,3 +194,11 @@ def test_distance_and_along_are_the_point_in_the_frame_of_the_line(given_line, p
 def test_distance_is_positive_beyond_the_line():
     wall = np.array([2.0, 0.0])
     np.testing.assert_allclose(line.distance(wall, np.array([[3.0, 9.0], [0.0, 0.0]])), [1.0, -2.0])
+
+
+@pytest.mark.parametrize(
+    ("turn", "angle"), [(0.3, 0.3), (-0.3, -0.3), (math.pi - 0.1, -0.1), (7.0, 7.0 - 2.0 * math.pi)]
+)
+def test_half_a_turn_leaves_a_line_as_it_is(turn: float, angle: float) -> None:
+    assert line.angle_between(turn) == pytest.approx(angle)
+    np.testing.assert_allclose(line.angle_between(np.array([turn, turn + math.pi])), angle)
