@@ -241,14 +241,14 @@ class _Rows:
 
     def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
-        wheels = self.options.wheel_travel(moves[:, 1:])
+        wheels = self.options.wheel_travel(moves[:, 1:], robot)
         again = np.zeros(len(moves), dtype=np.bool_)
         if self.options.accumulated:
             counted = moves[:, 1:] * self.options.metres_per_tick
             again = started_again(wheels, counted, moves[:, 0], robot)
             again[self.restarts] = True
             wheels[again] = counted[again]
-        check_travel(wheels, moves[:, 0], robot)
+        check_travel(wheels, moves[:, 0], robot, self.options)
         return RecordedLog(
             robot=robot,
             time=moves[:, 0],
