@@ -164,6 +164,17 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
 
 
+@pytest.mark.parametrize(("head", "separator"), [(HEAD, ";"), (HEAD, "\t"), ("", ";")])
+def test_a_comma_is_a_decimal_mark_between_other_separators(write, head, separator):
+    metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
+    text = (head + METRES).replace(",", separator).replace(".", ",")
+    columns = () if head else tuple(HEAD.strip().split(","))
+    commas = read_log(write(text, "commas.csv"), table=TableOptions(ROBOT, columns=columns))
+    np.testing.assert_array_equal(commas.wheels, metres.wheels)
+    np.testing.assert_array_equal(commas.ranges, metres.ranges)
+    np.testing.assert_array_equal(commas.time, metres.time)
+
+
 def test_columns_may_stand_in_any_order(write):
     ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
     options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
@@ -195,6 +206,8 @@ def test_columns_that_do_not_fit_are_refused(write):
         ("t,left,right,r_90,r_90", "--columns names the beam at 90 deg twice"),
     ):
         assert words in refusal(write(HEAD + TICKS), table=replace(TICK_OPTIONS, columns=tuple(columns.split(","))))
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_0"))
+    assert "--columns names a beam at 0 deg" in refusal(write(HEAD + TICKS), table=options)
     options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
     assert "line 2: 6 columns where --columns names 5" in refusal(write(HEAD + TICKS), table=options)
 
