@@ -10,8 +10,9 @@
 wheel travel has ``left`` and ``right`` instead of ``x``, ``y`` and ``theta``. Other units, and the robot on which the
 beams sit, are `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and ``inf``
 means that the beam saw nothing (`limslam_agent.readings`). Columns may also be separated by semicolons or spaces, and a
-comma is then the decimal mark. The header may be a comment with a remark in brackets. A header that is repeated is
-skipped: some loggers write it again when they start again.
+comma is then the decimal mark. Quotation marks, and a separator at the end of a line, do not matter. The header may be
+a comment with a remark in brackets. A header that is repeated is skipped: some loggers write it again when they start
+again.
 """
 
 import math
@@ -156,7 +157,7 @@ class _Rows:
 
     def add(self, line: bytes) -> None:
         """Process one line. The first line that is neither blank nor a remark is the header."""
-        text = line.strip()
+        text = line.strip().replace(b'"', b"")
         if not self.directions:
             names, self.separator = _names(line)
             columns = list(self.options.columns)
@@ -195,6 +196,9 @@ class _Rows:
         fields = [field.strip() for field in text.split(self.separator)]
         if self.separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
+        count = self.leading + len(self.directions)
+        if not fields[-1] and len(fields) == (len(self.options.columns) or count) + 1:
+            fields.pop()
         if self.options.columns:
             # A mark that stands once instead of the ranges comes after all other columns that are used.
             is_short = fields[-1] == NO_SCAN and max(self.used[: self.leading]) < len(fields) - 1
@@ -204,7 +208,6 @@ class _Rows:
                 fields = [fields[place] for place in self.used]
             else:
                 raise ValueError(f"{len(fields)} columns where --columns names {len(self.options.columns)}")
-        count = self.leading + len(self.directions)
         readings = fields[self.leading :]
         silent = bool(readings) and all(field == NO_SCAN for field in readings)
         if len(fields) != count and not (silent and len(readings) == 1):
@@ -285,9 +288,10 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
     """Column names of a header in lower case, and the separator (None for spaces)."""
-    text = line.decode("utf-8-sig", "replace").strip().lstrip("#").partition("(")[0].strip().lower()
+    text = line.decode("utf-8-sig", "replace").replace('"', "").strip().lstrip("#").partition("(")[0].strip().lower()
     # A semicolon goes first: a comma beside it is a decimal mark.
     separator = next((mark for mark in (";", ",") if mark in text), None)
+    text = text.rstrip(separator)
     names = [name.strip() for name in text.split(separator)]
     return (names if text else []), separator.encode() if separator else None
 

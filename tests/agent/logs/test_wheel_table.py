@@ -309,5 +309,5 @@ def test_impossible_units_are_refused(wrong, words):
 
 
 def test_other_logs_take_no_such_options(write):
-    words = "is not a table, so --robot, units, --columns and --zero-is-nothing do not go with it"
+    words = "is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not go with it"
     assert words in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)
