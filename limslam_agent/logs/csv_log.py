@@ -288,7 +288,7 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
     """Column names of a header in lower case, and the separator (None for spaces)."""
-    text = line.decode("utf-8-sig", "replace").replace('"', "").strip().lstrip("#").partition("(")[0].strip().lower()
+    text = line.decode("utf-8", "replace").replace('"', "").strip().lstrip("#").partition("(")[0].strip().lower()
     # A semicolon goes first: a comma beside it is a decimal mark.
     separator = next((mark for mark in (";", ",") if mark in text), None)
     text = text.rstrip(separator)

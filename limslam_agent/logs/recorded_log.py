@@ -229,7 +229,7 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
                     raise LogError(f"{fspath(path)}: this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
-                yield number, line
+                yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
     except EOFError as error:
         raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
     except (gzip.BadGzipFile, zlib.error) as error:

@@ -175,6 +175,11 @@ def test_a_comma_is_a_decimal_mark_between_other_separators(write, head, separat
     np.testing.assert_array_equal(commas.time, metres.time)
 
 
+def test_a_file_without_header_may_begin_with_the_mark_of_an_editor(write):
+    options = replace(TICK_OPTIONS, columns=tuple(HEAD.strip().split(",")))
+    assert len(read_log(write(f"\ufeff{TICKS}"), table=options)) == 3
+
+
 def test_columns_may_stand_in_any_order(write):
     ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
     options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
