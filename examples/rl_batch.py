@@ -1,19 +1,29 @@
 """Stable-Baselines3's PPO on a batch of environments: ``python examples/rl_batch.py --steps 1000000`` (extra ``rl``).
 
 All robots move in one call of compiled code, hundreds of thousands of steps a second. The network then takes most of
-the time.
+the time. At the end the model is scored on floor plans that it has not seen, beside the frontier explorer.
 """
 
 import argparse
+from typing import Any
 
 import gymnasium as gym
+from gymnasium.wrappers import FrameStackObservation, TransformObservation
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
 import limslam_env  # noqa: F401 (registers the environments)
+from limslam_agent import evaluate, medians
 from limslam_env.envs.sb3 import Sb3VecEnv
 
 EPISODE = 600  # steps
+FRAMES = 4  # the last four observations show how the robot moves
+
+
+def stacked(env: gym.Env, space: gym.Space[Any]) -> gym.Env:
+    """A single environment with the observations of `VecFrameStack`, in ``space``."""
+    frames = FrameStackObservation(env, FRAMES, padding_type="zero")
+    return TransformObservation(frames, lambda seen: {key: part.ravel() for key, part in seen.items()}, space)
 
 
 def main() -> None:
@@ -21,6 +31,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--steps", type=int, default=1_000_000)
     arguments.add_argument("--envs", type=int, default=64)
+    arguments.add_argument("--plans", type=int, default=5, help="floor plans to score the model on")
     options = arguments.parse_args()
     batch = gym.make_vec(
         "LimSlam-Random-v0",
@@ -30,8 +41,7 @@ def main() -> None:
         sensor_noise=0.02,
         max_episode_steps=EPISODE,
     )
-    # The last four observations show how the robot moves.
-    env = VecFrameStack(Sb3VecEnv(batch), n_stack=4)
+    env = VecFrameStack(Sb3VecEnv(batch), n_stack=FRAMES)
     model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu", verbose=1)
     # Prints some twenty tables of its progress.
     model.learn(options.steps, log_interval=max(options.steps // (20 * 32 * options.envs), 1))
@@ -39,6 +49,13 @@ def main() -> None:
     reward = f"reward {sum(returns) / len(returns):.1f} an episode" if returns else "no episode has ended yet"
     needed = "" if returns else f" (needs about {EPISODE * options.envs} steps)"
     print(f"{model.num_timesteps} steps: {reward}{needed}")
+    for name, actor, wrap in (
+        ("PPO", model, lambda env: stacked(env, model.observation_space)),
+        ("frontier", "frontier", None),
+    ):
+        plans = range(1000, 1000 + options.plans)  # the plans of training are those of the seeds 0 to 19
+        results = evaluate(actor, "LimSlam-Random-v0", plans, max_time=60.0, wrap=wrap, sensor_noise=0.02)
+        print(f"{name:8} sees {medians(results)['coverage_true']:.0%} of a floor plan in a minute")
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     import tomllib
 
     try:
-        return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8").replace("\r\n", "\n"))
+        return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:

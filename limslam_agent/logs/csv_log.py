@@ -9,9 +9,10 @@
 ``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. A table of
 wheel travel has ``left`` and ``right`` instead of ``x``, ``y`` and ``theta``. Other units, and the robot on which the
 beams sit, are `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and ``inf``
-means that the beam saw nothing (`limslam_agent.readings`). Columns may also be separated by semicolons or spaces. The
-header may be a comment with a remark in brackets. A header that is repeated is skipped: some loggers write it again
-when they start again.
+means that the beam saw nothing (`limslam_agent.readings`). Columns may also be separated by semicolons or spaces, and a
+comma is then the decimal mark. Quotation marks, and a separator at the end of a line, do not matter. The header may be
+a comment with a remark in brackets. A header that is repeated is skipped: some loggers write it again when they start
+again.
 """
 
 import math
@@ -156,13 +157,13 @@ class _Rows:
 
     def add(self, line: bytes) -> None:
         """Process one line. The first line that is neither blank nor a remark is the header."""
-        text = line.strip()
+        text = line.strip().replace(b'"', b"")
         if not self.directions:
             names, self.separator = _names(line)
             columns = list(self.options.columns)
             if names and not (line.startswith(b"#") if columns else _is_remark(line, names)):
                 self._add_header(columns or names)
-                if columns and is_number(names[0]):
+                if columns and is_number(names[0].replace(",", ".")):
                     self._add_row(text)
                 else:
                     self.header = text
@@ -180,7 +181,8 @@ class _Rows:
         if self.max_range is not None:
             check_max_range(self.max_range)
         if self.options.robot is not None:
-            beams = [_mounted(self.options.robot, degrees, self.max_range) for degrees in self.directions]
+            source = _source(self.options.columns)
+            beams = [_mounted(self.options.robot, degrees, self.max_range, source) for degrees in self.directions]
         elif self.leading == len(_WHEELS):
             raise ValueError("a table of wheel travel needs --robot FILE, with the robot's axle, radius and beams")
         else:
@@ -192,6 +194,11 @@ class _Rows:
 
     def _add_row(self, text: bytes) -> None:
         fields = [field.strip() for field in text.split(self.separator)]
+        if self.separator != b",":
+            fields = [field.replace(b",", b".") for field in fields]
+        count = self.leading + len(self.directions)
+        if not fields[-1] and len(fields) == (len(self.options.columns) or count) + 1:
+            fields.pop()
         if self.options.columns:
             # A mark that stands once instead of the ranges comes after all other columns that are used.
             is_short = fields[-1] == NO_SCAN and max(self.used[: self.leading]) < len(fields) - 1
@@ -201,7 +208,6 @@ class _Rows:
                 fields = [fields[place] for place in self.used]
             else:
                 raise ValueError(f"{len(fields)} columns where --columns names {len(self.options.columns)}")
-        count = self.leading + len(self.directions)
         readings = fields[self.leading :]
         silent = bool(readings) and all(field == NO_SCAN for field in readings)
         if len(fields) != count and not (silent and len(readings) == 1):
@@ -241,14 +247,14 @@ class _Rows:
 
     def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
-        wheels = self.options.wheel_travel(moves[:, 1:])
+        wheels = self.options.wheel_travel(moves[:, 1:], robot)
         again = np.zeros(len(moves), dtype=np.bool_)
         if self.options.accumulated:
             counted = moves[:, 1:] * self.options.metres_per_tick
             again = started_again(wheels, counted, moves[:, 0], robot)
             again[self.restarts] = True
             wheels[again] = counted[again]
-        check_travel(wheels, moves[:, 0], robot)
+        check_travel(wheels, moves[:, 0], robot, self.options)
         return RecordedLog(
             robot=robot,
             time=moves[:, 0],
@@ -260,8 +266,8 @@ class _Rows:
         )
 
 
-def _mounted(robot: RobotSpec, degrees: float, max_range: float | None) -> SensorSpec:
-    """The robot's beam that points in a direction of the header. A reading of a table is a new measurement in each row.
+def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
+    """The robot's beam in a direction that ``source`` names. A reading of a table is a new measurement in each row.
 
     Raises
     ------
@@ -272,7 +278,7 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None) -> Senso
     nearest = int(np.argmin(apart))
     if apart[nearest] > WORST_BEAM_MISMATCH_DEG + 1e-9:
         known = ", ".join(f"{angle:g}" for angle in np.round(np.degrees(robot.beam_angles), 1))
-        raise ValueError(f"the header names a beam at {degrees:g} deg, but the robot's beams are at {known} deg")
+        raise ValueError(f"{source} names a beam at {degrees:g} deg, but the robot's beams are at {known} deg")
     found = robot.beams[nearest]
     reach = found.max_range if max_range is None else min(found.max_range, max_range)
     if reach <= found.min_range:
@@ -282,8 +288,10 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None) -> Senso
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
     """Column names of a header in lower case, and the separator (None for spaces)."""
-    text = line.decode("utf-8-sig", "replace").strip().lstrip("#").partition("(")[0].strip().lower()
-    separator = next((mark for mark in (",", ";") if mark in text), None)
+    text = line.decode("utf-8", "replace").replace('"', "").strip().lstrip("#").partition("(")[0].strip().lower()
+    # A semicolon goes first: a comma beside it is a decimal mark.
+    separator = next((mark for mark in (";", ",") if mark in text), None)
+    text = text.rstrip(separator)
     names = [name.strip() for name in text.split(separator)]
     return (names if text else []), separator.encode() if separator else None
 
@@ -307,10 +315,15 @@ def _in_order(used: list[int], names: list[str]) -> list[int]:
     return used
 
 
+def _source(chosen: Sequence[str]) -> str:
+    """What names the columns, in messages. ``chosen`` are those that stand in place of the header, if any."""
+    return "--columns" if chosen else "the header"
+
+
 def _directions(names: list[str], chosen: Sequence[str]) -> list[float]:
     """Directions of the range columns, deg. ``chosen`` are the columns that stand in place of the header, if any."""
     leading = _leading(names)
-    source = "--columns" if chosen else "the header"
+    source = _source(chosen)
     if not leading:
         found = ",".join(chosen or names)[:60]
         if chosen:

@@ -1,5 +1,6 @@
 """The common form of all recorded logs, and the reader of the project's own ``log.npz``."""
 
+import codecs
 import gzip
 import math
 import zlib
@@ -224,9 +225,11 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
                 number, size = number + 1, size + len(line)
                 if number > limits.max_events or size > limits.max_bytes:
                     _refuse_size(path, number, size, limits)
+                if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                    raise LogError(f"{fspath(path)}: this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
-                yield number, line
+                yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
     except EOFError as error:
         raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
     except (gzip.BadGzipFile, zlib.error) as error:

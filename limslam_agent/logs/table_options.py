@@ -18,8 +18,8 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 LARGEST_OFF_AXIS_DEG = 45.0
 """Directions of zones lie at most this far from the optical axis of their sensor, deg."""
 
-COUNTER_SPAN = 65536
-"""A counter of 16 bits begins again after so many ticks, as the type ``int`` of many microcontrollers does."""
+FEWEST_COUNTER_BITS = 8
+"""Counters that begin again have at least so many bits."""
 
 RESTARTED = 2.0
 """Counters near 0 have begun again if a wheel travelled more than this many times what its largest speed allows."""
@@ -133,25 +133,45 @@ class TableOptions:
         period = self.robot.control_period
         return counted <= RESTARTED * speed * max(row[0], period) and moved > TOO_FAST * speed * period
 
-    def wheel_travel(self, columns: FloatArray) -> FloatArray:
+    def wheel_travel(self, columns: FloatArray, robot: RobotSpec) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
-        The first row has no row before it. The robot counts as standing there, wherever it drove earlier. A counter of
-        16 bits, with or without a sign, is continued where it overflows.
+        The first row has no row before it. The robot counts as standing there, wherever it drove earlier. Counters of
+        any number of bits, with or without a sign, are continued where they begin again.
+
+        Parameters
+        ----------
+        columns
+            The columns (n, 2).
+        robot
+            The robot, with the usual time between two rows as its control period.
         """
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0
-        if self.accumulated and (np.ptp(columns, axis=0) < COUNTER_SPAN).all():
-            half = COUNTER_SPAN // 2
-            travel = np.where(np.abs(travel) > half, travel - np.sign(travel) * COUNTER_SPAN, travel)
+        if self.accumulated:
+            farthest = RESTARTED * robot.max_wheel_speed * robot.control_period / self.metres_per_tick
+            travel = _continued(travel, columns, farthest)
         return travel * self.metres_per_tick
+
+
+def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> FloatArray:
+    """Travel (n, 2), ticks, without the jumps of counters (n, 2) that begin again after a power of two.
+
+    They count as such counters if the jump is right in at least one row: without it, no wheel travels more than
+    ``farthest``.
+    """
+    bits = max(int(np.ptp(columns, axis=0).max()).bit_length(), FEWEST_COUNTER_BITS)
+    jumps = np.round(travel / 2.0**bits)
+    continued = travel - jumps * 2.0**bits
+    is_proof = jumps.any(axis=1) & (np.abs(continued) <= farthest).all(axis=1)
+    return continued if is_proof.any() and (columns == np.round(columns)).all() else travel
 
 
 def started_again(wheels: FloatArray, counted: FloatArray, time: FloatArray, robot: RobotSpec) -> BoolArray:
     """Rows (n,) in which a robot was switched on again, so that its encoders count from 0.
 
     Both counters are then near 0, and at least one of them differs from the row before by more than the robot can drive
-    meanwhile. A counter that begins again because it has 16 bits only has travelled no farther than usual.
+    meanwhile. A counter that begins again because it is full has travelled no farther than usual.
 
     Parameters
     ----------
@@ -171,8 +191,10 @@ def started_again(wheels: FloatArray, counted: FloatArray, time: FloatArray, rob
     return np.asarray((np.abs(counted) <= farthest).all(axis=1) & (np.abs(wheels) > farthest).any(axis=1))
 
 
-def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None:
+def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec, options: TableOptions) -> None:
     """Refuse wheel travel (n, 2), m, that the robot cannot drive between two rows with the times (n,), s.
+
+    The message asks about what the options have not said.
 
     Raises
     ------
@@ -185,8 +207,13 @@ def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec) -> None
     if not is_too_far.any():
         return
     row = int(np.argmax(is_too_far))
+    question = (
+        f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again at 0 or after a power of two"
+        if options.accumulated
+        else "Are left and right metres since the row before? --metres-per-tick converts ticks, and --accumulated says "
+        "that they count from the start"
+    )
     raise ValueError(
         f"a wheel travels {farthest[row]:.3g} m in {lasted[row]:.3g} s at time {time[row]:g} s, but the robot's "
-        f"max_wheel_speed is {robot.max_wheel_speed:g} m/s. Are left and right metres since the row before? "
-        "--metres-per-tick converts ticks, and --accumulated says that they count from the start"
+        f"max_wheel_speed is {robot.max_wheel_speed:g} m/s. {question}"
     )

@@ -42,8 +42,8 @@ def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[
 
 
 def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What happened to a robot that was lost, with the time (s) of each step (n,)."""
-    return [{**each, "time_s": float(time[min(each["step"], len(time) - 1)])} for each in places]
+    """What happened to a robot that was lost, with the time since the first of all steps (n,), s."""
+    return [{**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])} for each in places]
 
 
 def record_summary(result: Mapping[str, Any]) -> list[str]:

@@ -71,6 +71,8 @@ def _about_restarts(log: RecordedLog) -> list[str]:
 
 def _about_times(log: RecordedLog) -> list[str]:
     steps = np.diff(log.time)
+    if len(steps) > 1 and not (steps > 0.0).any():
+        return ["the times never rise: does the clock stand still, or does the log begin with its newest row?"]
     steps = steps[steps > 0.0]
     if not len(steps) or SHORTEST_PERIOD <= (period := float(np.median(steps))) <= LONGEST_PERIOD:
         return []

@@ -73,7 +73,9 @@ def _form(space: Any) -> Any:
 
 
 def _described(space: Any) -> str:
-    return ", ".join(space.keys()) if isinstance(space, spaces.Dict) else f"shape {space.shape}"
+    if isinstance(space, spaces.Dict):
+        return ", ".join(f"{key} {part.shape}" for key, part in space.items())
+    return f"shape {space.shape}"
 
 
 def is_policy(actor: Any) -> bool:

@@ -99,6 +99,11 @@ def test_radians_where_degrees_are_expected_are_refused(degrees):
         beams_on_rim(degrees, 0.1)
 
 
+def test_degrees_where_radians_are_expected_are_refused():
+    with pytest.raises(ValueError, match=r"a beam's angle is within 2 pi rad, not 90: is it in rad\?"):
+        SensorSpec(0.05, 0.0, 90.0)
+
+
 @pytest.mark.parametrize("degrees", [(0.0,), (1, -1), (5.0, 0.0, -5.0), (2.5, -2.5), (6, 0), (1.57, 90.0), ()])
 def test_small_angles_in_degrees_are_accepted(degrees):
     assert len(beams_on_rim(degrees, 0.1)) == len(degrees)

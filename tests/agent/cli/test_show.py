@@ -16,7 +16,7 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
 from limslam_agent.output.run_picture import draw_run
-from limslam_agent.output.summary import replay_summary, run_summary
+from limslam_agent.output.summary import place_records, record_summary, replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
@@ -414,3 +414,8 @@ def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused
 def test_the_nees_is_told_with_what_it_means():
     told = run_summary({**METRICS, "anees": 1.23, "anees_smoothed": 0.9}, {})
     assert "consistency NEES / 3 is 1.2, smoothed 0.9; 1 is right, more is overconfident" in told
+
+
+def test_the_times_of_a_lost_robot_count_from_the_start_of_its_log():
+    records = place_records(7654.3 + 0.1 * np.arange(50), [{"event": "lost", "step": 30}])
+    assert record_summary({"record": {"places": records}})[-1] == "place       lost at 3.0 s"

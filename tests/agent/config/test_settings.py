@@ -189,6 +189,12 @@ def test_a_range_of_noise_has_two_numbers():
         updated(NoiseConfig(), {"dropout": [0, 0.1, 0.2]}, "f: noise")
 
 
+def test_a_file_may_begin_with_the_mark_of_an_editor(tmp_path):
+    path = tmp_path / "marked.toml"
+    path.write_text("noise = 0.02\n", encoding="utf-8-sig")
+    assert read_toml(path) == {"noise": 0.02}
+
+
 def test_a_file_that_is_not_toml_is_refused_by_its_name(tmp_path):
     path = tmp_path / "broken.toml"
     for content in (b"a = ", b"\xff"):

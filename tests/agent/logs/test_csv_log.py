@@ -10,6 +10,7 @@ from support.data import data_folder, refusal
 from limslam_agent.logs.csv_log import is_csv
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import LogError
+from limslam_agent.logs.table_options import TableOptions
 
 HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
 
@@ -96,6 +97,15 @@ def test_headers_may_be_written_in_many_ways(write, head):
     log = read_log(path)
     np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
     np.testing.assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
+
+
+@pytest.mark.parametrize("names", [HEAD, ""])
+@pytest.mark.parametrize("change", [lambda row: f"{row},", lambda row: '"' + row.replace(",", '","') + '"'])
+def test_quotation_marks_and_separators_at_the_ends_of_lines_do_not_matter(write, change, names):
+    rows = f"{names}0.0,1.0,2.0,3.0,0.5,1.5,2.5\n0.2,1.5,2.0,3.5,0.6,1.6,\n"
+    options = TableOptions(columns=() if names else tuple(HEAD.strip().split(",")))
+    log = read_log(write("".join(f"{change(row)}\n" for row in rows.splitlines())), table=options)
+    np.testing.assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, math.nan]]))
 
 
 def test_dots_stand_for_the_beams_between(write):
@@ -203,6 +213,7 @@ def test_files_without_rows_are_refused(write):
 def test_files_that_cannot_be_read_are_refused(write, tmp_path):
     assert "No such file" in refusal(tmp_path / "absent.csv")
     assert "this is not a text file" in refusal(write(b"t,x\0y"))
+    assert "this is a text in UTF-16: it must be saved as UTF-8" in refusal(write(HEAD.encode("utf-16")))
     with pytest.raises(LogError, match="No such file"):
         is_csv(tmp_path / "absent.txt")
 

@@ -91,19 +91,36 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s"),
         (HEAD + METRES, TableOptions(ROBOT, 100.0), "a wheel travels 2 m in 0.1 s at time 0.1 s"),
         (HEAD + TICKS, TableOptions(ROBOT, 0.001, time_unit="ms"), "--accumulated says that they count from the start"),
+        (HEAD + TICKS, replace(TICK_OPTIONS, metres_per_tick=1.0), "Is --metres-per-tick 1 right?"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused_in_one_line(write, text, options, words):
     assert words in refusal(write(text), table=options)
 
 
-@pytest.mark.parametrize("low", [0, -32768])
-def test_a_counter_of_16_bits_is_continued_where_it_begins_again(write, low):
-    counts = np.arange(0, 400 * 200, 200)
-    wrapped = (counts - low) % 65536 + low
-    rows = "".join(f"{0.1 * row:.1f},{left},{-left - 1 + 2 * low + 65536},1,1,1\n" for row, left in enumerate(wrapped))
+@pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
+def test_a_counter_is_continued_where_it_begins_again(write, bits, has_sign):
+    low = -(2 ** (bits - 1)) if has_sign else 0
+    counts = 2**bits - 1000 + np.arange(0, 400 * 200, 200)
+    wrapped = (counts - low) % 2**bits + low
+    rows = "".join(
+        f"{0.1 * row:.1f},{left},{-left - 1 + 2 * low + 2**bits},1,1,1\n" for row, left in enumerate(wrapped)
+    )
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-4, accumulated=True))
     np.testing.assert_allclose(log.wheels[1:], [[0.02, -0.02]] * 399)
+
+
+def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write):
+    rows = "".join(f"{time},{count % 4096},{count % 4096},1,1,1\n" for time, count in enumerate(range(0, 9000, 90)))
+    rows += f"{150},{10500 % 4096},{10500 % 4096},1,1,1\n"
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
+    np.testing.assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
+
+
+def test_a_long_way_in_a_pause_is_no_counter_that_begins_again(write):
+    rows = "0,0,0,1,1,1\n0.1,20,20,1,1,1\n20.1,3000,3000,1,1,1\n20.2,3020,3020,1,1,1\n"
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
+    np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 2.98, 0.02])
 
 
 def test_both_counters_may_begin_again_in_the_same_row(write):
@@ -147,6 +164,22 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
 
 
+@pytest.mark.parametrize(("head", "separator"), [(HEAD, ";"), (HEAD, "\t"), ("", ";")])
+def test_a_comma_is_a_decimal_mark_between_other_separators(write, head, separator):
+    metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
+    text = (head + METRES).replace(",", separator).replace(".", ",")
+    columns = () if head else tuple(HEAD.strip().split(","))
+    commas = read_log(write(text, "commas.csv"), table=TableOptions(ROBOT, columns=columns))
+    np.testing.assert_array_equal(commas.wheels, metres.wheels)
+    np.testing.assert_array_equal(commas.ranges, metres.ranges)
+    np.testing.assert_array_equal(commas.time, metres.time)
+
+
+def test_a_file_without_header_may_begin_with_the_mark_of_an_editor(write):
+    options = replace(TICK_OPTIONS, columns=tuple(HEAD.strip().split(",")))
+    assert len(read_log(write(f"\ufeff{TICKS}"), table=options)) == 3
+
+
 def test_columns_may_stand_in_any_order(write):
     ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
     options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
@@ -178,6 +211,8 @@ def test_columns_that_do_not_fit_are_refused(write):
         ("t,left,right,r_90,r_90", "--columns names the beam at 90 deg twice"),
     ):
         assert words in refusal(write(HEAD + TICKS), table=replace(TICK_OPTIONS, columns=tuple(columns.split(","))))
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_0"))
+    assert "--columns names a beam at 0 deg" in refusal(write(HEAD + TICKS), table=options)
     options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
     assert "line 2: 6 columns where --columns names 5" in refusal(write(HEAD + TICKS), table=options)
 
@@ -279,5 +314,5 @@ def test_impossible_units_are_refused(wrong, words):
 
 
 def test_other_logs_take_no_such_options(write):
-    words = "is not a table, so --robot, units, --columns and --zero-is-nothing do not go with it"
+    words = "is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not go with it"
     assert words in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)

@@ -71,6 +71,12 @@ def test_times_in_another_unit_are_noticed(tmp_path, period, said):
     assert warning.startswith(f"the median time between two events is {said} s: are the times in seconds?")
 
 
+@pytest.mark.parametrize("period", [0.0, -0.1])
+def test_times_that_never_rise_are_noticed(tmp_path, period):
+    (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
+    assert warning.startswith("the times never rise")
+
+
 @pytest.mark.parametrize("period", [0.002, 9.0])
 def test_slow_and_fast_logs_are_plausible(tmp_path, period):
     assert log_warnings(read_log(written(tmp_path, period=period))) == []
