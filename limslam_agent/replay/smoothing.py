@@ -263,7 +263,7 @@ def smoothed_by_lines(
     else:
         status = smoothed_status(
             found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
-            replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
+            while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
     if status.level == "ok":
         status = places.doubt
