@@ -1,21 +1,12 @@
 """Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all logs; m and rad.
 
-Those of the search for loops are in :mod:`limslam_agent.config.graph_loops`.
+Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.graph`).
 """
 
 import math
 from dataclasses import dataclass, field
 
 from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative, Positive
-from limslam_agent.config.graph_loops import (
-    AgreementConfig,
-    ChunkGraphConfig,
-    LocalMapConfig,
-    LoopConfig,
-    MatchConfig,
-    UnionConfig,
-    WideSearchConfig,
-)
 
 _DEGREE = math.pi / 180.0
 
@@ -81,48 +72,6 @@ class MotionConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class LinkConfig(Bounded):
-    """Normals of points, and links from points to the lines through other points.
-
-    Attributes
-    ----------
-    normal_radius, normal_travel
-        Neighbours of a point within this distance (m) and this distance driven (m) determine its normal.
-    min_neighbours, min_spread, max_thickness, max_ratio, min_incidence
-        Fewest neighbours; least standard deviation along and largest across the line (m); largest ratio of the two
-        variances; least sine of the angle between beam and wall.
-    radius, min_travel, travel
-        Points are linked within this distance (m) and between these distances driven (m).
-    bands
-        Inner borders of the bands of distance driven, m; the nearest point of each band is linked.
-    min_cosine, max_offset
-        Least cosine between the normals, and largest distance from the line as a share of ``radius``.
-    std, kernel
-        Standard deviation of a link (m), and the scale of the Geman-McClure kernel in standard deviations.
-    cross_travel, cross_min_cosine
-        Links between visits: least distance driven between the points (m), and least cosine between the normals.
-    """
-
-    normal_radius: Positive = 0.4
-    normal_travel: Positive = 3.0
-    min_neighbours: Count = 5
-    min_spread: NonNegative = 0.07
-    max_thickness: NonNegative = 0.05
-    max_ratio: NonNegative = 0.15
-    min_incidence: NonNegative = 0.17
-    radius: Positive = 0.35
-    min_travel: NonNegative = 0.4
-    travel: Positive = 10.0
-    bands: tuple[float, float] = (1.2, 3.0)
-    min_cosine: NonNegative = 0.85
-    max_offset: NonNegative = 0.7
-    std: Positive = 0.08
-    kernel: Positive = 2.0
-    cross_travel: NonNegative = 8.0
-    cross_min_cosine: NonNegative = 0.8
-
-
-@dataclass(frozen=True)
 class WallLineConfig(Bounded):
     """Straight walls, found by a Hough transform in windows of distance driven.
 
@@ -167,30 +116,23 @@ class SmoothingConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class BundleConfig(Bounded):
-    """The least-squares problem of all key poses, walls, loops and links between visits.
+class LocalMapConfig(Bounded):
+    """Local maps: chunks of driving drawn into small grids.
 
     Attributes
     ----------
-    radius, last_radius
-        Points of other visits are linked within this distance in the first and in the last iteration, m.
-    link_inflation, cross_inflation
-        Factors of the standard deviations of links along the way and of links between visits.
-    max_turn
-        A step that turns a pose by more than this (rad) is scaled down.
-    damping
-        Share of the diagonal that is added to the diagonal.
-    tolerance
-        Iteration stops when no pose turns by more than this, rad.
+    half
+        Distance driven on either side of a chunk's middle, m.
+    hop
+        Distance driven between the middles of successive chunks, m.
+    cell, hit_radius
+        Side of a cell, and radius around a point in which cells are occupied, m.
     """
 
-    radius: Positive = 0.4
-    last_radius: Positive = 0.2
-    link_inflation: NonNegative = 1.5
-    cross_inflation: NonNegative = 2.0
-    max_turn: Angle = 0.3
-    damping: NonNegative = 1e-6
-    tolerance: NonNegative = 1e-3
+    half: Positive = 3.5
+    hop: Positive = 2.5
+    cell: Positive = 0.1
+    hit_radius: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
@@ -293,15 +235,7 @@ class GraphConfig(Bounded):
     reversing: ReversingConfig = field(default_factory=ReversingConfig)
     keys: KeyPoseConfig = field(default_factory=KeyPoseConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
-    links: LinkConfig = field(default_factory=LinkConfig)
     lines: WallLineConfig = field(default_factory=WallLineConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     maps: LocalMapConfig = field(default_factory=LocalMapConfig)
-    matching: MatchConfig = field(default_factory=MatchConfig)
-    loops: LoopConfig = field(default_factory=LoopConfig)
-    chunks: ChunkGraphConfig = field(default_factory=ChunkGraphConfig)
-    wide: WideSearchConfig = field(default_factory=WideSearchConfig)
-    union: UnionConfig = field(default_factory=UnionConfig)
-    bundle: BundleConfig = field(default_factory=BundleConfig)
-    agreement: AgreementConfig = field(default_factory=AgreementConfig)
     rounds: RoundConfig = field(default_factory=RoundConfig)

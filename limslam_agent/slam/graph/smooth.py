@@ -17,6 +17,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import (
+    DOUBTFUL_SHARE,
     NOT_ADDED,
     Evidence,
     LoopVerdict,
@@ -312,7 +313,7 @@ def _most_credible(searches: list[_Search]) -> tuple[_Search, Round]:
     They are also compared with the paths without loops. A map in which few places were seen again does not say how many
     contradictions are usual, and none is refused because of it. If all rounds add contradictions, all are considered.
     """
-    least = searches[0].log.config.agreement.doubtful_share
+    least = DOUBTFUL_SHARE
     others = [each.evidence for search in searches for each in search.rounds]
     others += [log.evidence(log.local) for log in {id(search.log): search.log for search in searches}.values()]
     others = [each for each in others if each.says_what_is_usual]

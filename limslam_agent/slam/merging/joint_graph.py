@@ -76,7 +76,7 @@ def joint_map(
     have bent the second log, and loops between the logs show where. The start with the higher score G goes on.
     """
     middles = np.array([each.middle for each in local.maps])
-    by_local = solved(known, second.local.poses[middles], placement.members, config)
+    by_local = solved(known, second.local.poses[middles], placement.members)
     starts = [
         replace(second, smoothed=carry_over(second.keys, trajectory, middles, poses))
         for trajectory, poses in ((second.smoothed, placement.poses), (second.local, by_local))
