@@ -77,34 +77,27 @@ class WallLineConfig(Bounded):
 
     Attributes
     ----------
-    window, first_window
-        Length of a window (m), and length of the windows of the first iteration (m); windows overlap by half.
+    window
+        Length of a window, m; windows overlap by half.
     tolerance
         Largest distance of a point from its line, m.
-    offset_bin, angle_bin, spread
-        Bins of the Hough space (m, rad), and the number of angle bins on either side that a point votes for.
-    min_points, min_length, max_gap, max_angle
-        Fewest points, least length (m), largest gap along the line (m), largest angle between normals (rad).
+    angle_bin, spread
+        Bin of the Hough space, rad, and the number of these bins on either side that a point votes for.
+    min_points, min_length, max_gap
+        Fewest points, least length and largest gap along the line, m.
     max_lines, max_tries
         Largest number of lines in a window, and largest number of peaks that are tested.
-    std, inflation
-        Standard deviation of a point about its line (m), and its inflation factor.
     """
 
     window: Positive = 10.0
-    first_window: Positive = 4.0
     tolerance: NonNegative = 0.12
-    offset_bin: Positive = 0.08
     angle_bin: Positive = 3.0 * _DEGREE
     spread: Count = 4
     min_points: Count = 10
     min_length: NonNegative = 0.8
     max_gap: NonNegative = 1.5
-    max_angle: Angle = 20.0 * _DEGREE
     max_lines: Count = 25
     max_tries: Count = 60
-    std: Positive = 0.06
-    inflation: NonNegative = 2.0
 
 
 @dataclass(frozen=True)
@@ -188,43 +181,16 @@ class RoundConfig(Bounded):
         The hop between chunks in each round, as a share of ``LocalMapConfig.hop``.
     iterations
         Number of iterations of the bundle in each round.
-    wide_search
-        Number of rounds with a wide search. Some places can be found only after other places have been found.
     orientations
         First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
-    tried, trial
-        Number of searches with the highest scores after the first round that are continued, up to round ``trial``.
-    finished, hopeless
-        Number of these searches that do all rounds. Their scores are the highest, and none is worse than the best score
-        by ``hopeless``.
-    tie
-        Scores within this distance of the best score are considered equal; the last such round is taken.
-    settled
-        Rounds end when the last two rounds together have raised the score by less than this.
-    same_path
-        Two searches have found the same path if 90 % of their key poses lie within this distance, m.
-    synchronisations, synchronous
-        Largest number of times that the delay of the ranges is estimated and corrected before the search; a correction
-        of less than ``synchronous`` s is the last.
-    restart, restarts
-        If odometry misses at least this much heading per metre, rad/m, its errors are corrected and the log is
-        smoothed again, at most this number of times. The result is kept if its score is higher.
+    restarts
+        If odometry misses much of its heading, its errors are corrected and the log is smoothed again, at most this
+        number of times. The result is kept if its score is higher.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8) * 5
     iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
-    wide_search: Count = 10
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
-    tried: Count = 3
-    finished: Count = 2
-    trial: Count = 2
-    hopeless: NonNegative = 0.02
-    tie: NonNegative = 0.003
-    settled: NonNegative = 0.002
-    same_path: NonNegative = 0.5
-    synchronisations: Count = 3
-    synchronous: NonNegative = 0.02
-    restart: Angle = 3.0 * _DEGREE
     restarts: CountOrNone = 3
 
 

@@ -60,7 +60,7 @@ def _iterate(
     across = links_across(cloud, radius)
     cross_std = std * _CROSS_INFLATION * max(1.0, radius / _LAST_RADIUS)
     add_links(equations, trajectory.poses, cloud.geometry, across, cross_std, LINK_KERNEL)
-    add_lines(equations, trajectory.poses, cloud, lines, line_std(config, range_std), config.lines.inflation)
+    add_lines(equations, trajectory.poses, cloud, lines, line_std(range_std))
     ends, relative, information = relations
     add_relations(equations, trajectory.poses, ends, (relative, information), LOOP_KERNEL)
     step = equations.solve(_DAMPING)

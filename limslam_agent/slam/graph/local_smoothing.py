@@ -22,7 +22,8 @@ from limslam_agent.slam.graph.point_links import PointCloud, links_along, point_
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_env.geometry import FloatArray, IntArray
 
-_LINK_STD = 0.08  # m
+_LINK_STD, _LINE_STD = 0.08, 0.06  # m
+_FIRST_WINDOW = 4.0  # m, in which lines are found in the first iteration
 LINK_KERNEL = 2.0
 """Scale of the Geman-McClure kernel of links, in standard deviations."""
 LINK_INFLATION = 1.5
@@ -48,9 +49,9 @@ def link_std(range_std: float) -> float:
     return float(np.hypot(_LINK_STD, range_std))
 
 
-def line_std(config: GraphConfig, range_std: float) -> float:
+def line_std(range_std: float) -> float:
     """Standard deviation of a point about its line, m."""
-    return float(np.hypot(config.lines.std, range_std))
+    return float(np.hypot(_LINE_STD, range_std))
 
 
 def local_equations(
@@ -114,9 +115,9 @@ def _with_lines(
 ) -> Trajectory:
     """Do one iteration with lines; windows grow and tolerances shrink as ``progress`` goes from 0 to 1."""
     cloud = point_cloud(keys, trajectory, range_std)
-    window = config.lines.first_window + (config.lines.window - config.lines.first_window) * progress
+    window = _FIRST_WINDOW + (config.lines.window - _FIRST_WINDOW) * progress
     widening = 1.8 - 0.8 * progress
     lines = find_lines(cloud, config.lines, window, widening * config.lines.tolerance)
     equations = local_equations(keys, trajectory, cloud, config, link_std(range_std), len(lines.angles))
-    add_lines(equations, trajectory.poses, cloud, lines, widening * line_std(config, range_std), config.lines.inflation)
+    add_lines(equations, trajectory.poses, cloud, lines, widening * line_std(range_std))
     return chained(trajectory, equations.solve())

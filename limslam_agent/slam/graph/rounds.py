@@ -1,6 +1,6 @@
 """One round of the smoothing of a log: the loops of its chunks are found and tested, and the bundle is solved."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -52,6 +52,7 @@ from limslam_env.geometry import FloatArray, IntArray
 
 _BENT = 25.0  # chi-square of a hop from which on it follows the local smoothing again at the beginning of a round
 _GAIN = 0.001  # by how much a group of loops of the wide search must raise the score
+_SETTLED = 0.002  # rounds end when the last two rounds together have raised the score by less
 _STRAIN = 0.1  # by how much a mean chi-square of 1 between hops and local smoothing, after the kernel, lowers the score
 
 
@@ -196,14 +197,17 @@ def do_round(log: LogProblem, trajectory: Trajectory, number: int, candidates: C
     config, chunks = log.config, candidates.chunks
     placed = _supported(chunks, candidates.loops)
     score = replace(MapScore.of(chunks.maps), strain=log.strain(number))
-    if number < config.rounds.wide_search:
-        placed = STARTS[start](candidates, placed, score)
-    elif start == "guard":
-        placed = _pruned(chunks, placed, score)
+    placed = STARTS[start](candidates, placed, score)
     if number > 0:
         unions = [[loop] for loop in match_unions(chunks, placed.solution.poses, placed.loops)]
         placed = placed.after(_accept(chunks, placed, unions, score, 0.0, near=True), NOT_ADDED)
     return _bundled(log, trajectory, chunks, placed, config.rounds.iterations[number])
+
+
+def is_settled(rounds: Sequence[Round]) -> bool:
+    """Whether the last two rounds, which differ in the hop of their chunks, have not raised the score."""
+    scores = [each.score for each in rounds]
+    return len(scores) > 2 and max(scores[-2:]) < max(scores[:-2]) + _SETTLED
 
 
 def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:

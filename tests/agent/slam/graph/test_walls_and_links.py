@@ -9,7 +9,7 @@ from limslam_agent.slam.graph import point_links
 from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, event_poses, odometry_trajectory
 from limslam_agent.slam.graph.local_smoothing import chained, smooth_locally
 from limslam_agent.slam.graph.point_links import PointCloud, find_normals, links_across, links_along, point_cloud
-from limslam_agent.slam.graph.wall_lines import find_lines, lines_in
+from limslam_agent.slam.graph.wall_lines import lines_in
 
 CONFIG = GraphConfig()
 
@@ -98,15 +98,6 @@ def test_a_gap_ends_a_wall():
     normals = np.tile([0.0, 1.0], (60, 1))
     lines = lines_in(places, normals, np.ones(60, dtype=bool), np.array([[0, 60]]), WallLineConfig(), 0.12)
     assert np.bincount(lines.lines).tolist() == [30, 30]
-
-
-def test_lines_follow_a_step(true_cloud):
-    lines = find_lines(true_cloud, WallLineConfig(), 10.0, 0.12)
-    assert len(lines.angles) > 5
-    step = np.tile([0.1, 0.5], (len(lines.angles), 1))
-    moved = lines.moved(step)
-    assert np.allclose(moved.angles - lines.angles, 0.1)
-    assert np.allclose(np.linalg.norm(moved.centres - lines.centres, axis=1), 0.5)
 
 
 def test_a_chained_step_turns_all_that_comes_later(drive):
