@@ -38,54 +38,16 @@ class ContradictionConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class SuddenChangeConfig(Bounded):
-    """When readings change so suddenly that the robot must have been carried away.
-
-    Evidence is the logarithm of a likelihood ratio: of "the robot was carried away in this step" against "it was not".
-
-    Attributes
-    ----------
-    begin
-        A suspicion begins with a step whose readings give more evidence than this. It ends when its evidence is used
-        up, or after ``longest``.
-    most
-        Largest number of suspicions at the same time.
-    longest
-        Distance after which a suspicion ends, m. A turn by one radian counts like ``turn_length``, m.
-    contradiction, fit, place
-        Evidence of a place that contradicts the map of the time before the step, half as much for each further place by
-        the same beam, and loss of evidence by a wall of that map which a reading fits. Each wall, and each place of the
-        size ``place``, m, counts once.
-    unsure, lost, lost_contradicted
-        The estimate is unsure or lost with this evidence. Less suffices to be lost if a place contradicts the map.
-    clear
-        With less evidence than this by the change itself, the next comparison must confirm that the robot is lost.
-    """
-
-    begin: Positive = 1.0
-    most: Count = 3
-    longest: Positive = 4.0
-    contradiction: NonNegative = 4.0
-    fit: NonNegative = 1.0
-    place: Positive = 0.3
-    unsure: Positive = 8.0
-    lost: Positive = 12.0
-    lost_contradicted: Positive = 10.0
-    clear: NonNegative = 6.0
-
-
-@dataclass(frozen=True)
 class StatusConfig(Bounded):
     """All settings of the status. Most of its numbers are constants beside the code.
 
     Attributes
     ----------
-    contradictions, sudden_changes
-        Settings of the parts.
+    contradictions
+        When a reading contradicts the map.
     max_jump
         The estimate is lost if the odometry reports a longer motion in one step, m.
     """
 
     contradictions: ContradictionConfig = field(default_factory=ContradictionConfig)
-    sudden_changes: SuddenChangeConfig = field(default_factory=SuddenChangeConfig)
     max_jump: Positive = 1.0

@@ -11,7 +11,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight, compared
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
-from limslam_agent.status.sudden_changes import LASTING, Moment, SuddenChanges, Suspicion
+from limslam_agent.status.sudden_changes import LASTING, UNSURE, Moment, SuddenChanges, Suspicion
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -104,7 +104,7 @@ class StatusMonitor:
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted, self._contradicted = 0, 0
-        self._sudden_changes = SuddenChanges(robot, config.sudden_changes, config.contradictions)
+        self._sudden_changes = SuddenChanges(robot, config.contradictions)
         self.status = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -279,7 +279,7 @@ class StatusMonitor:
     def _doubt(self, heading_std: float) -> Status:
         """The status of a robot whose readings fit the map."""
         suspicion = self._sudden_changes.strongest
-        if suspicion is not None and suspicion.evidence >= self._config.sudden_changes.unsure:
+        if suspicion is not None and suspicion.evidence >= UNSURE:
             return Status("unsure", suspicion.words)
         if heading_std > _UNSURE_HEADING:
             return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")

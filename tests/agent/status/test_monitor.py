@@ -23,7 +23,16 @@ from limslam_agent.status.monitor import (
     StatusMonitor,
 )
 from limslam_agent.status.status import Status, status_scores, worst
-from limslam_agent.status.sudden_changes import Moment, SuddenChanges, Suspicion, change_evidence
+from limslam_agent.status.sudden_changes import (
+    CLEAR,
+    LONGEST,
+    LOST,
+    UNSURE,
+    Moment,
+    SuddenChanges,
+    Suspicion,
+    change_evidence,
+)
 from limslam_env.geometry.se2 import between
 
 CONFIG = StatusConfig()
@@ -211,11 +220,11 @@ def test_few_readings_that_change_at_once_suffice_if_the_map_is_contradicted_too
 
 
 def test_of_several_suspicions_the_largest_change_counts():
-    config, nowhere = CONFIG.sudden_changes, KnownMap(np.zeros((0, 4)), UNKNOWN)
-    changes = SuddenChanges(ROBOT, config, CONFIG.contradictions)
+    nowhere = KnownMap(np.zeros((0, 4)), UNKNOWN)
+    changes = SuddenChanges(ROBOT, CONFIG.contradictions)
     weak, strong = (
         Suspicion(step, nowhere, evidence, change, 3, 0.0, set())
-        for step, evidence, change in ((5, config.lost + 1.0, 2.0), (9, config.unsure, config.clear))
+        for step, evidence, change in ((5, LOST + 1.0, 2.0), (9, UNSURE, CLEAR))
     )
     changes.suspicions = [weak]
     moment = Moment(0.1, SURE, nowhere, RangeSensor(0.02), EVERY, ~EVERY, [])
@@ -229,7 +238,7 @@ def test_of_several_suspicions_the_largest_change_counts():
 def test_a_suspicion_does_not_last():
     watched = changing(4, (0.02, 0.04))
     assert watched.status == Status("unsure", "4 readings changed at once")
-    drive(watched, math.ceil(CONFIG.sudden_changes.longest / 0.11) + 2, known=KnownMap(np.zeros((0, 4)), UNKNOWN))
+    drive(watched, math.ceil(LONGEST / 0.11) + 2, known=KnownMap(np.zeros((0, 4)), UNKNOWN))
     assert watched.status == Status()
 
 
