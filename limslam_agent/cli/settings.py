@@ -25,6 +25,7 @@ _Std = Annotated[float, Bounds(0.0, 1e3)]
 _MAX_WHEEL_STD = 1.0  # m, after 1 m
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
+_MOST_NAMED = 5  # settings in a warning
 _TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration needs
 
 # These say where results go, not how they are made.
@@ -222,7 +223,8 @@ class Given:
 
         in_file, table = self.table.get("preset", preset), self.table.get("agent", {})
         old = known_settings(self._preset_in_file(in_file, AgentConfig()), table)[1] if table else []
-        lacking = [f"{self.path}: left out, since this version has no such settings: {', '.join(old)}"] if old else []
+        names = ", ".join(old[:_MOST_NAMED]) + (f" and {len(old) - _MOST_NAMED} more" if old[_MOST_NAMED:] else "")
+        lacking = [f"{self.path}: left out, since this version has no such settings: {names}"] if old else []
         unused = ", ".join(f"[agent.{name}]" for name in _OF_PRESET if name in table)
         if in_file == preset or not unused:
             return lacking
